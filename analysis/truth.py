@@ -22,6 +22,7 @@ from trainlog.identity import SHARED, TripIdentity
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log
 from trainlog.railway import RunningResistance, StepProfile, TrackConditionMap
+from trainlog.railway.resistance import TERMS
 from trainlog.trip import SCENARIO_ATTACHMENT, Trip
 
 SLOWEST = 5.0
@@ -87,7 +88,7 @@ def truth_of(trip: Trip) -> Truth | None:
             train=train.name,
             weather=stated["weather"],
             mass=stated["mass"],
-            resistance=RunningResistance(stated["r0"], stated["r1"], stated["r2"]),
+            resistance=RunningResistance.of(stated[name] for name in TERMS),
             max_power=stated["max_power"],
             maximum_adhesion=profile("maximum_adhesion"),
             top_speed=min(float(line.speed_limits.values.max()), train.max_speed),

@@ -19,6 +19,7 @@ from trainlog.railway import (
     StepProfile,
     Train,
 )
+from trainlog.railway.resistance import basis
 from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 
@@ -77,7 +78,7 @@ def recording(
     return Recording(
         time=time,
         speed=measured,
-        air_square=measured**2,
+        curve=basis(measured),
         effort=effort,
         braking=nothing,
         rotating_momentum=TRAIN.rotating_mass * speed,

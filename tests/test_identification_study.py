@@ -15,9 +15,9 @@ import pytest
 from refusals import refused
 
 from analysis.resistance import TripFit, fit_trip
-from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
+from trainlog.railway.resistance import basis
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "identification"))
 
@@ -35,8 +35,8 @@ def fitted(study: Study, seed: int) -> TripFit:
 
 def size(covariance: FloatArray, study: Study) -> float:
     """Expected error of the curve, root mean square of the relative one."""
-    basis = powers(SPEEDS) / study.resistance(SPEEDS)[:, None]
-    return float(np.sqrt(np.mean(np.einsum("ki,ij,kj->k", basis, covariance, basis))))
+    at = basis(SPEEDS) / study.resistance(SPEEDS)[:, None]
+    return float(np.sqrt(np.mean(np.einsum("ki,ij,kj->k", at, covariance, at))))
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -28,7 +28,7 @@ import analysis
 from analysis.estimates import with_estimates, without_wheel_error
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.coast_down import coast_down
-from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.curve import band_factor, curve_std
 from analysis.resistance.fit import mass_prior
 from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
@@ -45,6 +45,7 @@ from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
 from trainlog.railway.adhesion import polach_curve
+from trainlog.railway.resistance import basis
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of, seconds
@@ -501,7 +502,7 @@ def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
     speed = np.linspace(5.0, 35.0, 121)
     std = curve_std(covariance, speed)
     for freedom in (8, 1000):
-        draws = generator.standard_normal((20_000, 3)) @ root.T @ powers(speed).T / std
+        draws = generator.standard_normal((20_000, 3)) @ root.T @ basis(speed).T / std
         draws /= np.sqrt(generator.chisquare(freedom, (20_000, 1)) / freedom)
         factor = band_factor(covariance, (5.0, 35.0), freedom)
         held = np.mean(np.all(np.abs(draws) < factor, axis=1))

@@ -14,13 +14,13 @@ from test_resistance_windows import NOISE, dense, drawn_errors, rough
 
 from analysis.resistance import TripFit, combine, fit_trip, summarised
 from analysis.resistance.combination import shared_variance
-from analysis.resistance.curve import powers
 from analysis.resistance.noise import NoiseModel
 from analysis.resistance.regression import fit_windows
 from analysis.resistance.windows import build_windows
 from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries
 from trainlog.railway import StepProfile, Survey
+from trainlog.railway.resistance import basis
 from trainlog.trip import LINE_ATTACHMENT
 
 
@@ -85,7 +85,7 @@ def test_errors_that_reach_over_several_elements_are_reported_by_the_lines_file(
     unstated = [on_wrong_map(1000.0, None, seed) for seed in range(10)]
     assert np.mean([distance(fit) for fit in stated]) < 1.3
     assert np.median([fit.noise["gradient"] for fit in stated]) == pytest.approx(2e-4, rel=0.2)
-    curve = powers(20.0) @ TRUE
+    curve = basis(20.0) @ TRUE
     better, worse = (
         np.sqrt(np.mean([(fit.resistance(20.0) - curve) ** 2 for fit in fits]))
         for fits in (stated, unstated)
@@ -137,7 +137,7 @@ def over_one_line(count: int, seed: int, gradients: tuple[str, ...]) -> list[Tri
 @pytest.mark.parametrize("gradients", [("there",), ("there", "back")])
 def test_the_common_band_covers_whatever_the_lines_errors_are(gradients: tuple[str, ...]) -> None:
     inside, without = [], []
-    true = powers(SPEED) @ TRUE
+    true = basis(SPEED) @ TRUE
     for seed in range(30):
         fits = over_one_line(20, seed, gradients)
         low, high = combine(fits).band(SPEED)
@@ -159,7 +159,7 @@ def test_a_line_travelled_once_adds_nothing() -> None:
 def test_the_mean_is_no_better_known_than_the_line() -> None:
     """A thousand trips in one direction leave the line's errors as they are."""
     fits = over_one_line(1000, 2, ("there",))
-    survey = np.sqrt(np.einsum("ki,ij,kj->k", powers(SPEED), fits[0].survey[:3, :3], powers(SPEED)))
+    survey = np.sqrt(np.einsum("ki,ij,kj->k", basis(SPEED), fits[0].survey[:3, :3], basis(SPEED)))
     std = combine(fits).std(SPEED)
     assert np.all((std > 0.95 * survey) & (std < 1.1 * survey))
 

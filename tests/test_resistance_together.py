@@ -23,7 +23,7 @@ from analysis.resistance import (
     parameter_set,
     summarised,
 )
-from analysis.resistance.curve import nearest_physical, powers
+from analysis.resistance.curve import nearest_physical
 from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit
 from analysis.resistance.plot import refused_chart, trips_charts
@@ -36,11 +36,12 @@ from trainlog.formats.railway import read_line, read_parameters, read_train, wri
 from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.railway import Passport, Quantity, RunningResistance
+from trainlog.railway.resistance import basis
 from trainlog.simulation import draw_scenarios, simulate
 
 SPEED = np.linspace(5.0, 35.0, 61)
 TRUE = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
-NODES = powers(np.linspace(5.0, 35.0, 3))
+NODES = basis(np.linspace(5.0, 35.0, 3))
 
 
 def fit_of(
@@ -111,7 +112,7 @@ def drawn(
 
 
 def relative(beta: FloatArray, true: FloatArray) -> float:
-    return float(np.sqrt(np.mean((powers(SPEED) @ beta / (powers(SPEED) @ true) - 1.0) ** 2)))
+    return float(np.sqrt(np.mean((basis(SPEED) @ beta / (basis(SPEED) @ true) - 1.0) ** 2)))
 
 
 def beta_of(resistance: RunningResistance) -> FloatArray:
@@ -320,7 +321,7 @@ def test_five_times_twelve_simulated_trips() -> None:
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     speed = np.linspace(5.0, 125 / 3.6, 61)
-    basis = powers(speed)
+    at = basis(speed)
     single, covered, coefficients, twelve, refused = [], [], [], [], 0
     for seed in range(1, 6):
         fits, true = [], []
@@ -334,11 +335,11 @@ def test_five_times_twelve_simulated_trips() -> None:
             fits.append(fit)
             true.append(r)
             low, high = fit.band(speed)
-            single.append(np.sqrt(np.mean((fit.resistance(speed) / (basis @ r) - 1.0) ** 2)))
-            covered.append(np.all((low <= basis @ r) & (basis @ r <= high)))
+            single.append(np.sqrt(np.mean((fit.resistance(speed) / (at @ r) - 1.0) ** 2)))
+            covered.append(np.all((low <= at @ r) & (at @ r <= high)))
             z = np.append(fit.beta - r, fit.mass - scenario.mass) / np.sqrt(np.diag(fit.covariance))
             coefficients.append(np.abs(z) < 1.96)
-        mean = basis @ np.mean(true, axis=0)
+        mean = at @ np.mean(true, axis=0)
         twelve.append(np.sqrt(np.mean((combine(fits).resistance(speed) / mean - 1.0) ** 2)))
     assert refused <= 6
     assert np.mean(covered) >= 0.9

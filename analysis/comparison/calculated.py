@@ -76,6 +76,7 @@ from trainlog.presentation import (
 )
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 from trainlog.railway.passport import Quantity
+from trainlog.railway.resistance import TERMS, basis
 from trainlog.spans import runs_of
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, JOULES_PER_KWH, NANOSECONDS
@@ -107,7 +108,7 @@ class Wrong:
     Attributes
     ----------
     name : str
-        ``"r0"``, ``"r1"``, ``"r2"``, ``"running resistance"`` (more than one) or ``"mass"``.
+        One of `TERMS`, ``"running resistance"`` (more than one) or ``"mass"``.
     factor, factor_std : float
         What the model states over what the trip shows, and its standard deviation.
     alternatives : tuple of str
@@ -258,7 +259,7 @@ def _wrong_coefficient(fitted: Sequence[Evidence], factor: float) -> Wrong | Non
     own = model.resistance.coefficients
     fits = [each.fit for each in fitted if each.fit is not None]
     betas = np.array([fit.beta for fit in fits]) / factor
-    single = np.array([fit.covariance[:3, :3] for fit in fits]) / factor**2
+    single = np.array([fit.own_covariance for fit in fits]) / factor**2
     if fitted[0].of_file:
         rough = _mean(betas, single)[0]
         # Of the coefficients as they may be: those of a wrong file are too large or too small.
@@ -273,10 +274,10 @@ def _wrong_coefficient(fitted: Sequence[Evidence], factor: float) -> Wrong | Non
     shown, variance = _mean(betas, single)
     if len(fits) > 1:
         off = betas - shown
-        scatter = np.einsum("ni,nij,nj", off, np.linalg.inv(single), off) / (3 * (len(fits) - 1))
+        scatter = np.einsum("ni,nij,nj", off, np.linalg.inv(single), off) / (off.size - own.size)
         variance = variance * max(1.0, float(scatter))
         # Trips over one line share the errors of its gradients.
-        variance = variance + np.mean([fit.survey[:3, :3] for fit in fits], axis=0) / factor**2
+        variance = variance + np.mean([fit.own_survey for fit in fits], axis=0) / factor**2
     freedom = float(sum(fit.freedom for fit in fits))
     return _coefficient(own, shown, common + variance, freedom)
 
@@ -295,14 +296,14 @@ def _coefficient(
     precision = np.linalg.inv(spread)
     off = own - shown
     whole = float(off @ precision @ off)
-    if whole < 3.0 * f_distribution.ppf(SURE, 3, freedom):
+    size = own.size
+    if whole < size * f_distribution.ppf(SURE, size, freedom):
         return None
     changes = (precision @ off) / np.diag(precision)
     left = whole - changes**2 * np.diag(precision)
     best = int(np.argmin(left))
     true = own - changes
-    names = ("r0", "r1", "r2")
-    if left[best] > 2.0 * f_distribution.ppf(SURE, 2, freedom):
+    if left[best] > (size - 1) * f_distribution.ppf(SURE, size - 1, freedom):
         scale = float(own @ precision @ shown / (own @ precision @ own))
         std = float(1.0 / np.sqrt(own @ precision @ own))
         return Wrong("running resistance", 1.0 / scale, std / scale**2)
@@ -310,11 +311,11 @@ def _coefficient(
     if 1.0 / LEAST_FACTOR < factor < LEAST_FACTOR:
         return None
     std = float(factor / max(true[best], 1e-9) / np.sqrt(precision[best, best]))
-    others = [names[row] for row in range(3) if row != best and left[row] < left[best] + ALIKE]
-    if "r1" in (names[best], *others):
+    others = [TERMS[row] for row in range(size) if row != best and left[row] < left[best] + ALIKE]
+    if TERMS[1] in (TERMS[best], *others):
         # Air resistance of a wind w is r2 (v + w)²: to the motion it is a linear term.
         others.append(f"a head wind of {-changes[1] / (2.0 * max(shown[2], 1e-9)):.0f} m/s")
-    return Wrong(names[best], float(factor), std, tuple(others))
+    return Wrong(TERMS[best], float(factor), std, tuple(others))
 
 
 STEP = 20.0
@@ -600,7 +601,7 @@ class _Variant:
         """As far to the other side of the model as it is."""
         resistance = 2.0 * own.resistance.coefficients - self.resistance.coefficients
         return _Variant(
-            RunningResistance(*resistance.tolist()),
+            RunningResistance.of(resistance),
             2.0 * own.mass - self.mass,
             2.0 - self.gain,
             -self.slope,
@@ -729,9 +730,9 @@ def _driven(
         push = force[part] - variant.mass * cells.track[part] / step
         lost = variant.slope * GRAVITY * variant.mass * uneven * np.sqrt(ran) / ran
         first = (cells.speed[begin] + variant.start) ** 2
-        wind, resistance = cells.wind[part], variant.resistance
-        air = _Air(resistance.r1 + 2.0 * resistance.r2 * wind, resistance.r2 + cells.tunnels[part])
-        still = resistance.r0 + resistance.r2 * wind**2
+        wind, (constant, linear, quadratic) = cells.wind[part], variant.resistance.parabola
+        air = _Air(linear + 2.0 * quadratic * wind, quadratic + cells.tunnels[part])
+        still = constant + quadratic * wind**2
         found = _speeds(first, push - lost - still, step, air, inertia)
         speed[begin + 1 : end + 1] = found[1:]
         times[cells.section[begin]] += float(np.sum(2.0 * step / (found[1:] + found[:-1])))
@@ -793,7 +794,7 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
         own = model.resistance
         root = np.diag(FILE_TRUST * own.coefficients)
         mass_std = max(mass_std, FILE_MASS * inputs.mass.value)
-    powers = np.stack([summed(step), summed(step * speed), summed(step * speed**2)], axis=1)
+    powers = np.stack([summed(step * column) for column in basis(speed).T], axis=1)
     gain_std = inputs.gain.std / inputs.gain.value
     length = np.maximum(summed(step), 1e-9)
     edge = inputs.inertia * np.sqrt(2.0) * SPEED_STD * summed(step * speed) / length

@@ -54,8 +54,8 @@ class ForceModel:
     line : Line
         As travelled.
     resistance : RunningResistance
-    covariance : (3, 3) array
-        Of r0, r1 and r2 for a trip that has not been seen.
+    covariance : (p, p) array
+        Of the coefficients for a trip that has not been seen.
     """
 
     name: str
@@ -93,7 +93,7 @@ class ForceModel:
         own = self.resistance.coefficients
         variances, axes = np.linalg.eigh(self.covariance)
         return [
-            replace(self, resistance=RunningResistance(*(own + np.sqrt(variance) * axis).tolist()))
+            replace(self, resistance=RunningResistance.of(own + np.sqrt(variance) * axis))
             for variance, axis in zip(variances, axes.T, strict=True)
             if variance > 0.0
         ]
@@ -111,7 +111,7 @@ class ForceModel:
 
 
 def trip_spread(resistance: RunningResistance, wind_std: float = HEAD_WIND) -> FloatArray:
-    """Covariance of r0, r1 and r2 from trip to trip: `TRIP_SPREAD` and a head wind [m/s].
+    """Covariance of the coefficients from trip to trip: `TRIP_SPREAD` and a head wind [m/s].
 
     Air resistance is that of the speed and the wind together: ``r2 (v + w)²``.
     """
@@ -130,8 +130,9 @@ def resistance_of(
     A trip differs from the common curve by what trips differ among each other.
     """
     betas = np.array([each.resistance.coefficients for each in model.configurations])
-    common = RunningResistance(*betas.mean(axis=0)) if model.common is None else model.common
-    known = np.zeros((3, 3)) if model.common_covariance is None else model.common_covariance
+    common = RunningResistance.of(betas.mean(axis=0)) if model.common is None else model.common
+    none = np.zeros((betas.shape[1], betas.shape[1]))
+    known = none if model.common_covariance is None else model.common_covariance
     if model.common_covariance is None and len(betas) == 1:
         known = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
     off = betas - common.coefficients

@@ -427,8 +427,8 @@ class CooperativeController:
             float(self.tuning.period), int(self.tuning.substeps), float(self.tuning.lag),
             float(demand.direction), float(self.tuning.exact),
         )  # fmt: skip
-        mass, rotating, ratio, r0, r1, r2 = self._constants
-        constants = (mass, rotating, ratio, r0 + float(demand.held_back), r1, r2)
+        mass, rotating, ratio, still, linear, square = self._constants
+        constants = (mass, rotating, ratio, still + float(demand.held_back), linear, square)
         return Task(state, demand, reference, weights, margins, at_work, how, constants)
 
     def _start(self, task: Task, shifted: FloatArray) -> tuple[FloatArray, float]:

@@ -228,7 +228,8 @@ class Follower:
             limits, (before, speed) = self._limits, self._since
             span = len(self._acted) * PERIOD
             place, mean = 0.5 * (before + seen.position), 0.5 * (speed + seen.speed)
-            middle = np.array([limits.mass, limits.inertia, limits.r0, limits.r1, limits.r2])
+            own = limits.constant, limits.linear, limits.quadratic
+            middle = np.array([limits.mass, limits.inertia, *own])
             track = (
                 limits.mass / limits.inertia * value(self._route.track, self._route.origin, place)
             )

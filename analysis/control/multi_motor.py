@@ -87,9 +87,9 @@ class MultiMotorLocomotive:
 
     @property
     def constants(self) -> tuple[float, float, float, float, float, float]:
-        """What the compiled code needs: masses [kg], effort per torque [1/m], r0, r1, r2."""
+        """What the compiled code needs: masses [kg], effort per torque [1/m], resistance."""
         r = self.resistance
-        return (self.mass, self.rotating_mass, self.effort_per_torque, r.r0, r.r1, r.r2)
+        return (self.mass, self.rotating_mass, self.effort_per_torque, *r.parabola)
 
 
 class Prediction(NamedTuple):
@@ -129,14 +129,14 @@ def creep(slip, curve):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def rates(state, torque, rail, loads, constants, out):  # type: ignore[no-untyped-def]
     """Rates of change of the state [m/s²]; eqs. (1), (3) and (8). A train at rest stays there."""
-    mass, rotating, ratio, r0, r1, r2 = constants
+    mass, rotating, ratio, still, linear, square = constants
     v = state[0]
     pull = 0.0
     for i in range(loads.size):
         force = loads[i] * creep(state[1 + i] - v, rail[i])[0]
         pull += force
         out[1 + i] = (ratio * torque[i] - force) / rotating
-    out[0] = (pull - r0 - (r1 + r2 * v) * v) / mass
+    out[0] = (pull - still - (linear + square * v) * v) / mass
     if v <= 0.0 and out[0] < 0.0:
         out[0] = 0.0
 
@@ -206,7 +206,7 @@ def predicted(state, begun, plan, rail, loads, constants, how, sensitive):  # ty
     slip : (horizon * n,) array [m/s]
     change : (horizon * n, control horizon * n) array [m/s per N m]
     """
-    mass, rotating, ratio, r0, r1, r2 = constants
+    mass, rotating, ratio, still, linear, square = constants
     horizon, n = rail.shape[0], loads.size
     moves = plan.shape[0]
     step = how.period / how.substeps
@@ -234,8 +234,8 @@ def predicted(state, begun, plan, rail, loads, constants, how, sensitive):  # ty
                 slope[i] = loads[i] * (b * other - a * one)
                 bend[i] = sign * loads[i] * (a * a * one - b * b * other)
                 total += force[i]
-            gain = (total - how.direction * (r0 + (r1 + r2 * v) * v)) / mass
-            drag = how.direction * (r1 + 2.0 * r2 * v) / mass
+            gain = (total - how.direction * (still + (linear + square * v) * v)) / mass
+            drag = how.direction * (linear + 2.0 * square * v) / mass
             at_rest = v <= 0.0 and how.direction * gain < 0.0
             if at_rest:
                 gain = drag = 0.0
@@ -288,7 +288,7 @@ def tracking_plan(state, begun, reference, rail, loads, constants, how, limits, 
     Found forwards, torque by torque, with half of the error of slip taken back in a period. Not
     optimal, but sound from any state: also where the plan of another rail would let wheels race.
     """
-    mass, rotating, ratio, r0, r1, r2 = constants
+    mass, rotating, ratio, still, linear, square = constants
     n = loads.size
     plan = np.zeros((moves, n))
     now, at_work = state.copy(), begun.copy()
@@ -299,7 +299,7 @@ def tracking_plan(state, begun, reference, rail, loads, constants, how, limits, 
         pull = 0.0
         for i in range(n):
             pull += loads[i] * creep(how.direction * (now[1 + i] - v), rail[j, i])[0]
-        gain = (pull - how.direction * (r0 + (r1 + r2 * v) * v)) / mass
+        gain = (pull - how.direction * (still + (linear + square * v) * v)) / mass
         if v <= 0.0 and how.direction * gain < 0.0:
             gain = 0.0
         total_given = 0.0

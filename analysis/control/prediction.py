@@ -89,7 +89,8 @@ def expected_deceleration(
     p: float, v: float, estimate: TrainEstimate, route: RouteTables, limits: TrainLimits
 ) -> float:
     """Deceleration without effort as estimated [m/s²]."""
-    drag = limits.r0 + (limits.r1 + (limits.r2 + value(route.tunnel, route.origin, p)) * v) * v
+    square = limits.quadratic + value(route.tunnel, route.origin, p)
+    drag = limits.constant + (limits.linear + square * v) * v
     along = limits.mass * value(route.track, route.origin, p)
     return ((1.0 + estimate.drag) * drag + along) / limits.inertia - estimate.drift
 
@@ -161,11 +162,8 @@ def linearised(
             before = f
             f = late + (f - late) * fade
             friction = before + share * (f - before)
-            a22 = (
-                -(1.0 + estimate.drag)
-                * (limits.r1 + 2.0 * (limits.r2 + value(route.tunnel, route.origin, p)) * v)
-                / limits.inertia
-            )
+            square = limits.quadratic + value(route.tunnel, route.origin, p)
+            a22 = -(1.0 + estimate.drag) * (limits.linear + 2.0 * square * v) / limits.inertia
             a21 = -limits.mass / limits.inertia * rate(route.track, route.origin, p)
             a = estimate.gain * (quick - friction) - expected_deceleration(
                 p, v, estimate, route, limits

@@ -109,14 +109,15 @@ class TrainLimits(NamedTuple):
         Speeds and efforts of traction and dynamic brake; a single point is no limit.
     on_powered, on_all : float [N]
         Weight on the powered axles, and on all of them.
-    mass, inertia, r0, r1, r2 : float
+    mass, inertia, constant, linear, quadratic : float
         Of the middle of the set.
     lag : float [s]
         Of the friction brake.
     spinning : float [kg]
         Rotating mass of the powered axles.
     corners : (4, 5) array
-        Mass, inertia, r0, r1, r2 of light and heavy trains with little and much resistance.
+        Mass, inertia, constant, linear, quadratic of light and heavy trains with little and much
+        resistance.
     net_pull, net_brake : float [N]
         What gives the lightest train its largest acceleration and deceleration where nothing
         resists, if they limit its own acceleration; else infinite.
@@ -134,9 +135,9 @@ class TrainLimits(NamedTuple):
     on_all: float
     mass: float
     inertia: float
-    r0: float
-    r1: float
-    r2: float
+    constant: float
+    linear: float
+    quadratic: float
     lag: float
     spinning: float
     corners: FloatArray
@@ -152,7 +153,7 @@ class RouteTables(NamedTuple):
     track : [m/s²]
         Deceleration by gradient and curves.
     tunnel : [N/(m/s)²]
-        Added to r2.
+        Added to the quadratic term.
     pulling, adhesion
         Maximum adhesion that is counted on in traction and in braking.
     ceiling : [m²/s²]
@@ -202,13 +203,13 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
     train, every = run.train, run.configurations
     masses = [pick(c.mass for c in every) for pick in (min, max)]
     inertias = [pick(c.inertia for c in every) for pick in (min, max)]
-    drags = np.array([each.resistance.coefficients for each in every])
+    drags = np.array([each.resistance.parabola for each in every])
     corners = [
         (mass, inertia, *drag)
         for mass, inertia in zip(masses, inertias, strict=True)
         for drag in (drags.min(axis=0), drags.max(axis=0))
     ]
-    r0, r1, r2 = (0.5 * (drags.min(axis=0) + drags.max(axis=0))).tolist()
+    constant, linear, quadratic = (0.5 * (drags.min(axis=0) + drags.max(axis=0))).tolist()
     least = min(c.max_power for c in every)
     pull, brake = train.traction_curve_with(least), train.dynamic_braking_curve
     net = train.acceleration_limits == "net"
@@ -227,9 +228,9 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
         on_all=GRAVITY * masses[0],
         mass=0.5 * sum(masses),
         inertia=0.5 * sum(inertias),
-        r0=r0,
-        r1=r1,
-        r2=r2,
+        constant=constant,
+        linear=linear,
+        quadratic=quadratic,
         lag=max(train.brake.lag, 1e-3),
         spinning=train.axles.count * train.axles.rotating_mass,
         corners=np.array(corners, dtype=np.float64),
@@ -346,10 +347,10 @@ def effort_limits(
         pull = min(pull, effort_at(v, limits.pull_curve[0], limits.pull_curve[1]))
     brake = min(limits.braking, grip * limits.on_all)
     if limits.net_pull < np.inf:
-        mass, _, r0, r1, r2 = limits.corners[1]
+        mass, _, still, linear, square = limits.corners[1]
         along = mass * value(route.track, route.origin, p)
         pull = min(pull, max(limits.net_pull + along + limits.corners[0, 2], 0.0))
-        brake = min(brake, max(limits.net_brake - along - r0 - (r1 + r2 * v) * v, 0.0))
+        brake = min(brake, max(limits.net_brake - along - still - (linear + square * v) * v, 0.0))
     # The dynamic brake is used first, and it acts on the powered axles alone.
     quick = dynamic_braking(v, limits)
     if limits.brake_curve.shape[1] > 1:
@@ -370,7 +371,7 @@ def dynamic_braking(v: float, limits: TrainLimits) -> float:
 
 @njit(cache=True)
 def free_deceleration(p: float, v: float, row: FloatArray, route: RouteTables) -> float:
-    """Deceleration [m/s²] of a train (mass, inertia, r0, r1, r2) without effort."""
+    """Deceleration [m/s²] of a train without effort; a row as of `TrainLimits.corners`."""
     drag = row[2] + (row[3] + (row[4] + value(route.tunnel, route.origin, p)) * v) * v
     return (drag + row[0] * value(route.track, route.origin, p)) / row[1]
 

@@ -99,7 +99,7 @@ class TrainResistance(DragCurve, Presented):
         That determine it.
     resistance : RunningResistance
     covariance : (3, 3) array
-        Of r0, r1, r2.
+        Of its coefficients.
     freedom : float
         Degrees of freedom of the covariance.
     asked : (float, float) [m/s]
@@ -152,7 +152,7 @@ class KindResistance(Presented):
     trains : tuple of TrainResistance
         In the order of their names.
     between, within : (3, 3) array
-        Scale of trains around the mean, and of a train's trips around it, of r0, r1, r2; of
+        Scale of trains around the mean, and of a train's trips around it, of the coefficients; of
         Student distributions of `TAIL` degrees of freedom.
     rows : DataFrame
         The summaries that were used.

@@ -48,6 +48,7 @@ from trainlog.presentation import (
 )
 from trainlog.progress import note
 from trainlog.railway import Line, ParameterSet, RunningResistance, TrackConditionMap, Trajectory
+from trainlog.railway.resistance import TERMS
 from trainlog.units import KMH, clock
 
 MOST_ROWS = 60
@@ -157,8 +158,8 @@ def _same(one: ParameterSet, other: ParameterSet) -> bool:
 
 def _drag(row: Mapping[str, Any]) -> Band:
     """The running resistance of a trip at 80 km/h."""
-    covariance = covariances_of(pd.DataFrame([row]))[0, :3, :3]
-    drag = RunningResistance(row["r0"], row["r1"], row["r2"])
+    covariance = covariances_of(pd.DataFrame([row]))[0, :-1, :-1]
+    drag = RunningResistance.of(row[name] for name in TERMS)
     return Band(float(drag(STATED_AT)), float(curve_std(covariance, STATED_AT)))
 
 

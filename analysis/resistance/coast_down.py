@@ -34,7 +34,6 @@ from analysis.resistance.coasting_fit import (
     fit_segments,
 )
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, TOLERANCE
-from analysis.resistance.curve import powers
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.view import Given, each_given, views_of
@@ -67,7 +66,7 @@ from trainlog.presentation import (
     new_table,
 )
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD
+from trainlog.railway.resistance import LARGEST_STD, TERMS, basis
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, KMH, PER_MILLE
@@ -443,7 +442,7 @@ def combined(
         Mass over inertia before any data; it counts once, not once a trip.
     """
     if len(fits) == 1:
-        return fits[0].curve, np.zeros((3, 3)), fits[0].ratio
+        return fits[0].curve, np.zeros((len(TERMS), len(TERMS))), fits[0].ratio
     covered = (
         min(fit.curve.covered[0] for fit in fits),
         max(fit.curve.covered[1] for fit in fits),
@@ -457,18 +456,18 @@ def combined(
     left = np.array([fit.free[1][1:, 1:] for fit in fits])
     left = left - np.einsum("k,ki,kj->kij", variance_k, slopes, slopes)
     # Values at three speeds, each over its usual size, are far better conditioned.
-    nodes = powers(np.linspace(*covered, 3))
+    nodes = basis(np.linspace(*covered, len(TERMS)))
     nodes /= np.abs(np.median(given @ nodes.T, axis=0))[:, None]
     back = np.linalg.inv(nodes)
     found = mixed_effects(
-        given @ nodes.T, nodes @ left @ nodes.T, (), BETWEEN_TRIPS**2 * np.eye(3), PRIOR_TRIPS,
-        tail=np.inf, tolerance=TOLERANCE,
+        given @ nodes.T, nodes @ left @ nodes.T, (), BETWEEN_TRIPS**2 * np.eye(len(TERMS)),
+        PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE,
     )  # fmt: skip
     variance = found.block(0, 0)
     weights = np.linalg.inv(found.within + nodes @ left @ nodes.T)
     slope = back @ variance @ np.einsum("kij,kj->i", weights, slopes @ nodes.T)
     theta = np.concatenate(([ratio.value], back @ found.mean))
-    covariance = np.zeros((4, 4))
+    covariance = np.zeros((theta.size, theta.size))
     covariance[1:, 1:] = back @ variance @ back.T
     effect = np.concatenate(([1.0], slope)) * ratio.std
     curve = Curve(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.resistance.coasting_detection import SPACING, Segment
-from analysis.resistance.curve import DragCurve, powers
+from analysis.resistance.curve import DragCurve
 from analysis.resistance.motion import Motion
 from analysis.resistance.noise import Expected, NoiseParts
 from analysis.resistance.recording import Recording, SpeedScale, gradient_pieces, track_slope
@@ -28,7 +28,7 @@ from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_win
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD, RunningResistance
+from trainlog.railway.resistance import LARGEST_STD, RunningResistance, basis
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
 from trainlog.units import GRAVITY, KMH
@@ -120,7 +120,7 @@ class Curve(DragCurve):
     @cached_property
     def resistance(self) -> RunningResistance:  # type: ignore[override]
         """c0, c1 and c2: the deceleration of the coasting train on level track [m/s²]."""
-        return RunningResistance(*self.theta[1:].tolist())
+        return RunningResistance.of(self.theta[1:])
 
     def __call__(self, speed: ArrayLike) -> FloatArray:
         """Deceleration of the coasting train on level track [m/s²] at each speed [m/s]."""
@@ -150,7 +150,7 @@ class Curve(DragCurve):
         v = np.asarray(speed, dtype=np.float64)
         value = self(v) / self.theta[0] / GRAVITY
         slope = np.concatenate(
-            [-(value / self.theta[0])[..., None], powers(v) / (self.theta[0] * GRAVITY)], axis=-1
+            [-(value / self.theta[0])[..., None], basis(v) / (self.theta[0] * GRAVITY)], axis=-1
         )
         variance = np.einsum("...i,ij,...j->...", slope, self.covariance, slope)
         return np.asarray(value), np.asarray(np.sqrt(variance))
@@ -272,7 +272,7 @@ def coasting_recording(
     return Recording(
         time=time,
         speed=speed,
-        air_square=speed**2,
+        curve=basis(speed),
         effort=-line.track_acceleration(position, strip_length),
         braking=nothing,
         rotating_momentum=nothing,
@@ -354,7 +354,7 @@ def _result(
 ) -> TripCoastDown:
     theta, covariance = _acceleration_form(regression)
     covariance = covariance + _misjudged(segments, windows, regression, covariance)
-    effect = theta * np.array([1.0, 1.0, 0.0, -1.0]) * motion.scale.std
+    effect = theta * np.append(1.0, 1.0 - np.arange(theta.size - 1)) * motion.scale.std
     free = theta, covariance + np.outer(effect, effect)
     theta, covariance, ratio = with_ratio(*free, expected)
     used = windows.select(regression.kept)
@@ -372,7 +372,7 @@ def _result(
         windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
         noise=dict(zip(("speed", "gradient", "position"), regression.noise.sizes[:3], strict=True)),
         cluster_factor=regression.cluster_factor,
-        residual_std=float(np.sqrt(residual @ residual / max(residual.size - 4, 1))),
+        residual_std=float(np.sqrt(residual @ residual / max(residual.size - theta.size, 1))),
         scale=motion.scale,
         source=motion.source,
         points=_points(windows, regression, theta),
@@ -392,7 +392,8 @@ def _misjudged(
     owner = np.searchsorted(starts, 0.5 * (used.start + used.end), side="right") - 1
     held = used.duration[:, None] * (owner[:, None] == np.arange(len(segments)))
     rows = NoiseParts.of(used, 1.0).whiten(regression.noise, np.column_stack([used.x, held]))
-    moved = covariance @ rows[:, :4].T @ rows[:, 4:] / regression.cluster_factor
+    terms = used.x.shape[1]
+    moved = covariance @ rows[:, :terms].T @ rows[:, terms:] / regression.cluster_factor
     doubt = np.array([1.0 - segment.probability for segment in segments])
     return np.asarray((moved * doubt * SPACING**2) @ moved.T)
 
@@ -413,10 +414,10 @@ def _points(windows: Windows, regression: WindowFit, theta: FloatArray) -> Windo
 
 
 def _acceleration_form(regression: WindowFit) -> tuple[FloatArray, FloatArray]:
-    """k, c0, c1, c2 and their covariance from r0/m, r1/m, r2/m and 1/k."""
-    beta, inverse = regression.beta, regression.beta[3]
-    theta = np.concatenate(([1.0], beta[:3])) / inverse
-    jacobian = np.zeros((4, 4))
-    jacobian[:, 3] = -theta / inverse
-    jacobian[[1, 2, 3], [0, 1, 2]] = 1.0 / inverse
+    """Mass over inertia and curve over inertia, with their covariance, from those over the mass."""
+    inverse, curve = regression.beta[-1], np.arange(regression.beta.size - 1)
+    theta = np.append(1.0, regression.beta[:-1]) / inverse
+    jacobian = np.zeros((theta.size, theta.size))
+    jacobian[:, -1] = -theta / inverse
+    jacobian[1 + curve, curve] = 1.0 / inverse
     return theta, jacobian @ regression.covariance @ jacobian.T

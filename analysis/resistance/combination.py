@@ -34,7 +34,6 @@ from analysis.resistance.curve import (
     DragCurve,
     curve_std,
     nearest_physical,
-    powers,
 )
 from analysis.resistance.fit import TripFit
 from analysis.resistance.recording import TripRefusedError
@@ -57,7 +56,7 @@ from trainlog.formats.summaries import (
 )
 from trainlog.identity import Known, identity_from_text, overlapping, same_drives
 from trainlog.presentation import Presented, WordTable, new_table
-from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.resistance import TERMS, RunningResistance, basis
 from trainlog.units import KMH
 
 SOFTWARE = f"trainlog {__version__}"
@@ -103,8 +102,8 @@ def summarised(
 
 
 def _row(fit: TripFit) -> dict[str, object]:
-    upper = fit.covariance[np.triu_indices(4)].tolist()
-    survey = fit.survey[:3, :3][np.triu_indices(3)].tolist()
+    upper = fit.covariance[np.triu_indices(len(fit.covariance))].tolist()
+    survey = fit.own_survey[np.triu_indices(len(fit.own_survey))].tolist()
     number: dict[str, float | None] = {
         "freedom": fit.freedom,
         "rotating_mass": fit.rotating_mass,
@@ -148,7 +147,7 @@ def _row(fit: TripFit) -> dict[str, object]:
 
 
 def shared_variance(weights: FloatArray, survey: FloatArray, line: IntArray) -> FloatArray:
-    """What shared errors add to the variance of a weighted mean, (3, 3).
+    """What shared errors add to the variance of a weighted mean, (p, p).
 
     With e_i = D_i u_l, where D_i D_i' is the part of trip i's variance that its line l brings in,
     and u_l is common to the trips over l: the sum over pairs of different trips of
@@ -156,9 +155,9 @@ def shared_variance(weights: FloatArray, survey: FloatArray, line: IntArray) -> 
 
     Parameters
     ----------
-    weights : (k, 3, 3) array
+    weights : (k, p, p) array
         Of each trip in the mean; they sum up to one.
-    survey : (k, 3, 3) array
+    survey : (k, p, p) array
         Of each trip's variance the part that errors of its line bring in.
     line : (k,) int array
         Number of the line and direction that the trip ran over.
@@ -194,16 +193,16 @@ class CommonFit(DragCurve, Presented):
     train : str
     resistance : RunningResistance
         Mean of the trips.
-    covariance : (3, 3) array
+    covariance : (p, p) array
         Of the mean's r0, r1, r2, with what errors of lines bring in that trips share.
-    between : (3, 3) array
+    between : (p, p) array
         Covariance of one trip's r0, r1, r2 around the mean.
     freedom : int
     asked, speed_range : (float, float) [m/s]
         Speeds that every trip was asked for, and that the trips cover together.
     trips : tuple of str
         In the order of `betas`.
-    betas, covariances : (k, 3), (k, 3, 3) array
+    betas, covariances : (k, p), (k, p, p) array
         Each trip's curve, drawn towards the mean as its own covariance warrants.
     """
 
@@ -273,7 +272,7 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     rows = accepted(trips)
     curves = node_curves(rows)
     values, variances, gain_std = curves.values, curves.variances, curves.gain_std
-    expected = BETWEEN_TRIPS**2 * np.eye(3)
+    expected = BETWEEN_TRIPS**2 * np.eye(len(TERMS))
     found = mixed_effects(
         values, variances, (), expected, PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE
     )
@@ -310,12 +309,12 @@ class NodeCurves:
     ----------
     top : float [m/s]
         Highest speed that every trip was asked for: that of the last node.
-    nodes : (3, 3) array
+    nodes : (p, p) array
         Of coefficients to values.
-    values : (k, 3) array
-    variances : (k, 3, 3) array
+    values : (k, p) array
+    variances : (k, p, p) array
         Without that of an assumed gain: all trips of a recorder err alike, and do not differ by it.
-    survey : (k, 3, 3) array
+    survey : (k, p, p) array
         The part of it that errors of the line bring in.
     gain_std : (k,) array
         Of an assumed gain; 0 where it was found.
@@ -332,11 +331,11 @@ class NodeCurves:
 def node_curves(rows: pd.DataFrame) -> NodeCurves:
     """Curves of trips that were accepted, by their values at three speeds."""
     top = float(rows["asked_highest"].min())
-    nodes = powers(np.linspace(0.0, top, 3))
-    values = parameters_of(rows)[:, :3] @ nodes.T
+    nodes = basis(np.linspace(0.0, top, len(TERMS)))
+    values = parameters_of(rows)[:, :-1] @ nodes.T
     size = np.median(values, axis=0)
     nodes, values = nodes / size[:, None], values / size
-    variances = nodes @ covariances_of(rows)[:, :3, :3] @ nodes.T
+    variances = nodes @ covariances_of(rows)[:, :-1, :-1] @ nodes.T
     gain_std = np.nan_to_num(rows["assumed_gain_std"].to_numpy(np.float64))
     variances -= gain_std[:, None, None] ** 2 * values[:, :, None] * values[:, None, :]
     survey = nodes @ surveys_of(rows) @ nodes.T

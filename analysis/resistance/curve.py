@@ -18,7 +18,7 @@ from scipy.special import stdtr
 
 from trainlog.arrays import FloatArray
 from trainlog.presentation import FORCE, Band, Column, Quantity
-from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.resistance import SUFFIXES, TERMS, RunningResistance, basis
 from trainlog.units import KMH
 
 CONFIDENCE = 0.95
@@ -32,23 +32,17 @@ HEAD_WIND = 5.0
 """Standard deviation of a trip's head wind that is not known [m/s]."""
 
 
-def powers(speed: ArrayLike) -> FloatArray:
-    """``(1, v, v²)`` (..., 3) at each speed [m/s]."""
-    v = np.asarray(speed, dtype=np.float64)
-    return np.stack([np.ones(v.shape), v, v**2], axis=-1)
-
-
 def curve_std(covariance: FloatArray, speed: ArrayLike) -> FloatArray:
-    """Standard deviation [N] of ``r0 + r1 v + r2 v²`` at each speed [m/s].
+    """Standard deviation [N] of a curve at each speed [m/s].
 
     Parameters
     ----------
-    covariance : (3, 3) array
-        Of r0, r1, r2.
+    covariance : (p, p) array
+        Of its coefficients.
     speed : array [m/s]
     """
-    basis = powers(speed)
-    return np.asarray(np.sqrt(np.einsum("...i,ij,...j->...", basis, covariance, basis)))
+    at = basis(speed)
+    return np.asarray(np.sqrt(np.einsum("...i,ij,...j->...", at, covariance, at)))
 
 
 def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: float) -> float:
@@ -59,7 +53,7 @@ def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: fl
 
     Parameters
     ----------
-    covariance : (3, 3) array
+    covariance : (p, p) array
     speeds : (float, float) [m/s]
     freedom : float
         Degrees of freedom of the noise's estimate.
@@ -68,7 +62,7 @@ def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: fl
 
     # The path of the normalised curve on the unit sphere.
     root = np.linalg.cholesky(covariance)
-    path = powers(np.linspace(*speeds, 201)) @ root
+    path = basis(np.linspace(*speeds, 201)) @ root
     path /= np.linalg.norm(path, axis=1, keepdims=True)
     length = float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
 
@@ -82,13 +76,13 @@ def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: fl
 def nearest_physical(beta: FloatArray, covariance: FloatArray) -> RunningResistance:
     """The likeliest running resistance of which no coefficient is negative.
 
-    Where r0, r1 and r2 can hardly be separated one of them may come out negative; the nearest
+    Where the coefficients can hardly be separated one of them may come out negative; the nearest
     physical ones, measured by the covariance, give nearly the same curve.
     """
     scale = np.sqrt(np.diag(covariance))
     half = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale)))
     nearest, _ = nnls(half, half @ (beta / scale))
-    return RunningResistance(*(nearest * scale).tolist())
+    return RunningResistance.of(nearest * scale)
 
 
 class DragCurve:
@@ -98,8 +92,8 @@ class DragCurve:
     ----------
     resistance : RunningResistance
         Of straight, level, open track.
-    covariance : (3 or more, 3 or more) array
-        Of r0, r1 and r2 first.
+    covariance : (p, p) array
+        Of the coefficients first.
     freedom : float
         Degrees of freedom of the covariance.
     asked : (float, float) [m/s]
@@ -113,8 +107,8 @@ class DragCurve:
 
     @property
     def own_covariance(self) -> FloatArray:
-        """Covariance (3, 3) of the coefficients alone."""
-        return self.covariance[:3, :3]
+        """Covariance of the coefficients alone."""
+        return self.covariance[: len(TERMS), : len(TERMS)]
 
     @property
     def band_range(self) -> tuple[float, float]:
@@ -123,7 +117,7 @@ class DragCurve:
 
     @property
     def beta(self) -> FloatArray:
-        """r0, r1 and r2 as an array (3,)."""
+        """The coefficients as an array."""
         return self.resistance.coefficients
 
     def std(self, speed: ArrayLike) -> FloatArray:
@@ -156,9 +150,10 @@ def _coefficient(number: int) -> Callable[[DragCurve], Band]:
 
 
 CURVE_COLUMNS = (
-    Column("r0", Quantity("N", ""), band=True, of=_coefficient(0), rank=1),
-    Column("r1", Quantity("N_s_m", ""), band=True, of=_coefficient(1), rank=1),
-    Column("r2", Quantity("N_s2_m2", ""), band=True, of=_coefficient(2), rank=1),
+    *(
+        Column(name, Quantity(suffix, ""), band=True, of=_coefficient(number), rank=1)
+        for number, (name, suffix) in enumerate(zip(TERMS, SUFFIXES, strict=True))
+    ),
 )
 RESISTANCE_COLUMN = Column(
     "kN at 80 km/h",

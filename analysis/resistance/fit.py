@@ -16,7 +16,6 @@ from analysis.resistance.curve import (
     RESISTANCE_COLUMN,
     DragCurve,
     curve_std,
-    powers,
 )
 from analysis.resistance.noise import Expected
 from analysis.resistance.passport import gain_words, passport, with_calibrated_efforts
@@ -40,6 +39,7 @@ from trainlog.arrays import FloatArray
 from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
+from trainlog.formats.summaries import PARAMETERS
 from trainlog.identity import text_of
 from trainlog.ingest.motion import suspect_efforts
 from trainlog.presentation import (
@@ -54,7 +54,7 @@ from trainlog.presentation import (
 )
 from trainlog.railway.line import Line, StepProfile, in_km
 from trainlog.railway.passport import Passport
-from trainlog.railway.resistance import LARGEST_STD, RunningResistance
+from trainlog.railway.resistance import LARGEST_STD, TERMS, RunningResistance, basis
 from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
 from trainlog.trip import frame_of
@@ -95,9 +95,9 @@ class History:
     ----------
     time : (n,) DatetimeIndex
     speed : (n,) array [m/s]
-    beta : (n, 4) array
-        r0, r1, r2 and mass.
-    covariance : (n, 4, 4) array
+    beta : (n, p) array
+        Coefficients of the resistance, and mass.
+    covariance : (n, p, p) array
     """
 
     time: pd.DatetimeIndex
@@ -168,11 +168,11 @@ class TripFit(DragCurve, Presented):
         On straight, level, open track.
     mass : float [kg]
         Loaded, without the rotating part.
-    covariance : (4, 4) array
-        Of r0 [N], r1 [N/(m/s)], r2 [N/(m/s)²] and mass [kg].
+    covariance : (p, p) array
+        Of the coefficients of the resistance and the mass [kg].
     freedom : int
         Degrees of freedom of the covariance: how well the noise's sizes are known.
-    survey : (4, 4) array
+    survey : (p, p) array
         The part of the covariance that errors of the line's gradients bring in; trips over the
         same line share them.
     gradients : str
@@ -326,6 +326,11 @@ class TripFit(DragCurve, Presented):
         )
 
     @property
+    def own_survey(self) -> FloatArray:
+        """The part of the curve's covariance that errors of the line's gradients bring in."""
+        return self.survey[: len(TERMS), : len(TERMS)]
+
+    @property
     def gain_std(self) -> float:
         """Standard deviation of the effort's gain over the gain: that of all efforts found."""
         if self.passport is None:
@@ -434,8 +439,8 @@ def fit_trip(
     return TripFit(
         trip=name,
         train=train.name,
-        resistance=RunningResistance(*regression.beta[:3].tolist()),
-        mass=float(regression.beta[3]),
+        resistance=RunningResistance.of(regression.beta[:-1]),
+        mass=float(regression.beta[-1]),
         covariance=covariance,
         freedom=round(regression.freedom),
         survey=regression.survey,
@@ -456,7 +461,7 @@ def fit_trip(
             "brake_scale": regression.brake_scale,
         },
         cluster_factor=regression.cluster_factor,
-        residual_std=float(np.sqrt(residual @ residual / max(residual.size - 4, 1))),
+        residual_std=float(np.sqrt(residual @ residual / max(residual.size - len(PARAMETERS), 1))),
         residual_correlation=float(
             residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300)
         ),
@@ -531,18 +536,15 @@ def estimated_resistance(fit: TripFit) -> pd.DataFrame:
     """
     history = fit.history
     v = history.speed
-    basis = powers(v)
-    resistance = np.sum(history.beta[:, :3] * basis, axis=1)
-    std = np.sqrt(np.einsum("ni,nij,nj->n", basis, history.covariance[:, :3, :3], basis))
+    at = basis(v)
+    resistance = np.sum(history.beta[:, :-1] * at, axis=1)
+    std = np.sqrt(np.einsum("ni,nij,nj->n", at, history.covariance[:, :-1, :-1], at))
     known = np.maximum.accumulate(std < 0.5 * resistance)
     return frame_of(
         ESTIMATED_RESISTANCE,
         pd.DatetimeIndex(history.time[known]),
         {
-            "r0": history.beta[known, 0],
-            "r1": history.beta[known, 1],
-            "r2": history.beta[known, 2],
-            "mass": history.beta[known, 3],
+            **dict(zip(PARAMETERS, history.beta[known].T, strict=True)),
             "resistance": resistance[known],
             "resistance_std": std[known],
         },
@@ -636,12 +638,12 @@ def _with_scale(regression: WindowFit, scale: SpeedScale) -> FloatArray:
     If true speed is measured speed over kappa, r1, r2 and mass come out as r1/kappa, r2/kappa²
     and m/kappa.
     """
-    effect = regression.beta * np.array([0.0, 1.0, 2.0, 1.0]) * scale.std
+    effect = regression.beta * np.append(np.arange(len(TERMS)), 1.0) * scale.std
     return np.asarray(regression.covariance + np.outer(effect, effect))
 
 
 def _with_gain(beta: FloatArray, covariance: FloatArray, gain_std: float) -> FloatArray:
-    """Covariances (..., 4, 4) of parameters (..., 4) with the uncertainty of the effort's gain.
+    """Covariances (..., p, p) of parameters (..., p) with the uncertainty of the effort's gain.
 
     All of them are in the measure of the effort: a gain 1 % too high makes each 1 % too high.
     """
@@ -703,7 +705,7 @@ def _check_stretches(
     largest_std: float,
 ) -> None:
     """Refuse a trip whose parts differ by more than the band may hold."""
-    curve = RunningResistance(*regression.beta[:3].tolist())(np.linspace(*asked, 61))
+    curve = RunningResistance.of(regression.beta[:-1])(np.linspace(*asked, 61))
     for found, said in zip(regression.stretches, words, strict=True):
         if found.ambiguous and 0.5 * abs(found.force) > largest_std * float(np.min(curve)):
             raise TripRefusedError(
@@ -732,8 +734,8 @@ def _check_curve(
             timeline=timeline,
         )
     speed = np.linspace(*asked, 61)
-    std = curve_std(covariance[:3, :3], speed)
-    curve = RunningResistance(*regression.beta[:3].tolist())(speed)
+    std = curve_std(covariance[:-1, :-1], speed)
+    curve = RunningResistance.of(regression.beta[:-1])(speed)
     share = np.where(curve > 0.0, std / np.maximum(curve, 1e-9), np.inf)
     worst = int(np.argmax(share))
     if share[worst] > largest_std:
@@ -748,7 +750,7 @@ def _check_curve(
 
 
 def _points(used: Windows, outliers: Windows, regression: WindowFit) -> WindowPoints:
-    mass, sizes = regression.beta[3], regression.noise
+    mass, sizes = regression.beta[-1], regression.noise
     parts = []
     for windows in (used, outliers):
         impulse = windows.x[:, 0] + regression.delay * windows.effort_change

@@ -36,12 +36,13 @@ import numpy as np
 import pandas as pd
 
 from analysis.resistance.combination import CommonFit, checked, combine, each_drive_once, summarised
-from analysis.resistance.curve import nearest_physical, powers
+from analysis.resistance.curve import nearest_physical
 from analysis.resistance.fit import TripFit
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import PARAMETERS, covariances_of, parameters_of
+from trainlog.railway.resistance import basis
 from trainlog.railway.train import POWER_OF_FILE, Configuration, ParameterSet
 
 COVER = 0.95
@@ -153,7 +154,7 @@ def parameter_set(
         power = np.where(seen, limits, _of_neighbours(masses, seen, limits))
     inertia = masses + rows["rotating_mass"].to_numpy(np.float64)
     speeds = np.linspace(0.0, common.asked[1], 3)
-    drag = betas @ powers(speeds).T / inertia[:, None]
+    drag = betas @ basis(speeds).T / inertia[:, None]
     chosen = choose(np.column_stack([1.0 / inertia, drag, power]), cover, most)
     names = _names(rows)
     configurations, details = [], []
@@ -344,7 +345,7 @@ def _nearest(points: FloatArray, rows: IntArray) -> IntArray:
 
 
 def _spread_out(common: CommonFit) -> FloatArray:
-    """Each trip's coefficients (k, 3), their variance raised to what trips have; Louis (1984)."""
+    """Each trip's coefficients (k, p), their variance raised to what trips have; Louis (1984)."""
     betas = common.betas
     if len(betas) < 2:
         return betas
@@ -361,11 +362,11 @@ def _spread_out(common: CommonFit) -> FloatArray:
 def _masses_given(rows: pd.DataFrame, betas: FloatArray) -> FloatArray:
     """Mass [kg] of each trip once its running resistance is known better than from itself."""
     fitted, covariance = parameters_of(rows), covariances_of(rows)
-    shift = betas - fitted[:, :3]
-    scale = np.sqrt(np.einsum("kii->ki", covariance[:, :3, :3]))
-    scaled = covariance[:, :3, :3] / (scale[:, :, None] * scale[:, None, :])
-    slope = np.linalg.solve(scaled, (covariance[:, :3, 3] / scale)[..., None])[..., 0]
-    return np.asarray(fitted[:, 3] + np.sum(slope * shift / scale, axis=1))
+    shift = betas - fitted[:, :-1]
+    scale = np.sqrt(np.einsum("kii->ki", covariance[:, :-1, :-1]))
+    scaled = covariance[:, :-1, :-1] / (scale[:, :, None] * scale[:, None, :])
+    slope = np.linalg.solve(scaled, (covariance[:, :-1, -1] / scale)[..., None])[..., 0]
+    return np.asarray(fitted[:, -1] + np.sum(slope * shift / scale, axis=1))
 
 
 def _of_neighbours(masses: FloatArray, seen: BoolArray, limits: FloatArray) -> FloatArray:
@@ -396,7 +397,7 @@ def _detail(
     one = summary.to_frame().T
     own = covariances_of(one)[0]
     fitted_std = np.sqrt(np.diag(own))
-    std = [*np.sqrt(np.diag(covariance)).tolist(), float(fitted_std[3])]
+    std = [*np.sqrt(np.diag(covariance)).tolist(), float(fitted_std[-1])]
     seen = power_source == "power-limited stretches"
     power_std = float(summary["max_power_std"]) if seen else power_spread
 

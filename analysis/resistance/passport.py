@@ -56,6 +56,7 @@ from trainlog.formats.railway import (
 from trainlog.ingest.motion import suspect_efforts
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
 from trainlog.railway.passport import Passport, Quantity, Source
+from trainlog.railway.resistance import TERMS
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
@@ -466,10 +467,7 @@ class _Motion:
         free = [
             # The momentum of the rotating parts stands on the left: it is no effort.
             Free("1/m", windows.x[:, 0] + windows.momentum, ANY_UNIT / mass, 1.0 / mass),
-            *(
-                Free(f"r{k}", windows.x[:, 1 + k], spread[k], coefficients[k] / mass)
-                for k in range(coefficients.size)
-            ),
+            *map(Free, TERMS, windows.x[:, 1:].T, spread, coefficients / mass),
             Free("delay", windows.effort_change, MOST_DELAY / mass),
             Free("brake", windows.braking, BRAKE_SCALE_STD / mass),
         ]

@@ -32,7 +32,6 @@ from analysis.charts import (
 from analysis.resistance.coast_down import CoastDown
 from analysis.resistance.coasting_fit import TripCoastDown
 from analysis.resistance.combination import CommonFit
-from analysis.resistance.curve import powers
 from analysis.resistance.fit import TripFit
 from analysis.resistance.logs import Fits
 from analysis.resistance.recording import Timeline, TripRefusedError
@@ -42,6 +41,7 @@ from trainlog.display import counted
 from trainlog.formats.railway import CoastDownResult
 from trainlog.formats.summaries import parameters_of
 from trainlog.railway import ParameterSet
+from trainlog.railway.resistance import basis
 from trainlog.units import KMH
 
 KILONEWTON, TONNE = 1e3, 1e3
@@ -99,7 +99,7 @@ def _together(fits: Fits, title: str) -> Chart:
                   GREY, "points", width=1.2, opacity=0.5)
         )  # fmt: skip
     accepted = fits.drives[fits.drives["refused"] == ""]
-    each = parameters_of(accepted)[_some(len(accepted), MOST_DRAWN), :3] @ powers(speed).T
+    each = parameters_of(accepted)[_some(len(accepted), MOST_DRAWN), :-1] @ basis(speed).T
     label = _drawn("each trip", len(each), len(accepted))
     curves += _family(label, KMH * speed, each / KILONEWTON, SKY, 0.8)
     curves.append(_band_curve(common, speed, "all trips: mean and its 95 % band"))
@@ -124,7 +124,7 @@ def _observed(fits: Fits) -> Chart:
     label = _drawn("each trip, drawn to the mean", len(betas), len(common.betas))
     curves = [
         Curve("between trips, 1σ", KMH * speed, spread, ORANGE, "area", -spread, opacity=0.35),
-        *_family(label, KMH * speed, 100.0 * ((betas @ powers(speed).T) / mean - 1.0), PALE, 0.8),
+        *_family(label, KMH * speed, 100.0 * ((betas @ basis(speed).T) / mean - 1.0), PALE, 0.8),
         *_family("observed configurations", KMH * speed, 100.0 * (chosen / mean - 1.0), BLUE, 0.9),
     ]
     title = (
@@ -341,16 +341,16 @@ def _data(fit: TripFit) -> Chart:
 def _learning(fit: TripFit) -> Chart:
     """Resistance at the highest speed asked for and mass, as the recursion learnt them."""
     top = fit.asked[1]
-    basis = np.array([1.0, top, top**2])
+    at = basis(top)
     history = fit.history
     minutes = np.asarray((history.time - history.time[0]).total_seconds()) / 60.0
     final = float(fit.resistance(top))
-    drag = history.beta[:, :3] @ basis / final
-    std = np.sqrt(np.einsum("i,nij,j->n", basis, history.covariance[:, :3, :3], basis)) / final
+    drag = history.beta[:, :-1] @ at / final
+    std = np.sqrt(np.einsum("i,nij,j->n", at, history.covariance[:, :-1, :-1], at)) / final
     curves = [
         Curve(f"resistance at {KMH * top:.0f} km/h, ±2σ", minutes, drag, BLUE, "line",
               drag - 2.0 * std, drag + 2.0 * std),
-        Curve(f"mass ({fit.mass / TONNE:.1f} t)", minutes, history.beta[:, 3] / fit.mass, ORANGE),
+        Curve(f"mass ({fit.mass / TONNE:.1f} t)", minutes, history.beta[:, -1] / fit.mass, ORANGE),
     ]  # fmt: skip
     title = "learnt as the trip went on"
     return Chart(

@@ -15,7 +15,7 @@ from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import line_of
 from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import published_tunnel_coefficient
+from trainlog.railway.resistance import basis, published_tunnel_coefficient
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import runs_of
@@ -201,9 +201,8 @@ class Recording:
         Strictly increasing.
     speed : array [m/s]
         Measured, true to scale.
-    air_square : array [m²/s²]
-        Square of the speed through the air, negative where the wind is faster from behind; that of
-        `speed` where no wind is recorded.
+    curve : (n, p) array
+        What each coefficient of running resistance is multiplied by, in the recorded wind.
     effort : array [N]
         At the wheel rims: traction less braking less `tunnel`.
     braking : array [N]
@@ -226,7 +225,7 @@ class Recording:
 
     time: FloatArray
     speed: FloatArray
-    air_square: FloatArray
+    curve: FloatArray
     effort: FloatArray
     braking: FloatArray
     rotating_momentum: FloatArray
@@ -345,11 +344,10 @@ def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
     }
     bad = widened(time, np.logical_or.reduce(list(masks.values())))
     speed, traction, dynamic = (np.nan_to_num(a) for a in (of.speed, traction, dynamic))
-    through_air = speed if of.wind is None else speed + of.wind
     recording = Recording(
         time=time,
         speed=speed,
-        air_square=np.asarray(through_air * np.abs(through_air)),
+        curve=basis(speed, 0.0 if of.wind is None else of.wind),
         effort=traction - dynamic - np.nan_to_num(pneumatic) - of.tunnel * speed**2,
         tunnel=of.tunnel * speed**2,
         braking=dynamic,

@@ -43,6 +43,7 @@ from analysis.resistance.windows import Windows
 from estimators.regression import Cut, Free, regress
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.railway.resistance import TERMS
 
 LAGS = 10
 """Neighbours over which correlation is looked for."""
@@ -142,7 +143,7 @@ TUNNEL_STD = 0.7
 """Standard deviation of the resistance that tunnels add, over what is expected of it."""
 
 DRAG_STD = (1.0, 0.1, 0.01)
-"""Prior standard deviation of r0, r1, r2 over mass [m/s², 1/s, 1/m]: any train, many times."""
+"""Prior standard deviation of each coefficient over mass, in SI units: any train, many times."""
 
 CUT = Cut(5.0, apart=9, rounds=60)
 """Of windows. Each round leaves out one at least, and most trips take one to three."""
@@ -211,14 +212,14 @@ class WindowFit:
 
     Attributes
     ----------
-    beta : (4,) array
-        r0 [N], r1 [N/(m/s)], r2 [N/(m/s)²] and mass [kg].
-    covariance : (4, 4) array
-    survey : (4, 4) array
+    beta : (p,) array
+        Coefficients of the running resistance, and mass [kg].
+    covariance : (p, p) array
+    survey : (p, p) array
         What the map's errors bring into it.
     freedom : float
         Degrees of freedom of the covariance: how well the noise's sizes are known.
-    history, history_covariance : (n, 4), (n, 4, 4) array
+    history, history_covariance : (n, p), (n, p, p) array
         The same after each window used.
     delay, brake_scale : float [s], [1]
         The nuisances: how late efforts were recorded, and the dynamic brake's over their size.
@@ -306,7 +307,7 @@ def fit_windows(
     search: bool = False,
     stretches: tuple[Stretch, ...] = (),
 ) -> WindowFit:
-    """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``, and more.
+    """Fit the windows: inverse mass, curve, delay, scale of the brake over mass, and more.
 
     Parameters
     ----------
@@ -330,7 +331,7 @@ def fit_windows(
     """
     free = [
         Free("1/m", windows.x[:, 0], mass_std / mass**2, 1.0 / mass),
-        *(Free(f"r{k}", windows.x[:, 1 + k], std) for k, std in enumerate(DRAG_STD)),
+        *(Free(*each) for each in zip(TERMS, windows.x[:, 1:].T, DRAG_STD, strict=True)),
         Free("delay", windows.effort_change, delay_std / mass),
         Free("brake", windows.braking, BRAKE_SCALE_STD / mass),
     ]
@@ -369,7 +370,7 @@ def fit_windows(
         beta=beta[-1],
         covariance=covariance[-1],
         survey=survey[0],
-        freedom=max(min(share.freedom, len(found.rows) - 4.0), 1.0),
+        freedom=max(min(share.freedom, len(found.rows) - beta.shape[1]), 1.0),
         history=beta,
         history_covariance=covariance,
         delay=found.over("delay", "1/m")[0],
@@ -464,14 +465,15 @@ def condition_number(x: FloatArray) -> float:
 def _history(
     free: Sequence[Free], rows: FloatArray, factor: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Resistance and mass after each window (n, 4), and their covariance times `factor`.
+    """Resistance and mass after each window (n, p), and their covariance times `factor`.
 
     In blocks: a log of days has a hundred thousand windows.
     """
     recursion = RecursiveLeastSquares(
         [each.std for each in free], prior_mean=[each.mean for each in free]
     )
-    beta, covariance = np.empty((len(rows), 4)), np.empty((len(rows), 4, 4))
+    size = len(TERMS) + 1
+    beta, covariance = np.empty((len(rows), size)), np.empty((len(rows), size, size))
     for first in range(0, len(rows), _BLOCK):
         part = slice(first, first + _BLOCK)
         theta, spread = recursion.record(rows[part, :-1], rows[part, -1])
@@ -480,10 +482,10 @@ def _history(
 
 
 def _physical(theta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """From the acceleration form (n, 6) to r0, r1, r2 and mass (n, 4), with the covariance."""
-    inverse_mass = theta[:, :1]
-    beta = np.column_stack([theta[:, 1:4] / inverse_mass, 1.0 / inverse_mass])
-    jacobian = np.zeros((len(theta), 4, theta.shape[1]))
+    """From the acceleration form to the curve's coefficients and the mass, with the covariance."""
+    inverse_mass, curve = theta[:, :1], np.arange(len(TERMS))
+    beta = np.column_stack([theta[:, 1 + curve] / inverse_mass, 1.0 / inverse_mass])
+    jacobian = np.zeros((len(theta), curve.size + 1, theta.shape[1]))
     jacobian[:, :, 0] = -beta / inverse_mass
-    jacobian[:, [0, 1, 2], [1, 2, 3]] = 1.0 / inverse_mass
+    jacobian[:, curve, 1 + curve] = 1.0 / inverse_mass
     return beta, jacobian @ covariance @ jacobian.transpose(0, 2, 1)

@@ -27,7 +27,7 @@ from scipy.integrate import cumulative_trapezoid
 from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
 from analysis.resistance.coasting_detection import SHORTEST
 from analysis.resistance.coasting_fit import SHORTEST_RANGE
-from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.curve import band_factor, curve_std
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
 from analysis.resistance.regression import DRAG_STD
 from analysis.view import Given
@@ -36,7 +36,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import CoastDownResult, DragCurve, Identified, line_of
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD
+from trainlog.railway.resistance import LARGEST_STD, TERMS, basis
 from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import KMH
@@ -285,7 +285,7 @@ def _whitened(rows: Passages, columns: FloatArray) -> FloatArray:
 def _solved(rows: Passages, notes: list[dict[str, object]]) -> CoastDownResult:
     pieces, member = np.unique(rows.piece, return_inverse=True)
     along = -np.where(member[:, None] == np.arange(pieces.size), rows.way[:, None], 0.0)
-    curve = -powers(rows.speed)
+    curve = -basis(rows.speed)
     curve[:, 2] = -rows.square
     white = _whitened(rows, np.column_stack([curve, along, rows.acceleration]))
     stds = np.append(DRAG_STD, np.full(pieces.size, PIECE_STD))
@@ -294,13 +294,13 @@ def _solved(rows: Passages, notes: list[dict[str, object]]) -> CoastDownResult:
     ways = np.zeros((2, pieces.size), dtype=np.bool_)
     ways[(rows.way > 0.0).astype(np.int64), member] = True
     both = bool(ways.all(axis=0).any())
-    left = max(rows.piece.size - pieces.size - 2 - both, 1)
+    left = max(rows.piece.size - pieces.size - len(TERMS) + 1 - both, 1)
     found = found.wider(np.sqrt(max(1.0, float(found.residual @ found.residual) / left)))
     estimate, covariance = found.estimate, found.covariance
     _check_differences(rows, member, estimate, covariance)
     known = _curve(rows, estimate, covariance, left) if both else None
     quantities = _quantities(estimate, covariance, both, known is not None)
-    kept = [number for number in range(3) if quantities[number].value is not None]
+    kept = [number for number in range(len(TERMS)) if quantities[number].value is not None]
     return CoastDownResult(
         train="",
         gradient="unknown",
@@ -325,9 +325,9 @@ def _check_differences(
             remedy="give the line's gradients, or trips that coast over the same track at"
             " different speeds",
         )
-    change = (powers(high) - powers(low))[1:]
-    gained = float(change @ estimate[1:3])
-    std = float(np.sqrt(change @ covariance[1:3, 1:3] @ change))
+    change = (basis(high) - basis(low))[1:]
+    gained = float(change @ estimate[1 : len(TERMS)])
+    std = float(np.sqrt(change @ covariance[1 : len(TERMS), 1 : len(TERMS)] @ change))
     if high - low >= SHORTEST_RANGE and std <= LARGEST_STD * gained:
         return
     share = f"{100.0 * std / gained:.0f} %" if gained > 0.0 else "100 %"
@@ -345,20 +345,20 @@ def _curve(
 ) -> DragCurve | None:
     """The whole curve, if it is known to 10 % somewhere."""
     speed = np.linspace(float(rows.speed.min()), float(rows.speed.max()), 61)
-    value = powers(speed) @ estimate[:3]
-    std = curve_std(covariance[:3, :3], speed)
+    value = basis(speed) @ estimate[: len(TERMS)]
+    std = curve_std(covariance[: len(TERMS), : len(TERMS)], speed)
     known = (value > 0.0) & (std <= LARGEST_STD * value)
     if not known.any() or np.ptp(speed[known]) < SHORTEST_RANGE:
         return None
     ends = float(speed[known][0]), float(speed[known][-1])
-    reach = band_factor(covariance[:3, :3], ends, free) * std[known]
+    reach = band_factor(covariance[: len(TERMS), : len(TERMS)], ends, free) * std[known]
     return DragCurve(speed[known], value[known], value[known] - reach, value[known] + reach)
 
 
 def _quantities(
     estimate: FloatArray, covariance: FloatArray, both: bool, known: bool
 ) -> tuple[Identified, ...]:
-    std = np.sqrt(np.diag(covariance)[:3])
+    std = np.sqrt(np.diag(covariance)[: len(TERMS)])
     merged = "merged with the gradient: no piece was coasted in both directions"
     wide = "pieces coasted in both directions give it to more than 10 % of the curve only"
     c0 = (

@@ -2,19 +2,19 @@
 
 The equation of motion of a train of mass m whose rotating parts carry the momentum p_rot,
 
-    m dv/dt + dp_rot/dt = F - m a_track(s) - r0 - r1 v - r2 v²,
+    m dv/dt + dp_rot/dt = F - m a_track(s) - r · basis(v),
 
 divided by m and integrated over a window gives the acceleration form
 
-    Δv + ∫ a_track dt = 1/m (∫ F dt - Δp_rot) - r0/m T - r1/m ∫ v dt - r2/m ∫ v² dt,
+    Δv + ∫ a_track dt = 1/m (∫ F dt - Δp_rot) - r/m · ∫ basis(v) dt,
 
-linear in ``(1/m, r0/m, r1/m, r2/m)``. The measured speed change and the gradient stand on the
-left, so that the regressors carry next to no noise: what Δp_rot brings in is a tenth of the
-noise of Δv and biases 1/m by some 1e-6 of itself. Speed at a window's ends is averaged over half
-a window to either side; the integrals are averaged alike, so that the equation still holds
-exactly. The averages of one stretch lie side by side, so that every sample of the speed counts:
-windows of 10 s whose ends are averaged over 1 s leave nine tenths of them unused, and a trip on
-long pieces of gradient is then known a fifth less well.
+linear in 1/m and the coefficients r/m of running resistance. The measured speed change and the
+gradient stand on the left, so that the regressors carry next to no noise: what Δp_rot brings in is
+a tenth of the noise of Δv and biases 1/m by some 1e-6 of itself. Speed at a window's ends is
+averaged over half a window to either side; the integrals are averaged alike, so that the equation
+still holds exactly. The averages of one stretch lie side by side, so that every sample of the speed
+counts: windows of 10 s whose ends are averaged over 1 s leave nine tenths of them unused, and a
+trip on long pieces of gradient is then known a fifth less well.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class Windows:
         Middles of the averaged ends.
     y : (n,) array [m/s]
         Speed change plus integral of the track's deceleration.
-    x : (n, 4) array
-        Impulse of the effort [N s], and minus the integrals of 1, v and v² (of a
-        speed through the air, where wind is recorded).
+    x : (n, p) array
+        Impulse of the effort [N s], and minus the integrals of what the coefficients of running
+        resistance are multiplied by: 1, v and v² (of a speed through the air).
     end_speed : (n,) array [m/s]
         Averaged at the end.
     braking : (n,) array [N s]
@@ -179,12 +179,10 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
         np.column_stack(
             [
                 recording.effort,
-                np.ones(time.size),
-                recording.speed,
-                recording.air_square,
                 recording.track,
                 recording.braking,
                 recording.tunnel,
+                recording.curve,
             ]
         ),
     )
@@ -197,11 +195,11 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
     return Windows(
         start=start,
         end=end,
-        y=change[:, 0] + integral[:, 4],
-        x=np.column_stack([integral[:, 0] - change[:, 1], -integral[:, 1:4]]),
+        y=change[:, 0] + integral[:, 1],
+        x=np.column_stack([integral[:, 0] - change[:, 1], -integral[:, 4:]]),
         end_speed=at_end[:, 0],
-        braking=integral[:, 5],
-        tunnel=integral[:, 6],
+        braking=integral[:, 2],
+        tunnel=integral[:, 3],
         momentum=change[:, 1],
         effort_change=change[:, 2],
         effort_square=(_at(time, squares, end) - _at(time, squares, start))[:, 0],

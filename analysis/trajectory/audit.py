@@ -137,9 +137,7 @@ def audit(
             [
                 c.mass,
                 c.inertia,
-                c.resistance.r0,
-                c.resistance.r1,
-                c.resistance.r2,
+                *c.resistance.parabola,
                 c.max_power,
                 train.adhesive_weight(c.mass - train.mass),
                 GRAVITY * c.mass,
@@ -230,8 +228,8 @@ def _in_table(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _force(v: float, r0: float, r1: float, r2: float) -> float:
-    return r0 + (r1 + r2 * v) * v
+def _force(v: float, constant: float, linear: float, quadratic: float) -> float:
+    return constant + (linear + quadratic * v) * v
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -247,7 +245,9 @@ def _roll(
     speeds, times = np.zeros((q, n + 1)), np.zeros((q, n + 1))
     found = np.zeros((q, 7))
     for a in range(q):
-        mass, inertia, r0, r1, r2, power, adhesive, weight, pull, brake = constants[a, :10]
+        mass, inertia, still, linear, square, power, adhesive, weight, pull, brake = constants[
+            a, :10
+        ]
         most, least = constants[a, 10], -constants[a, 11]
         found[a, 1] = -np.inf
         half, time, stopped = 0.5 * initial_speed**2, 0.0, False
@@ -265,19 +265,19 @@ def _roll(
                 first = effort - mass * track[k, 2 * j]
                 middle = effort - 0.5 * fall - mass * track[k, 2 * j + 1]
                 last = effort - fall - mass * track[k, 2 * j + 2]
-                drag = r2 + tunnel[k, j]
+                drag = square + tunnel[k, j]
                 v = np.sqrt(2.0 * half)
-                k1 = (first - _force(v, r0, r1, drag)) / inertia
+                k1 = (first - _force(v, still, linear, drag)) / inertia
                 if begun > 1.0:
                     found[a, 3] = max(found[a, 3], k1 / most)
                 if braking[a, k] > 1e-6 * brake:
                     found[a, 4] = max(found[a, 4], k1 / least)
                 u = np.sqrt(max(v * v + h * k1, 0.0))
-                k2 = (middle - _force(u, r0, r1, drag)) / inertia
+                k2 = (middle - _force(u, still, linear, drag)) / inertia
                 u = np.sqrt(max(v * v + h * k2, 0.0))
-                k3 = (middle - _force(u, r0, r1, drag)) / inertia
+                k3 = (middle - _force(u, still, linear, drag)) / inertia
                 u = np.sqrt(max(v * v + 2.0 * h * k3, 0.0))
-                k4 = (last - _force(u, r0, r1, drag)) / inertia
+                k4 = (last - _force(u, still, linear, drag)) / inertia
                 change = h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
                 part = 1.0
                 if half + change <= 0.0:

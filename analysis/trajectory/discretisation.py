@@ -453,7 +453,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
     gain = reference / inertia
 
     track, bulge = _track(run, positions)
-    coefficients = np.array([each.resistance.coefficients for each in run.configurations])
+    coefficients = np.array([each.resistance.parabola for each in run.configurations])
     tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(middle))
     limit = run.permitted_speed(middle)
     lowest = np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf))
@@ -591,7 +591,7 @@ def effort_limits(run: TrajectoryProblem, places: FloatArray, adhesion: FloatArr
         speed = run.highest_speed(places).max(axis=1)
         tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(middle)) * speed**2
         drag = np.array([c.resistance(speed) + tunnel for c in run.configurations])
-        starting = np.array([[c.resistance.r0] for c in run.configurations])
+        starting = np.array([[float(c.resistance(0.0))] for c in run.configurations])
         pull = np.maximum(pull + starting + mass * track.min(axis=1), 0.0)
         comfort = np.maximum(comfort - drag - mass * track.max(axis=1), 0.0)
     return EffortLimits(

@@ -182,10 +182,7 @@ class Hamiltonian:
         self.fastest = fastest
         s = segments.positions
         coefficients = np.array(
-            [
-                [c.mass, c.inertia, c.resistance.r0, c.resistance.r2]
-                for c in problem.run.configurations
-            ]
+            [[c.mass, c.inertia, *c.resistance.parabola[::2]] for c in problem.run.configurations]
         )
         mass, inertia, constant, square = coefficients.T[:, :, None, None]
         tunnel = run.train.tunnel_coefficient(run.line.tunnel_cross_section(s))

@@ -319,7 +319,7 @@ class TrajectoryProblem:
             )
         for configuration in self.configurations:
             resistance = configuration.resistance
-            for name, value in (("r1", resistance.r1), ("r2", resistance.r2)):
+            for name, value in list(resistance.terms.items())[1:]:
                 if value < 0.0:
                     raise InputError(
                         f"{where}: the running resistance of configuration"

@@ -25,8 +25,9 @@ from simulated_trains import FAULTS, KINDS, RAILS, Task, healthy, rows_of
 
 from analysis.fleet.resistance import fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains
-from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.curve import band_factor, curve_std
 from trainlog.formats.summaries import covariances_of, parameters_of
+from trainlog.railway.resistance import basis
 from trainlog.units import KMH
 
 POOL = Path(__file__).parents[2] / "tests" / "data" / "fleet_trips.parquet"
@@ -86,7 +87,7 @@ def axles(rows: pd.DataFrame) -> None:
     used = rows[rows["refused"] == ""].reset_index(drop=True)
     estimates, covariances = parameters_of(used)[:, :3], covariances_of(used)[:, :3, :3]
     true = used[["true_r0", "true_r1", "true_r2"]].to_numpy(np.float64)
-    apart = (estimates - true) @ powers(SPEEDS).T
+    apart = (estimates - true) @ basis(SPEEDS).T
     held = np.zeros(len(used), dtype=bool)
     for n, (highest, freedom) in enumerate(
         used[["asked_highest", "freedom"]].itertuples(index=False)
@@ -97,7 +98,7 @@ def axles(rows: pd.DataFrame) -> None:
             np.abs(apart[n]) <= factor * curve_std(covariances[n], SPEEDS), where=below
         )
     print("no axles recorded: whole true curve of single trips in the 95 % band, mean error")
-    share = apart / (true @ powers(SPEEDS).T)
+    share = apart / (true @ basis(SPEEDS).T)
     for kind in KINDS:
         mine = (used["kind"] == kind).to_numpy()
         count = int(mine.sum())

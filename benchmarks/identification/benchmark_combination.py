@@ -23,7 +23,6 @@ import pandas as pd
 
 from analysis.resistance import combine, parameter_set
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE
-from analysis.resistance.curve import powers
 from estimators.mixed import mixed_effects
 from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import (
@@ -33,6 +32,7 @@ from trainlog.formats.summaries import (
     read_summaries,
     write_summaries,
 )
+from trainlog.railway.resistance import basis
 
 TOP = 35.0
 COMMON = np.array([2400.0, 60.0, 11.5])
@@ -41,7 +41,7 @@ COMMON = np.array([2400.0, 60.0, 11.5])
 def made_up(count: int, seed: int = 1) -> pd.DataFrame:
     """Summaries of trips that never were."""
     generator = np.random.default_rng(seed)
-    nodes = powers(np.linspace(0.0, TOP, 3))
+    nodes = basis(np.linspace(0.0, TOP, 3))
     back = np.linalg.inv(nodes)
     curve = nodes @ COMMON
     size = curve * generator.uniform(0.01, 0.05, (count, 1))
@@ -146,7 +146,7 @@ def main() -> None:
         print(f"read in {time:.1f} s; {memory():.2f} GB")
     time, common = timed(lambda: combine(every))
     print(f"combined in {time:.1f} s; {memory():.2f} GB")
-    off = common.resistance(30.0) / (powers(30.0) @ COMMON) - 1.0
+    off = common.resistance(30.0) / (basis(30.0) @ COMMON) - 1.0
     print(f"  curve at 30 m/s off by {100 * off:.4f} %, 2σ {200 * common.std(30.0) / 13e3:.4f} %")
     time, found = timed(lambda: parameter_set(every))
     print(
@@ -163,7 +163,7 @@ def main() -> None:
         ("numpy, a loop", plain_loop, arguments.fewer),
     ):
         fewer = made_up(count)
-        nodes = powers(np.linspace(0.0, TOP, 3))
+        nodes = basis(np.linspace(0.0, TOP, 3))
         nodes = nodes / (nodes @ COMMON)[:, None]
         values = fewer[["r0", "r1", "r2"]].to_numpy() @ nodes.T
         triangle = fewer[list(COVARIANCE)].to_numpy()

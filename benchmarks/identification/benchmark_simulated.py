@@ -17,12 +17,12 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.resistance import TripFit, combine, fit_trip, parameter_set
-from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import line_to_bytes, read_line, read_train
 from trainlog.formats.samples import sample
 from trainlog.railway import Line, StepProfile
+from trainlog.railway.resistance import basis
 from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
@@ -67,7 +67,7 @@ class Judge:
 
     def __init__(self, top: float) -> None:
         self.speed = np.linspace(5.0, top, 61)
-        self.basis = powers(self.speed)
+        self.basis = basis(self.speed)
         self.errors: list[float] = []
         self.whole: list[bool] = []
         self.single: list[float] = []

@@ -17,12 +17,12 @@ import numpy as np
 
 from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.combination import shared_variance
-from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import RunningResistance
+from trainlog.railway.resistance import basis
 from trainlog.simulation import draw_scenarios, simulate
 
 
@@ -51,7 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--series", type=int, default=24)
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    nodes = powers(np.linspace(0.0, float(line.speed_limits.values.max()), 3))
+    nodes = basis(np.linspace(0.0, float(line.speed_limits.values.max()), 3))
     # Each over its usual size: values at three speeds are far better conditioned.
     nodes /= train.resistance(np.linspace(0.0, float(line.speed_limits.values.max()), 3))[:, None]
     found: dict[str, list[tuple[float, float]]] = {"forward": [], "reverse": [], "both": []}

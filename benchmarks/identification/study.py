@@ -21,7 +21,7 @@ from monte_carlo import Drawn, Study, draw, trip_of
 
 from analysis.resistance import combine, fit_trip
 from analysis.resistance.combination import CommonFit, summarised
-from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.curve import band_factor, curve_std
 from analysis.resistance.fit import TripFit
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.windows import build_windows
@@ -29,6 +29,7 @@ from analysis.view import view_of
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import covariances_of
+from trainlog.railway.resistance import basis
 from trainlog.trip import Trip
 
 SPEEDS = np.linspace(5.0, 55.0, 101)
@@ -92,7 +93,7 @@ def run(
 def error(beta: FloatArray, study: Study) -> float:
     """Relative error of the curve, root mean square over `SPEEDS` [%]."""
     truth = study.resistance(SPEEDS)
-    return float(100.0 * np.sqrt(np.mean((powers(SPEEDS) @ beta / truth - 1.0) ** 2)))
+    return float(100.0 * np.sqrt(np.mean((basis(SPEEDS) @ beta / truth - 1.0) ** 2)))
 
 
 def grouped(outcomes: list[Outcome], size: int) -> list[list[Outcome]]:
@@ -132,7 +133,7 @@ def at_the_bound(bounds: list[FloatArray], study: Study, size: int) -> FloatArra
     found = []
     for kind in kinds:
         root = np.linalg.cholesky(np.linalg.inv(kind))
-        off = powers(SPEEDS) @ root @ generator.standard_normal((3, 20_000 // len(kinds)))
+        off = basis(SPEEDS) @ root @ generator.standard_normal((3, 20_000 // len(kinds)))
         off /= study.resistance(SPEEDS)[:, None]
         found.append(100.0 * np.sqrt(np.mean(off**2, axis=0)))
     return np.concatenate(found)

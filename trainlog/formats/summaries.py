@@ -21,6 +21,7 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.declared import check_version
 from trainlog.formats.files import atomic_write, refuse_reading
+from trainlog.railway.resistance import TERMS, UNITS
 
 FORMAT, VERSION = "trainlog/summaries", 1
 """Named in the file; the version is raised when a column changes its meaning or goes."""
@@ -30,8 +31,8 @@ SUFFIX = ".parquet"
 ROWS = 100_000
 """Rows of a row group."""
 
-PARAMETERS = ("r0", "r1", "r2", "mass")
-_UNITS = ("N", "N/(m/s)", "N/(m/s)^2", "kg")
+PARAMETERS = (*TERMS, "mass")
+_UNITS = (*UNITS, "kg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +104,13 @@ def _triangle(prefix: str, size: int, meaning: str) -> tuple[Column, ...]:
     )
 
 
-_COVARIANCE = _triangle("covariance", 4, "covariance")
+_COVARIANCE = _triangle("covariance", len(PARAMETERS), "covariance")
 COVARIANCE = tuple(each.name for each in _COVARIANCE)
 """The upper triangle of the covariance of `PARAMETERS`, row by row."""
 
-_SURVEY = _triangle("survey", 3, "what errors of the gradients bring into it")
+_SURVEY = _triangle("survey", len(TERMS), "what errors of the gradients bring into it")
 SURVEY = tuple(each.name for each in _SURVEY)
-"""The upper triangle of what errors of the line bring into that of r0, r1 and r2, row by row."""
+"""The upper triangle of what errors of the line bring into that of the curve, row by row."""
 
 COLUMNS: tuple[Column, ...] = (
     Column("trip", "", "name of the trip", "text"),
@@ -118,9 +119,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("software", "", "that made the summary, with its version", "text"),
     Column("refused", "", "why the trip does not determine the curve; empty if it does", "text"),
     Column("message", "", "the same in a sentence, with the figures", "text"),
-    Column("r0", "N", "running resistance"),
-    Column("r1", "N/(m/s)", "running resistance"),
-    Column("r2", "N/(m/s)^2", "running resistance"),
+    *(Column(*each, "running resistance") for each in zip(TERMS, UNITS, strict=True)),
     Column("mass", "kg", "without rotating part"),
     *_COVARIANCE,
     Column("freedom", "1", "degrees of freedom of the covariance", "count"),
@@ -285,21 +284,21 @@ def age(summaries: pd.DataFrame) -> pd.Series:
 
 
 def parameters_of(summaries: pd.DataFrame) -> FloatArray:
-    """r0, r1, r2 and mass of each trip (k, 4); NaN for refused ones."""
+    """`PARAMETERS` of each trip (k, p); NaN for refused ones."""
     return np.ascontiguousarray(summaries[list(PARAMETERS)].to_numpy(np.float64))
 
 
 def covariances_of(summaries: pd.DataFrame) -> FloatArray:
-    """Covariance of r0, r1, r2 and mass of each trip (k, 4, 4)."""
-    return _symmetric(summaries, COVARIANCE, 4)
+    """Covariance of `PARAMETERS` of each trip (k, p, p)."""
+    return _symmetric(summaries, COVARIANCE, len(PARAMETERS))
 
 
 def surveys_of(summaries: pd.DataFrame) -> FloatArray:
-    """What errors of the line bring into the covariance of r0, r1 and r2 of each trip (k, 3, 3).
+    """What errors of the line bring into the covariance of each trip's curve.
 
     Zero where it is not known.
     """
-    return np.nan_to_num(_symmetric(summaries, SURVEY, 3))
+    return np.nan_to_num(_symmetric(summaries, SURVEY, len(TERMS)))
 
 
 def _symmetric(summaries: pd.DataFrame, names: Sequence[str], size: int) -> FloatArray:

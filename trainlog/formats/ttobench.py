@@ -321,13 +321,14 @@ class TrainLayout(Layout):
             for name in _SHARED
             if name not in train.assumed and not (name == "length" and train.length == 0.0)
         }
+        constant, linear, quadratic = train.resistance.parabola
         return TrainLayout(
             metadata=Metadata.of(train.name, train.source),
             num_seats=train.seats,
             num_coaches=train.coaches,
-            rolling_resistance_r0=train.resistance.r0,
-            rolling_resistance_r1=train.resistance.r1,
-            rolling_resistance_r2=train.resistance.r2,
+            rolling_resistance_r0=constant,
+            rolling_resistance_r1=linear,
+            rolling_resistance_r2=quadratic,
             etcs=None if train.braking_curves is None else Etcs.of(train.braking_curves),
             **known,
         )

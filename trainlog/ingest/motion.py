@@ -18,6 +18,7 @@ from estimators.receiver import integral, pairs_at, series_of
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.declaration import form_for
 from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
+from trainlog.railway.resistance import basis
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
 from trainlog.trip import Trip, seconds
@@ -268,7 +269,7 @@ class DrivenMass(NamedTuple):
 
 
 def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> DrivenMass:
-    """The mass that an effort moves: F = m a + r0 + r1 v + r2 v², by least squares.
+    """The mass that an effort moves: F = m a + R(v), by least squares.
 
     Parameters
     ----------
@@ -291,7 +292,7 @@ def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> D
     force, rate, v = effort[known], rate[known], speed[known]
     if lasted < LEAST_DRIVEN or np.std(force) == 0.0 or np.std(rate) < 0.02:
         return DrivenMass(np.nan, 0.0, lasted)
-    columns = np.column_stack([rate, np.ones_like(v), v, v * v])
+    columns = np.column_stack([rate, basis(v)])
     scale = np.max(np.abs(columns), axis=0)
     solution = np.linalg.lstsq(columns / scale, force, rcond=None)[0]
     correlation = float(np.corrcoef(force, rate)[0, 1])

@@ -549,12 +549,13 @@ def _fastest(
         None if curve is None else curve.over(inertia / lever),
     )
     track = line.track_acceleration(positions[:-1], train.strip_length)
-    drag0 = (resistance.r0 + mass * track) / inertia
+    constant, linear, quadratic = resistance.parabola
+    drag0 = (constant + mass * track) / inertia
     motion = Motion(
         np.ones(1),
         np.repeat(drag0[None, :, None], SUBSTEPS + 1, axis=2),
-        np.array([resistance.r1 / inertia]),
-        np.full((1, drag0.size), resistance.r2 / inertia),
+        np.array([linear / inertia]),
+        np.full((1, drag0.size), quadratic / inertia),
         np.diff(positions),
     )
     ceiling = 0.5 * braking_curve(positions, limits, deceleration)[None] ** 2

@@ -8,8 +8,8 @@ power / v`` at every speed, on which a bound can rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, overload
 
@@ -74,7 +74,7 @@ class RunningResistance:
     r2: Annotated[float, Quantity("kN/(km/h)^2", "N/(m/s)^2")]
 
     def __post_init__(self) -> None:
-        if not all(np.isfinite((self.r0, self.r1, self.r2))):
+        if not np.isfinite(self.coefficients).all():
             raise InputError(
                 "running resistance: coefficients must be finite numbers",
                 remedy="replace what is not a number",
@@ -82,14 +82,39 @@ class RunningResistance:
 
     @property
     def coefficients(self) -> FloatArray:
-        """r0, r1 and r2 as an array (3,).
+        """All coefficients, in their order, as an array (`TERMS`,).
 
         Examples
         --------
         >>> RunningResistance(2000.0, 50.0, 10.0).coefficients.tolist()
         [2000.0, 50.0, 10.0]
         """
-        return np.array([self.r0, self.r1, self.r2])
+        return np.array([getattr(self, name) for name in TERMS])
+
+    @staticmethod
+    def of(coefficients: Iterable[float]) -> RunningResistance:
+        """The resistance with these coefficients, in the order of `TERMS`.
+
+        Examples
+        --------
+        >>> RunningResistance.of(np.array([2000.0, 50.0, 10.0])).r1
+        50.0
+        """
+        return RunningResistance(*map(float, coefficients))
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """Each coefficient by its name."""
+        return {name: getattr(self, name) for name in TERMS}
+
+    @property
+    def parabola(self) -> tuple[float, float, float]:
+        """Constant, linear and quadratic coefficient of the parabola that this curve is.
+
+        For what moves a train along a parabola: plans, controllers, files of other programs. A
+        curve with further terms gives one that is nowhere below it.
+        """
+        return self.r0, self.r1, self.r2
 
     @overload
     def __call__(self, speed: float) -> np.float64: ...
@@ -111,7 +136,9 @@ class RunningResistance:
         (7000.0, [2000.0, 7000.0])
         """
         v = np.asarray(speed, dtype=np.float64)
-        value = np.asarray(self.r0 + (self.r1 + self.r2 * v) * v)
+        value: FloatArray = np.zeros(v.shape)
+        for coefficient in reversed(self.terms.values()):
+            value = np.asarray(value * v + coefficient)
         return value if value.ndim else np.float64(value)
 
     def __str__(self) -> str:
@@ -119,17 +146,49 @@ class RunningResistance:
 
     def __add__(self, other: RunningResistance) -> RunningResistance:
         """Both together."""
-        return RunningResistance(self.r0 + other.r0, self.r1 + other.r1, self.r2 + other.r2)
+        return RunningResistance.of(self.coefficients + other.coefficients)
 
-    def scaled(self, factor: float) -> RunningResistance:
-        """All three coefficients times `factor`.
+    def scaled(self, *factors: float) -> RunningResistance:
+        """The coefficients times factors: one for all, or one for each, those left over times 1.
 
         Examples
         --------
         >>> RunningResistance(2000.0, 50.0, 10.0).scaled(0.5)(20.0).item()
         3500.0
+        >>> RunningResistance(2000.0, 50.0, 10.0).scaled(1.0, 1.0, 2.0).r2
+        20.0
         """
-        return RunningResistance(self.r0 * factor, self.r1 * factor, self.r2 * factor)
+        every = np.full(len(TERMS), factors[0] if len(factors) == 1 else 1.0)
+        every[: len(factors)] = factors
+        return RunningResistance.of(self.coefficients * every)
+
+    def in_wind(self, head_wind: float) -> RunningResistance:
+        """Against a wind [m/s]: the air's part is that of speed and wind together, r2 (v + w)²."""
+        more = self.r2 * head_wind**2, 2.0 * self.r2 * head_wind
+        return replace(self, r0=self.r0 + more[0], r1=self.r1 + more[1])
+
+
+TERMS = tuple(each.name for each in fields(RunningResistance))
+"""Names of the coefficients."""
+
+UNITS = ("N", "N/(m/s)", "N/(m/s)^2")
+"""Of the coefficients, in files."""
+
+SUFFIXES = ("N", "N_s_m", "N_s2_m2")
+"""The same at the end of a column's name."""
+
+
+def basis(speed: ArrayLike, head_wind: ArrayLike = 0.0) -> FloatArray:
+    """What each coefficient is multiplied by (..., `TERMS`) at speeds [m/s], in a wind [m/s].
+
+    Examples
+    --------
+    >>> basis([0.0, 10.0]).tolist()
+    [[1.0, 0.0, 0.0], [1.0, 10.0, 100.0]]
+    """
+    v = np.asarray(speed, dtype=np.float64)
+    air = v + np.asarray(head_wind, dtype=np.float64)
+    return np.stack([np.ones(v.shape), v, air * np.abs(air)], axis=-1)
 
 
 def specific_curve_resistance(curvature: Any, coefficient: Any, offset: Any) -> Any:

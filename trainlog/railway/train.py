@@ -41,7 +41,13 @@ from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.presentation import FORCE, MASS, POWER, WordTable, new_table
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import EffortCurve, RunningResistance
+from trainlog.railway.resistance import (
+    SUFFIXES,
+    TERMS,
+    UNITS,
+    EffortCurve,
+    RunningResistance,
+)
 from trainlog.units import GRAVITY, KMH
 
 MassModel = Literal["mass_point", "homogeneous_strip"]
@@ -569,7 +575,7 @@ class Train(Declared):
                 f"{where}: running resistance is negative at"
                 f" {KMH * speeds[np.argmax(negative)]:.0f} km/h",
                 place="running_resistance",
-                remedy="check the signs and units of r0, r1 and r2",
+                remedy=f"check the signs and units of {', '.join(TERMS[:-1])} and {TERMS[-1]}",
             )
 
     @classmethod
@@ -832,14 +838,12 @@ CONFIGURATION_COLUMNS = (
     presentation.Column("power", POWER, each=True, of="max_power"),
     *(
         presentation.Column(
-            f"{name}, {unit}",
+            f"{name}, {unit.replace('^2', '²')}",
             presentation.Quantity(suffix, "", 1.0, digits),
             key=name,
             of=attrgetter(f"resistance.{name}"),
         )
-        for digits, (name, unit, suffix) in enumerate(
-            (("r0", "N", "N"), ("r1", "N/(m/s)", "N_s_m"), ("r2", "N/(m/s)²", "N_s2_m2"))
-        )
+        for digits, (name, unit, suffix) in enumerate(zip(TERMS, UNITS, SUFFIXES, strict=True))
     ),
     presentation.Column(
         "at 80 km/h",
@@ -862,7 +866,7 @@ class ParameterSet(Declared):
     common : RunningResistance or None
         All trips together.
     common_covariance : (3, 3) array or None
-        Of ``(r0, r1, r2)`` of `common`.
+        Of the coefficients of `common`.
     speed_range : (float, float) [m/s]
         Speeds that the data support.
     details : list of dict
@@ -891,7 +895,7 @@ class ParameterSet(Declared):
     common: Annotated[RunningResistance | None, Part(in_si=True)] = None
     common_covariance: Annotated[
         FloatArray | None,
-        Covariance((("r0", "N"), ("r1", "N/(m/s)"), ("r2", "N/(m/s)^2"))),
+        Covariance(tuple(zip(TERMS, UNITS, strict=True))),
     ] = None
     speed_range: Annotated[tuple[float, float], Ends(Quantity("m/s", "m/s"), stated="required")] = (
         0.0,

@@ -35,7 +35,7 @@ class Variation:
     Attributes
     ----------
     amplitudes : tuple of three float
-        Of r0, r1, r2, relative.
+        Of the coefficients of running resistance, relative.
     angular_frequency : float [rad/s]
     """
 
@@ -135,9 +135,7 @@ class ConsistPlant:
                 [
                     each.mass,
                     each.inertia,
-                    each.resistance.r0,
-                    each.resistance.r1,
-                    each.resistance.r2,
+                    *each.resistance.parabola,
                     each.max_tractive_effort,
                     each.max_traction_power,
                     each.max_braking_effort,

@@ -405,8 +405,7 @@ class TimetableDriver:
         ceiling = min(float(self._ceiling[index]), float(self._ceiling[ahead]))
         free = float(self._limits[index]) - habits.margin
         target = min(ceiling, max(free * self._pace(seen), 5.0))
-        drag = self.train.resistance
-        holding = drag.r0 + (drag.r1 + drag.r2 * speed) * speed
+        holding = float(self.train.resistance(speed))
         holding += self.mass * float(self._slope[index])
         over = speed - ceiling
         restricted = ceiling < free - 0.1

@@ -143,9 +143,7 @@ class FleetScenario(Scenario):
             "mass": self.mass,
             "load": self.mass - self.condition.mass,
             "rotating_mass": self.rotating_mass,
-            "r0": self.resistance.r0,
-            "r1": self.resistance.r1,
-            "r2": self.resistance.r2,
+            **self.resistance.terms,
             "head_wind": self.head_wind,
             "max_power": self.max_power,
             "maximum_adhesion": {

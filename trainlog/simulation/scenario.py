@@ -258,9 +258,7 @@ class Scenario:
             "mass": self.mass,
             "load": self.load,
             "rotating_mass": self.rotating_mass,
-            "r0": self.resistance.r0,
-            "r1": self.resistance.r1,
-            "r2": self.resistance.r2,
+            **self.resistance.terms,
             "max_power": self.max_power,
             "maximum_adhesion": _as_json(self.maximum_adhesion),
             "survey_error": None if self.survey_error is None else _as_json(self.survey_error),
@@ -492,9 +490,7 @@ def _drawn(
         weather=weather,
         mass=train.mass + float(load),
         rotating_mass=train.rotating_mass,
-        resistance=RunningResistance(
-            nominal.r0 * float(scale[0]), nominal.r1 * float(scale[1]), nominal.r2 * float(scale[2])
-        ),
+        resistance=nominal.scaled(*scale),
         max_power=train.max_traction_power * float(generator.uniform(0.92, 1.0)),
         maximum_adhesion=rail(generator),
         stops=plan(

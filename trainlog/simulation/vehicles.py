@@ -63,13 +63,14 @@ COLD_SHARE = 0.003
 """By which resistance of the running gear grows for each kelvin below it."""
 
 TRAIN_SPREAD = (0.06, 0.05, 0.045)
-"""Standard deviations of the factors of r0, r1 and r2, between trains of a kind."""
+"""Standard deviations of the factors of the coefficients, between trains of a kind."""
 
 TRIP_SPREAD = (0.015, 0.015, 0.008)
 """Between trips of a train, beside weather, dirt and wear."""
 
 WEAR_SHARE, DIRT_SHARE = 0.04, 0.02
-"""By which r0 and r1 grow from one reprofiling to the next, and r2 from one wash to the next."""
+"""By which the running gear's part grows from one reprofiling to the next, and the air's from one
+wash to the next."""
 
 READINGS = 90
 """Days from one reading of a train's wheel diameters to the next."""
@@ -296,12 +297,9 @@ class FleetTrain:
         cycle, since = divmod(run, wear["reprofiled_every"])
         worn = since / wear["reprofiled_every"]
         dirt = ((days + wear["washed_at"]) % wear["washed_every"]) / wear["washed_every"]
-        own = self.resistance
-        resistance = RunningResistance(
-            own.r0 * (1.0 + WEAR_SHARE * worn) + self._fault("dragging brake", time),
-            own.r1 * (1.0 + WEAR_SHARE * worn),
-            own.r2 * (1.0 + DIRT_SHARE * dirt),
-        )
+        rough = 1.0 + WEAR_SHARE * worn
+        resistance = self.resistance.scaled(rough, rough, 1.0 + DIRT_SHARE * dirt)
+        resistance += RunningResistance(self._fault("dragging brake", time), 0.0, 0.0)
         # Diameters are read when wheels are turned and every few months; they wear in between.
         period = wear["daily_distance"] * READINGS
         reading, after = divmod(since, period)
@@ -331,9 +329,7 @@ class FleetTrain:
         return {
             "name": self.name,
             "kind": self.kind,
-            "r0": self.resistance.r0,
-            "r1": self.resistance.r1,
-            "r2": self.resistance.r2,
+            **self.resistance.terms,
             "mass": self.mass,
             "rotating_mass": self.rotating_mass,
             "max_power": self.max_power,
@@ -374,10 +370,7 @@ def resistance_of_trip(
     own = 1.0 + np.array(TRIP_SPREAD) * np.clip(generator.standard_normal(3), -2.5, 2.5)
     density = REFERENCE_TEMPERATURE / temperature * (1.0 + 0.008 * generator.standard_normal())
     cold = 1.0 + COLD_SHARE * max(REFERENCE_TEMPERATURE - temperature, 0.0)
-    r0, r1, r2 = known.r0 * cold * own[0], known.r1 * cold * own[1], known.r2 * density * own[2]
-    return RunningResistance(
-        float(r0 + r2 * head_wind**2), float(r1 + 2.0 * r2 * head_wind), float(r2)
-    )
+    return known.scaled(cold, cold, density).scaled(*own).in_wind(head_wind)
 
 
 def kinds() -> dict[str, Train]:
@@ -500,7 +493,6 @@ def _drawn(
     generator = np.random.default_rng([seed, 31, number])
     spread = np.array(TRAIN_SPREAD) * np.clip(generator.standard_normal(3), -2.2, 2.2)
     nominal = train.resistance
-    r0, r1, r2 = nominal.coefficients * (1.0 + spread)
     every = float(generator.uniform(150e6, 250e6))
     wear = {
         "daily_distance": float(generator.uniform(250e3, 450e3)),
@@ -533,7 +525,7 @@ def _drawn(
         name,
         kind,
         replace(train, name=name),
-        RunningResistance(float(r0), float(r1), float(r2)),
+        nominal.scaled(*(1.0 + spread)),
         mass=train.mass * (1.0 + 0.007 * float(np.clip(generator.standard_normal(), -2.0, 2.0))),
         rotating_mass=train.rotating_mass * float(generator.uniform(0.96, 1.04)),
         max_power=train.max_traction_power * float(generator.uniform(0.95, 1.0)),

@@ -16,6 +16,7 @@ from analysis.studies.amirhosseini_2024.figures import (
 from analysis.studies.amirhosseini_2024.simulation import SPEED_NOISE, VARIANTS, Run
 from analysis.studies.report import START, StudyReport, study_trip
 from trainlog.formats.declared import thing_to_bytes
+from trainlog.railway.resistance import TERMS
 from trainlog.topics import (
     ENVIRONMENT,
     ESTIMATED_RESISTANCE,
@@ -81,7 +82,7 @@ def trip_of(run: Run, seed: int) -> Trip:
     slopes = run.track
     estimates = {"resistance": run.estimate}
     if run.variant.parameters == 3:
-        estimates |= dict(zip(("r0", "r1", "r2"), run.theta.T, strict=True))
+        estimates |= dict(zip(TERMS, run.theta.T, strict=True))
     else:
         estimates["resistance_std"] = run.theta_std[:, 0]
     traction, braking = np.maximum(run.effort, 0.0), np.maximum(-run.effort, 0.0)

@@ -237,8 +237,7 @@ class Run:
     def coefficients(self) -> FloatArray:
         """True a0, a1, a2 at each sample, eq. (35); (n, 3) array."""
         swing = np.sin(VARIATION.angular_frequency * self.time)
-        mean = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
-        return np.asarray(mean * (1.0 + np.outer(swing, VARIATION.amplitudes)))
+        return np.asarray(RESISTANCE.coefficients * (1.0 + np.outer(swing, VARIATION.amplitudes)))
 
     @cached_property
     def slope_force(self) -> FloatArray:

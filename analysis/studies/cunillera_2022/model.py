@@ -59,7 +59,7 @@ SPREAD = {
     NOMINAL: ((1.0, 1.0, 1.0), 1.0),
     "hard": ((1.03, 1.0, 1.015), 0.98),
 }
-"""Factors on (r0, r1, r2) and on p_max: alpha of the paper, chosen here."""
+"""Factors on the coefficients and on p_max: alpha of the paper, chosen here."""
 
 SHARES = (0.01, 0.03, 0.05, 0.1)
 """Of the running resistance, by which even sets differ."""
@@ -129,16 +129,16 @@ def configurations(spread: Mapping[str, tuple[tuple[float, float, float], float]
     Parameters
     ----------
     spread : mapping of str to ((float, float, float), float)
-        By name: factors on r0, r1 and r2, and on the largest power.
+        By name: factors on the coefficients, and on the largest power.
     """
     own = TRAIN.resistance
     return tuple(
         Configuration(
             name, TRAIN.mass, TRAIN.rotating_mass,
-            RunningResistance(own.r0 * f0, own.r1 * f1, own.r2 * f2),
+            own.scaled(*factors),
             TRAIN.max_traction_power * power,
         )
-        for name, ((f0, f1, f2), power) in spread.items()
+        for name, (factors, power) in spread.items()
     )  # fmt: skip
 
 
@@ -356,7 +356,8 @@ def cruise(trajectory: Trajectory) -> Cruise:
         v = 0.5 * (trajectory.speeds[other, cells] + trajectory.speeds[other, cells + 1])
         configuration = trajectory.configurations[other]
         resistance, inertia = configuration.resistance, configuration.inertia
-        slope = (resistance.r1 + 2.0 * resistance.r2 * v) / inertia
+        _, linear, quadratic = resistance.parabola
+        slope = (linear + 2.0 * quadratic * v) / inertia
         changes += np.asarray(costate)[cells] * slope / v
         if name != decides:
             changes -= prices[name] / inertia / v**3
