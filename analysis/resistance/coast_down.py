@@ -66,7 +66,7 @@ from trainlog.presentation import (
     new_table,
 )
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD, TERMS, basis
+from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, TERMS, basis
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, KMH, PER_MILLE
@@ -155,7 +155,7 @@ class CoastDown(Presented):
         Common to the trips; of one trip its own.
     ratio : MassRatio
     between : (3, 3) array
-        Covariance of one trip's c0, c1, c2 around the common ones; 0 for a single trip.
+        Covariance of one trip's coefficients around the common ones; 0 for a single trip.
     trips : tuple of TripCoastDown
         In order of name.
     refused : dict of str to str
@@ -188,12 +188,18 @@ class CoastDown(Presented):
 
     def summary(self) -> dict[str, str]:
         """What coasted, and the curve."""
-        c0, c1, c2 = self.curve.theta[1:]
+        terms = [
+            f"{value:.3g} {unit} v^{power}"
+            for power, (value, (_, unit)) in enumerate(
+                zip(self.curve.theta[1:], OVER_INERTIA, strict=True)
+            )
+        ]
+        words = " + ".join(terms).replace(" v^0", "").replace("v^1", "v").replace("^2", "²")
         known = self.curve.supported
         segments = sum(len(fit.segments) for fit in self.trips)
         return {
             "coasted": f"{sum(fit.coasted for fit in self.trips):.0f} s in {segments} segments",
-            "curve": f"{c0:.5f} m/s² + {c1:.2e} 1/s v + {c2:.2e} 1/m v², over inertia",
+            "curve": f"{words}, over inertia",
             "supported": "at no speed" if known is None else f"{span(known, KMH)} km/h",
             "mass over inertia": f"{self.ratio.value:.3f} ± {1.96 * self.ratio.std:.3f}"
             f" ({self.ratio.source})",
@@ -638,7 +644,7 @@ def check_not_empty(found: Sequence[object], refused: dict[str, str]) -> None:
     raise NotIdentifiableError(f"no trip shows the running resistance by coasting{others}; {first}")
 
 
-NAMES = (("mass_ratio", "1"), ("c0", "m/s^2"), ("c1", "1/s"), ("c2", "1/m"))
+NAMES = (("mass_ratio", "1"), *OVER_INERTIA)
 """Parameters of the curve, in the order of its covariance, with their units."""
 
 SPEEDS = 25

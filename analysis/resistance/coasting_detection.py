@@ -34,6 +34,7 @@ from numba import njit
 from analysis.resistance.motion import Motion
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import NotIdentifiableError
+from trainlog.railway.resistance import basis
 
 SPACING = 0.008
 """Distance between levels of effort over inertia [m/s²]: a tenth of the running resistance of a
@@ -181,7 +182,7 @@ SHORTEST_BLOCK, LONGEST_BLOCK = 1.0, 5.0
 """Length of a block [s]."""
 
 TYPICAL = (0.014, 5e-4, 5e-5)
-"""c0 [m/s²], c1 [1/s], c2 [1/m] of a train that might be any train; beginnings are multiples."""
+"""Coefficients over inertia of a train that might be any train; beginnings are multiples."""
 
 TYPICAL_STD = (0.007, 7e-4, 4e-5)
 """How far trains are from it: weak, only to keep the curve from what no train has."""
@@ -226,8 +227,8 @@ class Blocks:
         Change of mean speed from one block to the next over its length.
     track : array [m/s²]
         Deceleration by the track where the map is known, averaged alike.
-    speed, square : array [m/s], [m²/s²]
-        Mean of v and v², averaged alike.
+    curve : (n, p) array
+        What each coefficient of the curve is multiplied by, averaged alike.
     noise : float [m/s²]
         Standard deviation of `acceleration` from the speed's noise.
     length : float [s]
@@ -240,8 +241,7 @@ class Blocks:
     end: FloatArray
     acceleration: FloatArray
     track: FloatArray
-    speed: FloatArray
-    square: FloatArray
+    curve: FloatArray
     noise: float
     length: float
     fresh: BoolArray
@@ -280,8 +280,8 @@ class Detection:
     blocks : tuple of Blocks
     probability : tuple of array
         Of coasting, for each pair of blocks.
-    theta : (4,) array
-        k, c0, c1, c2 as far as the detection needed them; not the answer.
+    theta : (1 + p,) array
+        k and the curve as far as the detection needed them; not the answer.
     evidence : float
         Gain in log-likelihood over no coasting at all.
     """
@@ -316,7 +316,8 @@ def blocks_of(motion: Motion, track: FloatArray) -> Blocks:
     key, member, samples = np.unique(
         numbers * 1_000_000 + block, return_inverse=True, return_counts=True
     )
-    values = np.column_stack([time, motion.speed[usable], motion.speed[usable] ** 2, track[usable]])
+    speed = motion.speed[usable]
+    values = np.column_stack([time, speed, track[usable], basis(speed)])
     sums = [np.bincount(member, column, minlength=key.size) for column in values.T]
     means: FloatArray = np.column_stack(sums) / np.maximum(samples, 1)[:, None]
     full = samples >= max(0.6 * length / motion.period, 1.0)
@@ -329,9 +330,8 @@ def blocks_of(motion: Motion, track: FloatArray) -> Blocks:
         start=begin,
         end=begin + 2.0 * length,
         acceleration=(means[pair + 1, 1] - means[pair, 1]) / step,
-        track=mean[:, 3],
-        speed=mean[:, 1],
-        square=mean[:, 2],
+        track=mean[:, 2],
+        curve=mean[:, 3:],
         noise=float(np.sqrt(2.0 / per_block) * motion.noise / length),
         length=length,
         fresh=np.diff(pair, prepend=-2) != 1,
@@ -395,8 +395,8 @@ def detect(blocks: Sequence[Blocks], ratio: tuple[float, float]) -> Detection:
 
 
 def _rows(blocks: Blocks) -> FloatArray:
-    """Regressors (n, 4) of the acceleration: what k, c0, c1, c2 do to it."""
-    return -np.column_stack([blocks.track, np.ones(blocks.track.size), blocks.speed, blocks.square])
+    """Regressors (n, 1 + p) of the acceleration: what k and the curve's coefficients do to it."""
+    return -np.column_stack([blocks.track, blocks.curve])
 
 
 def _spread(blocks: Blocks, curve: FloatArray) -> FloatArray:

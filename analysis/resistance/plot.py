@@ -510,13 +510,13 @@ def _curve_without_gradient(result: CoastDownResult) -> Chart:
             "all of it, by pieces coasted both ways" if result.pieces else "with its 95 % band",
         )
     else:
-        c1, c2 = result["c1"].value or 0.0, result["c2"].value or 0.0
+        growth = [each.value or 0.0 for each in result.quantities[1:]]
         ends = np.array([piece["speed"] for piece in result.pieces])
         lowest = float(ends.min())
         speed = np.linspace(lowest, float(ends.max()), 81)
-        basis = np.stack([speed - lowest, speed**2 - lowest**2], axis=-1)
-        value = basis @ [c1, c2]
-        std = np.sqrt(np.einsum("ni,ij,nj->n", basis, result.covariance, basis))
+        at = (basis(speed) - basis(lowest))[:, 1:]
+        value = at @ growth
+        std = np.sqrt(np.einsum("ni,ij,nj->n", at, result.covariance, at))
         low, high = value - 1.96 * std, value + 1.96 * std
         what = f"more than at {KMH * lowest:.0f} km/h [m/s²]"
         title = "growth with speed; c0 is merged with the gradient"

@@ -36,7 +36,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import CoastDownResult, DragCurve, Identified, line_of
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD, TERMS, basis
+from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, TERMS, basis
 from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import KMH
@@ -79,8 +79,8 @@ class Passages:
         1 along the line, -1 against it.
     acceleration : array [m/s²]
         Mean over the way.
-    speed, square : array [m/s], [m²/s²]
-        Means of v and v² over the way.
+    curve : (n, p) array
+        Means over the way of what each coefficient of the curve is multiplied by.
     noise : array [m/s²]
         Standard deviation that one end's speed brings in.
     joined : bool array
@@ -91,10 +91,14 @@ class Passages:
     piece: IntArray
     way: FloatArray
     acceleration: FloatArray
-    speed: FloatArray
-    square: FloatArray
+    curve: FloatArray
     noise: FloatArray
     joined: BoolArray
+
+    @property
+    def speed(self) -> FloatArray:
+        """Mean over the way [m/s]."""
+        return self.curve[:, 1]
 
 
 def coast_down_without_gradient(
@@ -214,22 +218,21 @@ def passages(motion: Motion, spans: Spans, trip: int, length: float | None) -> P
         s = np.maximum.accumulate(s + 1e-9 * np.arange(s.size))
         edges = np.arange(np.ceil(s[0] / PIECE), np.floor(s[-1] / PIECE) + 1.0)
         at = np.interp(edges * PIECE, s, v)
-        area = np.array([_mean_over(s, v, edges), _mean_over(s, v**2, edges)])
+        area = np.array([_mean_over(s, column, edges) for column in basis(v).T])
         for k in range(edges.size - 1):
             piece = edges[k] if way > 0.0 else -edges[k + 1]
             gained = (at[k + 1] ** 2 - at[k] ** 2) / (2.0 * PIECE)
             noise = per_end * 0.5 * (at[k] + at[k + 1]) / PIECE
-            rows.append((piece, gained, area[0, k], area[1, k], noise, float(k > 0)))
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), 6)
+            rows.append((piece, gained, noise, float(k > 0), *area[:, k]))
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), 4 + len(TERMS))
     return Passages(
         trip=np.full(len(rows), trip),
         piece=table[:, 0].astype(np.int64),
         way=np.full(len(rows), way),
         acceleration=table[:, 1],
-        speed=table[:, 2],
-        square=table[:, 3],
-        noise=table[:, 4],
-        joined=table[:, 5] > 0.0,
+        curve=table[:, 4:],
+        noise=table[:, 2],
+        joined=table[:, 3] > 0.0,
     )
 
 
@@ -255,7 +258,7 @@ def _turned(trip: Trip, line: Line | None) -> float | None:
 
 
 def _joined(parts: Sequence[Passages]) -> Passages:
-    names = ("trip", "piece", "way", "acceleration", "speed", "square", "noise", "joined")
+    names = ("trip", "piece", "way", "acceleration", "curve", "noise", "joined")
     return Passages(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
@@ -285,9 +288,7 @@ def _whitened(rows: Passages, columns: FloatArray) -> FloatArray:
 def _solved(rows: Passages, notes: list[dict[str, object]]) -> CoastDownResult:
     pieces, member = np.unique(rows.piece, return_inverse=True)
     along = -np.where(member[:, None] == np.arange(pieces.size), rows.way[:, None], 0.0)
-    curve = -basis(rows.speed)
-    curve[:, 2] = -rows.square
-    white = _whitened(rows, np.column_stack([curve, along, rows.acceleration]))
+    white = _whitened(rows, np.column_stack([-rows.curve, along, rows.acceleration]))
     stds = np.append(DRAG_STD, np.full(pieces.size, PIECE_STD))
     free = [Free(str(k), white[:, k], std) for k, std in enumerate(stds.tolist())]
     found = regress(white[:, -1], free)
@@ -361,16 +362,13 @@ def _quantities(
     std = np.sqrt(np.diag(covariance)[: len(TERMS)])
     merged = "merged with the gradient: no piece was coasted in both directions"
     wide = "pieces coasted in both directions give it to more than 10 % of the curve only"
-    c0 = (
-        Identified("c0", "m/s^2", float(estimate[0]), float(std[0]), "with the curves' resistance")
-        if known
-        else Identified("c0", "m/s^2", None, None, wide if both else merged)
-    )
-    return (
-        c0,
-        Identified("c1", "1/s", float(estimate[1]), float(std[1])),
-        Identified("c2", "1/m", float(estimate[2]), float(std[2])),
-    )
+    values = zip(OVER_INERTIA, estimate.tolist(), std.tolist(), strict=False)
+    first, *others = (Identified(*names, value, size) for names, value, size in values)
+    if known:
+        first = replace(first, reason="with the curves' resistance")
+    else:
+        first = replace(first, value=None, std=None, reason=wide if both else merged)
+    return first, *others
 
 
 def _pieces(

@@ -174,8 +174,11 @@ TERMS = tuple(each.name for each in fields(RunningResistance))
 UNITS = ("N", "N/(m/s)", "N/(m/s)^2")
 """Of the coefficients, in files."""
 
+OVER_INERTIA = (("c0", "m/s^2"), ("c1", "1/s"), ("c2", "1/m"))
+"""Names and units of the coefficients over the inertia."""
+
 SUFFIXES = ("N", "N_s_m", "N_s2_m2")
-"""The same at the end of a column's name."""
+"""Units of the coefficients at the end of a column's name."""
 
 
 def basis(speed: ArrayLike, head_wind: ArrayLike = 0.0) -> FloatArray:
