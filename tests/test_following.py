@@ -430,7 +430,7 @@ def test_the_linearisation_is_the_derivative_of_the_prediction(
 def test_a_level_prediction_is_known_in_closed_form() -> None:
     """No resistance, level: friction asked for now acts after its dead time, with its lag."""
     can, road = known("friction")
-    still = can._replace(r0=0.0, r1=0.0, r2=0.0, mass=0.0)
+    still = can._replace(constant=0.0, linear=0.0, quadratic=0.0, mass=0.0)
     past, brake = np.zeros(20), 0.5
     states, *_ = prediction.linearised(
         1_000.0, 20.0, 0.0, past, np.full(6, -brake), 10, NEUTRAL, road, still
