@@ -11,9 +11,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from trainlog.formats.railtoolkit import RollingVehicle
 from trainlog.formats.railway import write_consist
 from trainlog.railway.resistance import RunningResistance
-from trainlog.railway.train import Consist, ConsistBrake, Coupler, RollingVehicle, Vehicle
+from trainlog.railway.train import Consist, ConsistBrake, Coupler, Vehicle
 
 # Amirhosseini et al. (2024), section 5: 350 t, 250 kN, eq. (35).
 PAPER_MASS, PAPER_EFFORT = 350e3, 250e3
@@ -57,9 +58,14 @@ def paper(count: int) -> Consist:
 def freight() -> Consist:
     """An electric locomotive and 24 four-axle wagons, loaded and empty ones in blocks."""
     unit = RollingVehicle(
-        "unit", "traction unit", 18.9, 85e3, adhesive_mass=85e3,
-        basic_resistance=0.0025, air_resistance=0.006,
-    )  # fmt: skip
+        name="unit",
+        vehicle_type="traction unit",
+        length=18.9,
+        mass=85e3,
+        mass_traction=85e3,
+        base_resistance=0.0025,
+        air_resistance=0.006,
+    )
     locomotive = Vehicle(
         "electric locomotive",
         mass=85e3,
@@ -73,7 +79,13 @@ def freight() -> Consist:
 
     def wagon(name: str, load: float) -> Vehicle:
         rolling = RollingVehicle(
-            name, "freight", 19.04, 25e3, load=59e3, basic_resistance=0.0014, air_resistance=0.0039
+            name=name,
+            vehicle_type="freight",
+            length=19.04,
+            mass=25e3,
+            load_limit=59e3,
+            base_resistance=0.0014,
+            air_resistance=0.0039,
         )
         mass = rolling.mass + load
         return Vehicle(
@@ -122,9 +134,14 @@ def freight() -> Consist:
 def passenger() -> Consist:
     """An electric locomotive and eight coaches, tightly coupled."""
     unit = RollingVehicle(
-        "unit", "traction unit", 18.9, 84e3, adhesive_mass=84e3,
-        basic_resistance=0.0025, air_resistance=0.006,
-    )  # fmt: skip
+        name="unit",
+        vehicle_type="traction unit",
+        length=18.9,
+        mass=84e3,
+        mass_traction=84e3,
+        base_resistance=0.0025,
+        air_resistance=0.006,
+    )
     locomotive = Vehicle(
         "electric locomotive",
         mass=84e3,
@@ -136,9 +153,15 @@ def passenger() -> Consist:
         max_braking_effort=84e3 * 1.0,
     )
     rolling = RollingVehicle(
-        "coach", "passenger", 26.8, 50e3, load=8e3, basic_resistance=0.002,
-        rolling_resistance=0.000715, air_resistance=0.00364,
-    )  # fmt: skip
+        name="coach",
+        vehicle_type="passenger",
+        length=26.8,
+        mass=50e3,
+        load_limit=8e3,
+        base_resistance=0.002,
+        rolling_resistance=0.000715,
+        air_resistance=0.00364,
+    )
     coach = Vehicle(
         "coach",
         mass=58e3,

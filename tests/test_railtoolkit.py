@@ -12,11 +12,16 @@ from refusals import refused
 import trainlog
 from trainlog.cli import main as cli
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.railtoolkit import coupled, read_any, read_rolling_stock, read_running_paths
+from trainlog.formats.railtoolkit import (
+    RollingVehicle,
+    coupled,
+    read_any,
+    read_rolling_stock,
+    read_running_paths,
+)
 from trainlog.formats.railway import read_train, read_trajectory
 from trainlog.railway import EffortCurve, Train
 from trainlog.railway.motion import shortest_run
-from trainlog.railway.train import RollingVehicle
 from trainlog.units import GRAVITY
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -30,9 +35,17 @@ CASES = [
 
 EFFORT = EffortCurve(np.array([0.0, 10.0, 30.0]), np.array([100e3, 80e3, 20e3]))
 UNIT = RollingVehicle(
-    "unit", "multiple unit", 40.0, 60e3, adhesive_mass=40e3, inertia_factor=1.1,
-    basic_resistance=0.003, rolling_resistance=0.0015, air_resistance=0.004, effort=EFFORT,
-)  # fmt: skip
+    name="unit",
+    vehicle_type="multiple unit",
+    length=40.0,
+    mass=60e3,
+    mass_traction=40e3,
+    rotation_mass=1.1,
+    base_resistance=0.003,
+    rolling_resistance=0.0015,
+    air_resistance=0.004,
+    effort=EFFORT,
+)
 
 
 def train_of(file: str, loaded: float = 1.0) -> Train:
@@ -126,7 +139,7 @@ def test_every_valid_case_is_read() -> None:
         assert read_running_paths(file)
     vehicles, formations = read_rolling_stock(folder / "rolling-stock.example.yaml")
     assert coupled(*formations["RB50-1"], 0.0).mass == 2 * 68e3
-    assert vehicles["BR642"].deceleration == 0.4253
+    assert vehicles["BR642"].a_braking == -0.4253
     line = read_running_paths(folder / "running-path.example.yaml")["example"]
     assert line.speed_limit(0.0) == pytest.approx(160 / 3.6)
     assert line.gradient(2_500.0) == pytest.approx(2e-3)
@@ -147,14 +160,26 @@ def test_all_vehicles_of_the_rolling_stock_are_read() -> None:
 def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
     speed = np.linspace(0.0, 50.0, 11)
     wagon = RollingVehicle(
-        "wagon", "freight", 19.0, 25e3, 59e3, basic_resistance=0.0014, air_resistance=0.0039
+        name="wagon",
+        vehicle_type="freight",
+        length=19.0,
+        mass=25e3,
+        load_limit=59e3,
+        base_resistance=0.0014,
+        air_resistance=0.0039,
     )
     strahl = GRAVITY * 84e3 * (1.4 + 3.9 * (3.6 * speed / 100.0) ** 2) / 1e3
     assert wagon.resistance(59e3)(speed) == pytest.approx(strahl)
     coach = RollingVehicle(
-        "coach", "passenger", 26.8, 50e3, 20e3, basic_resistance=0.002,
-        rolling_resistance=0.000715, air_resistance=0.00364,
-    )  # fmt: skip
+        name="coach",
+        vehicle_type="passenger",
+        length=26.8,
+        mass=50e3,
+        load_limit=20e3,
+        base_resistance=0.002,
+        rolling_resistance=0.000715,
+        air_resistance=0.00364,
+    )
     sauthoff = 2.0 + 0.715 * 3.6 * speed / 100.0 + 3.64 * ((3.6 * speed + 15.0) / 100.0) ** 2
     assert coach.resistance(0.0)(speed) == pytest.approx(GRAVITY * 50e3 * sauthoff / 1e3)
     air = 4.0 * ((3.6 * speed + 15.0) / 100.0) ** 2
@@ -163,7 +188,14 @@ def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
 
 
 def test_a_formation_adds_its_vehicles_up() -> None:
-    wagon = RollingVehicle("wagon", "freight", 19.0, 25e3, 59e3, max_speed=27.0)
+    wagon = RollingVehicle(
+        name="wagon",
+        vehicle_type="freight",
+        length=19.0,
+        mass=25e3,
+        load_limit=59e3,
+        speed_limit=27.0,
+    )
     empty, half = (coupled("train", (UNIT, wagon, wagon), share) for share in (0.0, 0.5))
     assert empty.length == 78.0
     assert empty.mass == 110e3

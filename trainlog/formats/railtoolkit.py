@@ -18,6 +18,8 @@ import numpy as np
 import yaml
 
 from trainlog.declaration import (
+    NOT_NEGATIVE,
+    POSITIVE,
     Foreign,
     Many,
     Must,
@@ -25,43 +27,136 @@ from trainlog.declaration import (
     Number,
     Part,
     Positive,
+    Text,
     from_content,
 )
 from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_bytes
 from trainlog.formats.ttobench import UNPUBLISHED, assumed_axles
-from trainlog.railway import EffortCurve, Line, Station, StepProfile, Train
-from trainlog.railway.train import RollingVehicle
-from trainlog.units import KMH, PER_MILLE
+from trainlog.railway import EffortCurve, Line, RunningResistance, Station, StepProfile, Train
+from trainlog.units import GRAVITY, KMH, PER_MILLE
 
 TONNE = 1e3
 
 SCHEMA = "https://railtoolkit.org/schema/"
 
-Formation = tuple[str, tuple[RollingVehicle, ...]]
-"""A name, and vehicles from the front to the rear."""
+REFERENCE_SPEED = 100.0 / KMH
+"""Speed at which the air resistance is given [m/s]."""
+
+HEAD_WIND = 15.0 / KMH
+"""Wind that is added to the speed in the air resistance of coaches and traction units [m/s]."""
 
 
-class _Vehicle(Foreign):
+@dataclass(frozen=True)
+class _In(Number):
+    """A number of the file in the unit that the schema states; in SI inside."""
+
+    times: float = 1.0
+    over: float = 1.0
+
+    def read(self, found: Any, kind: Any) -> float:
+        """The number in SI."""
+        return super().read(found, kind) * self.times / self.over
+
+    def words(self, value: Any) -> str:
+        """The number as the file has it."""
+        return f"{value * self.over / self.times:g}"
+
+
+_Mass = Annotated[float, _In(times=TONNE, must=POSITIVE)]
+_OverWeight = Annotated[float, _In(over=PER_MILLE, must=NOT_NEGATIVE)]
+
+
+@dataclass(frozen=True)
+class _Pairs(Many):
+    """Pairs of speed [km/h] and effort [N]; a curve of effort inside."""
+
+    def read(self, found: Any, kind: Any) -> EffortCurve:  # noqa: ARG002
+        """The curve."""
+        pairs = np.array(super().read(found, tuple[tuple[NotNegative, NotNegative], ...]))
+        return EffortCurve(pairs[:, 0] / KMH, pairs[:, 1].copy())
+
+
+class RollingVehicle(Foreign):
+    """A vehicle of the rolling stock, with the names of the schema and in SI units.
+
+    Its running resistance is given over its weight: after Strahl (wagons) and Sauthoff (coaches),
+    and that of the traction unit, as in Wende, D. (2003), Fahrdynamik des Schienenverkehrs, pp.
+    151-153. All are quadratic in speed, so that each is a `RunningResistance`.
+
+    Attributes
+    ----------
+    name, id, vehicle_type : str
+    length : float [m]
+    mass, load_limit : float [kg]
+        Empty mass, and the heaviest load.
+    mass_traction : float or None [kg]
+        On the powered axles, empty; None: all of it.
+    rotation_mass : float or None
+        Mass with the rotating part over mass; None: what is usual.
+    base_resistance, rolling_resistance, air_resistance : float
+        Over weight; of a traction unit the first is of its powered, the second of its carrying
+        axles, of a coach the second grows with speed. The air's is at 100 km/h.
+    speed_limit : float [m/s]
+    a_braking : float or None [m/s²]
+        Acceleration of service braking, negative.
+    effort : EffortCurve or None
+    """
+
     name: str
-    id: str
+    id: Annotated[str, Text(stated="required")] = ""
     vehicle_type: Literal["traction unit", "freight", "passenger", "multiple unit"]
     length: Positive
-    mass: Positive
-    load_limit: Positive | None = None
-    mass_traction: Positive | None = None
-    speed_limit: Positive | None = None
+    mass: _Mass
+    load_limit: Annotated[float, _In(times=TONNE, must=NOT_NEGATIVE)] = 0.0
+    mass_traction: _Mass | None = None
     rotation_mass: Annotated[
         float | None, Number(must=Must("is below 1", "give mass with rotating part over mass", 1.0))
     ] = None
-    base_resistance: Positive | None = None
-    rolling_resistance: Positive | None = None
-    air_resistance: Positive | None = None
+    base_resistance: _OverWeight = 0.0
+    rolling_resistance: _OverWeight = 0.0
+    air_resistance: _OverWeight = 0.0
+    speed_limit: Annotated[float, _In(over=KMH, must=POSITIVE)] = np.inf
     a_braking: float | None = None
-    tractive_effort: Annotated[
-        tuple[tuple[NotNegative, NotNegative], ...] | None, Many(least=3)
-    ] = None
+    effort: Annotated[EffortCurve | None, _Pairs(least=3, key="tractive_effort")] = None
+
+    @property
+    def powered(self) -> bool:
+        """Whether it pulls."""
+        return self.vehicle_type in ("traction unit", "multiple unit")
+
+    @property
+    def adhesive_mass(self) -> float:
+        """On the powered axles, empty [kg]; 0 without any."""
+        stated = self.mass if self.mass_traction is None else self.mass_traction
+        return stated if self.powered else 0.0
+
+    @property
+    def inertia_factor(self) -> float:
+        """Mass with the rotating part over mass."""
+        return self.rotation_mass or (1.09 if self.powered else 1.06)
+
+    def resistance(self, load: float) -> RunningResistance:
+        """Running resistance with `load` [kg] on board; Wende (2003), pp. 151 and 153."""
+        # That of a unit is published for the unit as it is, whatever it carries.
+        weight = GRAVITY * (self.mass if self.powered else self.mass + load)
+        base, wind, linear = self.base_resistance * weight, HEAD_WIND, 0.0
+        if self.powered:
+            on_powered = self.base_resistance * self.adhesive_mass
+            base = GRAVITY * (
+                on_powered + self.rolling_resistance * (self.mass - self.adhesive_mass)
+            )
+        elif self.vehicle_type == "freight":  # Strahl
+            wind = 0.0
+        else:  # Sauthoff
+            linear = self.rolling_resistance * weight / REFERENCE_SPEED
+        air = self.air_resistance * weight / REFERENCE_SPEED**2
+        return RunningResistance(base + air * wind**2, linear + 2.0 * air * wind, air)
+
+
+Formation = tuple[str, tuple[RollingVehicle, ...]]
+"""A name, and vehicles from the front to the rear."""
 
 
 class _Train(Foreign):
@@ -72,7 +167,7 @@ class _Train(Foreign):
 
 class _RollingStock(Foreign):
     trains: Annotated[tuple[_Train, ...] | None, Many(least=1)] = None
-    vehicles: Annotated[tuple[_Vehicle, ...] | None, Many(least=1)] = None
+    vehicles: Annotated[tuple[RollingVehicle, ...] | None, Many(least=1)] = None
 
 
 @dataclass(frozen=True)
@@ -103,7 +198,7 @@ class _Path(Foreign):
     characteristic_sections: Annotated[tuple[Annotated[_Section, _Row()], ...], Many(least=2)]
 
 
-Identified = TypeVar("Identified", _Vehicle, _Path)
+Identified = TypeVar("Identified", RollingVehicle, _Path)
 
 
 class _Paths(Foreign):
@@ -138,8 +233,7 @@ def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dic
     stock = built(lambda: from_content(_RollingStock, content), path)
     if stock.trains is None and stock.vehicles is None:
         raise InputError("holds neither trains nor vehicles", file=path, remedy="add 'vehicles'")
-    named = _by_id(stock.vehicles or (), "vehicle", path)
-    vehicles = {own: built(partial(_vehicle, each), path) for own, each in named.items()}
+    vehicles = _by_id(stock.vehicles or (), "vehicle", path)
     formations: dict[str, Formation] = {}
     for number, train in enumerate(stock.trains or ()):
         missing = [name for name in train.formation if name not in vehicles]
@@ -317,19 +411,19 @@ def coupled(name: str, vehicles: Sequence[RollingVehicle], loaded: float = 1.0) 
             remedy="add a traction unit or a multiple unit with its tractive effort",
         )
     mass, most = (
-        sum(each.mass + share * each.load for each in vehicles) for share in (loaded, 1.0)
+        sum(each.mass + share * each.load_limit for each in vehicles) for share in (loaded, 1.0)
     )
     factor = sum(each.inertia_factor * each.mass for each in vehicles)
     inertia = factor / sum(each.mass for each in vehicles) * mass
     knots = np.unique(np.concatenate([curve.speeds for curve in curves]))
     curve = EffortCurve(knots, np.asarray(sum(each(knots) for each in curves)))
-    braking = [each.deceleration for each in vehicles if each.deceleration is not None]
-    passenger = any(each.kind in ("passenger", "multiple unit") for each in vehicles)
+    braking = [-each.a_braking for each in vehicles if each.a_braking is not None]
+    passenger = any(each.vehicle_type in ("passenger", "multiple unit") for each in vehicles)
     deceleration = min(braking, default=0.375 if passenger else 0.225)
     effort, rotating = float(curve.efforts.max()), inertia / mass - 1.0
     axles = assumed_axles(mass, effort, rotating)
-    adhesive = sum(each.adhesive_mass for each in vehicles if each.powered)
-    max_speed = min(each.max_speed for each in vehicles)
+    adhesive = sum(each.adhesive_mass for each in vehicles)
+    max_speed = min(each.speed_limit for each in vehicles)
     limited = np.isfinite(max_speed)
     return Train(
         name=name,
@@ -337,7 +431,7 @@ def coupled(name: str, vehicles: Sequence[RollingVehicle], loaded: float = 1.0) 
         + f", {100.0 * loaded:g} per cent of its load on board" * (loaded > 0.0),
         mass=mass,
         rotating_mass_factor=rotating,
-        resistance=reduce(add, (each.resistance(loaded * each.load) for each in vehicles)),
+        resistance=reduce(add, (each.resistance(loaded * each.load_limit) for each in vehicles)),
         max_tractive_effort=effort,
         max_traction_power=curve.peak_power,
         max_pneumatic_braking_effort=deceleration * inertia,
@@ -390,30 +484,6 @@ def _content(path: str | Path, schema: str) -> Any:
             remedy="expected 2022.05 or 2024.07",
         )
     return content
-
-
-def _vehicle(each: _Vehicle) -> RollingVehicle:
-    powered = each.vehicle_type in ("traction unit", "multiple unit")
-    adhesive = each.mass_traction if each.mass_traction is not None else each.mass
-    curve = None
-    if each.tractive_effort is not None:
-        pairs = np.array(each.tractive_effort)
-        curve = EffortCurve(pairs[:, 0] / KMH, pairs[:, 1].copy())
-    return RollingVehicle(
-        name=each.name,
-        kind=each.vehicle_type,
-        length=each.length,
-        mass=each.mass * TONNE,
-        load=(each.load_limit or 0.0) * TONNE,
-        adhesive_mass=adhesive * TONNE if powered else 0.0,
-        inertia_factor=each.rotation_mass or (1.09 if powered else 1.06),
-        basic_resistance=(each.base_resistance or 0.0) / PER_MILLE,
-        rolling_resistance=(each.rolling_resistance or 0.0) / PER_MILLE,
-        air_resistance=(each.air_resistance or 0.0) / PER_MILLE,
-        max_speed=np.inf if each.speed_limit is None else each.speed_limit / KMH,
-        effort=curve,
-        deceleration=None if each.a_braking is None else -each.a_braking,
-    )
 
 
 def _line(path: _Path, place: str) -> Line:

@@ -15,7 +15,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -50,7 +50,7 @@ from trainlog.topics import (
     column_field,
     topic_of_frame,
 )
-from trainlog.trip import Trip
+from trainlog.trip import Trip, nanoseconds
 from trainlog.units import NANOSECONDS
 
 INDEX_FILE = "trip.json"
@@ -285,74 +285,41 @@ def _title(item: pa.Field) -> str:
 # -------------------------------------------------------------------------- reading one topic
 
 
-class TopicReader:
-    """The file of one topic, open for reading.
-
-    Parameters
-    ----------
-    path : path
-    schema : Schema
-        Of the file.
-    attrs : dict
-        Of the frame.
-    columns : list of str, optional
-        To read, if they are there. Default: all.
-
-    Attributes
-    ----------
-    schema : Schema
-        Of what is read: the columns, and the time.
-    """
-
-    def __init__(
-        self, path: Path, schema: pa.Schema, attrs: Mapping[Any, Any], columns: list[str] | None
-    ) -> None:
-        self._path = path
-        names = [name for name in schema.names if name != TIME]
-        self._columns = names if columns is None else [n for n in names if n in set(columns)]
-        fields = [schema.field(name) for name in (*self._columns, TIME)]
-        self.schema = pa.schema(fields, schema.metadata)
-        self._attrs = dict(attrs)
-        if isinstance(self._attrs.get("units"), dict):
-            units = self._attrs["units"].items()
-            self._attrs["units"] = {n: unit for n, unit in units if n in self._columns}
-
-    def read(self) -> pa.Table:
-        """All rows."""
-        raise NotImplementedError
-
-    def frame(self, table: pa.Table) -> pd.DataFrame:
-        """The frame of rows that were read."""
-        frame: pd.DataFrame = table.drop_columns([TIME]).to_pandas()
-        frame.index = pd.DatetimeIndex(_times_of(table).view("M8[ns]"), tz="UTC", name=TIME)
-        frame.attrs = dict(self._attrs)
-        return frame
-
-    def close(self) -> None:
-        """Close the file."""
+def _frame_in(entry: _TopicEntry, path: Path, columns: list[str] | None) -> pd.DataFrame:
+    """The frame of a topic's file, with those of the columns that it has; None: with all."""
+    if entry.columns is None:
+        table, attrs = _parquet_table(path, str(entry.footer), columns)
+    else:
+        table, attrs = _csv_table(path, entry.columns, columns), dict(entry.attrs or {})
+    frame: pd.DataFrame = table.drop_columns([TIME]).to_pandas()
+    frame.index = pd.DatetimeIndex(_times_of(table).view("M8[ns]"), tz="UTC", name=TIME)
+    if isinstance(attrs.get("units"), dict):
+        attrs["units"] = {name: unit for name, unit in attrs["units"].items() if name in frame}
+    frame.attrs = attrs
+    return frame
 
 
-class _ParquetReader(TopicReader):
-    """A Parquet file whose end has the digest `footer`."""
+def _chosen(names: Iterable[str], columns: list[str] | None) -> list[str]:
+    """The names of the columns that are wanted, and of the time."""
+    return [name for name in names if name != TIME and (columns is None or name in columns)] + [
+        TIME
+    ]
 
-    def __init__(self, path: Path, footer: str, columns: list[str] | None) -> None:
-        with _named(path, "is damaged", AGAIN):
-            if _footer_digest(path) != footer:
-                raise _damaged(path, "its end is another than was written")
-            self._file = pq.ParquetFile(path, page_checksum_verification=True)
-        schema = self._file.schema_arrow
-        kept = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
-        super().__init__(path, schema, kept.get("attributes", {}), columns)
 
-    def read(self) -> pa.Table:
-        with _named(self._path, "is damaged", AGAIN):
-            found = self._file.read(self.schema.names)
-        if missing := self._file.metadata.num_rows - len(found):
-            raise _damaged(self._path, f"{missing} rows are missing")
-        return found
-
-    def close(self) -> None:
-        self._file.close()
+def _parquet_table(
+    path: Path, footer: str, columns: list[str] | None
+) -> tuple[pa.Table, dict[str, Any]]:
+    """The rows of a Parquet file whose end has the digest `footer`, and the frame's attributes."""
+    with _named(path, "is damaged", AGAIN):
+        if _footer_digest(path) != footer:
+            raise _damaged(path, "its end is another than was written")
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            found = file.read(_chosen(file.schema_arrow.names, columns))
+            missing = file.metadata.num_rows - len(found)
+    if missing:
+        raise _damaged(path, f"{missing} rows are missing")
+    kept = json.loads((found.schema.metadata or {}).get(b"pandas", b"{}"))
+    return found, kept.get("attributes", {})
 
 
 def _texts(table: pa.Table, pattern: str, replacement: str) -> pa.Table:
@@ -364,62 +331,43 @@ def _texts(table: pa.Table, pattern: str, replacement: str) -> pa.Table:
     return table
 
 
-class _CsvReader(TopicReader):
-    """A CSV file with columns of the types `kinds`, in any order; others are passed over."""
-
-    def __init__(
-        self,
-        path: Path,
-        kinds: Mapping[str, str],
-        attrs: Mapping[Any, Any],
-        columns: list[str] | None,
-    ) -> None:
-        unknown = [kind for kind in kinds.values() if kind not in TYPES]
-        if unknown:
-            raise LogError(
-                f"states the unknown type '{unknown[0]}'", file=path, remedy="convert again"
-            )
-        types = {name: TYPES[kind] for name, kind in kinds.items()}
-        schema = pa.schema({**types, TIME: pa.timestamp("ns", "UTC")})
-        super().__init__(path, schema, attrs, columns)
-        with self._read(), path.open(encoding="utf-8-sig", newline="") as file:
+def _csv_table(path: Path, kinds: Mapping[str, str], columns: list[str] | None) -> pa.Table:
+    """The rows of a CSV file with columns of the types `kinds`, in any order, and others."""
+    unknown = [kind for kind in kinds.values() if kind not in TYPES]
+    if unknown:
+        raise LogError(f"states the unknown type '{unknown[0]}'", file=path, remedy="convert again")
+    types = {name: TYPES[kind] for name, kind in kinds.items()} | {TIME: pa.timestamp("ns", "UTC")}
+    wanted = pa.schema({name: types[name] for name in _chosen(kinds, columns)})
+    with _named(path, "cannot be read", f"correct the row, or {AGAIN}"):
+        with path.open(encoding="utf-8-sig", newline="") as file:
             titles = [title.strip().strip('"') for title in file.readline().strip().split(",")]
-        self._names = [title.partition(" [")[0] for title in titles]
-        lacking = [name for name in (TIME, *self._columns) if name not in self._names]
+        names = [title.partition(" [")[0] for title in titles]
+        lacking = [name for name in (TIME, *wanted.names) if name not in names]
         if lacking:
             raise LogError(
                 f"has no column {lacking[0]}",
                 file=path,
                 place="row 1",
-                remedy=f"it has {', '.join(self._names)}; {AGAIN}",
+                remedy=f"it has {', '.join(names)}; {AGAIN}",
             )
-
-    def read(self) -> pa.Table:
-        with self._read():
-            found = pa.csv.read_csv(
-                self._path,
-                pa.csv.ReadOptions(block_size=BLOCK, column_names=self._names, skip_rows=1),
-                pa.csv.ParseOptions(newlines_in_values=True),
-                pa.csv.ConvertOptions(
-                    column_types=self.schema,
-                    include_columns=self.schema.names,
-                    null_values=[""],
-                    strings_can_be_null=True,
-                    quoted_strings_can_be_null=False,
-                ),
-            )
-        row = _backward(np.iinfo(np.int64).min, _times_of(found))
-        if row is not None:
-            raise LogError(
-                "time runs backwards",
-                file=self._path,
-                place=f"row {row + 2}",
-                remedy="sort the rows by time",
-            )
-        return _texts(found.cast(self.schema), f"'({FORMULA})", r"\1")
-
-    def _read(self) -> Any:
-        return _named(self._path, "cannot be read", f"correct the row, or {AGAIN}")
+        found = pa.csv.read_csv(
+            path,
+            pa.csv.ReadOptions(block_size=BLOCK, column_names=names, skip_rows=1),
+            pa.csv.ParseOptions(newlines_in_values=True),
+            pa.csv.ConvertOptions(
+                column_types=wanted,
+                include_columns=wanted.names,
+                null_values=[""],
+                strings_can_be_null=True,
+                quoted_strings_can_be_null=False,
+            ),
+        )
+    row = _backward(np.iinfo(np.int64).min, _times_of(found))
+    if row is not None:
+        raise LogError(
+            "time runs backwards", file=path, place=f"row {row + 2}", remedy="sort the rows by time"
+        )
+    return _texts(found.cast(wanted), f"'({FORMULA})", r"\1")
 
 
 @contextmanager
@@ -491,12 +439,6 @@ class _TopicEntry:
     def __post_init__(self) -> None:
         if self.columns is None and self.footer is None:
             raise InputError("'footer' is missing", remedy=AGAIN)
-
-    def reader(self, path: Path, columns: list[str] | None) -> TopicReader:
-        """The open file."""
-        if self.columns is None:
-            return _ParquetReader(path, str(self.footer), columns)
-        return _CsvReader(path, self.columns, self.attrs or {}, columns)
 
 
 @dataclass(frozen=True)
@@ -683,9 +625,20 @@ def read_parquet(folder: str | Path, topics: Selection | None = None) -> Trip:
     >>> list(trip), list(trip["/train/state"].columns)
     (['/train/state'], ['speed'])
     """
-    with _opened(Path(folder), topics) as (trip, files):
-        frames = {name: file.frame(file.read()) for name, file in files.items()}
-    return replace(trip, topics=frames)
+    folder = Path(folder)
+    index = trip_index(folder)
+    attachments = {}
+    for entry in index.attachments:
+        attachments[entry.name] = read_bytes(_inside(folder, entry.file), any_kind=True)
+        if sha256(attachments[entry.name]) != entry.sha256:
+            raise _damaged(folder / entry.file, "its checksum is another")
+    wanted = _wanted(index, topics)
+    frames = {
+        each.topic: _frame_in(each, _inside(folder, each.file), wanted[each.topic])
+        for each in index.topics
+        if each.topic in wanted
+    }
+    return Trip(frames, index.metadata, tuple(index.provenance), attachments)
 
 
 def trip_index(folder: str | Path) -> TripIndex:
@@ -709,28 +662,6 @@ def trip_index(folder: str | Path) -> TripIndex:
     data = read_bytes(path / INDEX_FILE)
     kind = CsvTripIndex if CsvTripIndex.FORMAT.encode() in data[:LOOKED_AT] else TripIndex
     return thing_from_bytes(kind, data, path / INDEX_FILE)
-
-
-@contextmanager
-def _opened(
-    folder: Path, topics: Selection | None
-) -> Iterator[tuple[Trip, dict[str, TopicReader]]]:
-    """The trip without its topics, and the open files of those wanted."""
-    index = trip_index(folder)
-    attachments = {}
-    for entry in index.attachments:
-        attachments[entry.name] = read_bytes(_inside(folder, entry.file), any_kind=True)
-        if sha256(attachments[entry.name]) != entry.sha256:
-            raise _damaged(folder / entry.file, "its checksum is another")
-    wanted = _wanted(index, topics)
-    with ExitStack() as files:
-        readers = {}
-        for each in index.topics:
-            if each.topic in wanted:
-                path = _inside(folder, each.file)
-                readers[each.topic] = each.reader(path, wanted[each.topic])
-                files.callback(readers[each.topic].close)
-        yield Trip({}, index.metadata, tuple(index.provenance), attachments), readers
 
 
 def _wanted(index: TripIndex, topics: Selection | None) -> dict[str, list[str] | None]:
@@ -765,111 +696,85 @@ LONGEST = 2**53
 
 @contextmanager
 def mdf_writer(path: str | Path) -> Iterator[MdfWriter]:
-    """Write a measurement file piece by piece; whole or not at all."""
+    """Write a measurement file of pieces, which are held until the last; whole or not at all."""
     library = load("asammdf")
+    writer = MdfWriter()
+    yield writer
     with atomic_write(path) as temporary, closing(library.MDF(version="4.10")) as mdf:
-        writer = MdfWriter(Path(path), mdf, library.Signal)
-        yield writer
-        writer.save(temporary)
+        _fill(mdf, library.Signal, writer.trip, Path(path))
+        with _quiet():
+            made = Path(mdf.save(temporary, overwrite=True, compression=2))
+        if made != temporary:
+            made.replace(temporary)
 
 
 class MdfWriter:
-    """A measurement file being written; made by `mdf_writer`.
+    """The pieces of a trip that becomes a measurement file; made by `mdf_writer`."""
 
-    Samples go to asammdf's temporary file, words (events) are held until the end.
-    """
-
-    def __init__(self, path: Path, mdf: Any, signal: Callable[..., Any]) -> None:
-        self._path, self._mdf, self._signal = path, mdf, signal
+    def __init__(self) -> None:
         self._head: Trip | None = None
-        self._start = 0
-        self._groups: dict[str, int] = {}
-        self._words: dict[str, list[pd.DataFrame]] = {}
-        self._frames: dict[str, pd.DataFrame] = {}
+        self._frames: dict[str, list[pd.DataFrame]] = {}
 
     def add(self, piece: Trip) -> None:
-        """Append the rows of a piece.
-
-        Raises
-        ------
-        LogError
-            If a topic changes its columns, or the trip is longer than 104 days.
-        """
-        if self._head is None:
-            starts = [frame.index[0] for frame in piece.topics.values() if len(frame)]
-            first = min(starts) if starts else pd.Timestamp(0, tz="UTC")
-            self._start = int(first.floor("s").as_unit("ns").value)
+        """Append the rows of a piece; LogError if a topic changes its columns."""
         self._head = joined_head(self._head, piece)
         for topic, frame in piece.topics.items():
-            check_columns(topic, self._frames.setdefault(topic, frame.iloc[:0]).columns, frame)
-            if any(frame[name].dtype.kind not in "fiub" for name in frame.columns):
-                self._words.setdefault(topic, []).append(frame)
-            elif len(frame):
-                self._append(topic, frame)
+            pieces = self._frames.setdefault(topic, [])
+            check_columns(topic, pieces[0].columns if pieces else frame.columns, frame)
+            pieces.append(frame)
 
-    def _append(self, topic: str, frame: pd.DataFrame) -> None:
-        """Write rows behind those of the topic that are in the file."""
-        since = pd.DatetimeIndex(frame.index).as_unit("ns").asi8 - self._start
-        if since[-1] > LONGEST or since[0] < -LONGEST:
+    @property
+    def trip(self) -> Trip:
+        """The whole trip."""
+        joined = {topic: pd.concat(pieces) for topic, pieces in self._frames.items()}
+        for topic, pieces in self._frames.items():
+            joined[topic].attrs = pieces[0].attrs
+        head = Trip({}) if self._head is None else self._head
+        return replace(head, topics=joined)
+
+
+def _fill(mdf: Any, signal: Callable[..., Any], trip: Trip, path: Path) -> None:
+    """Put a trip into a measurement file: a group of channels a topic, and an index of them."""
+    starts = [frame.index[0] for frame in trip.topics.values() if len(frame)]
+    first = min(starts).floor("s") if starts else pd.Timestamp(0, tz="UTC")
+    mdf.header.start_time = first.to_pydatetime()
+    start, topics = int(first.as_unit("ns").value), []
+    for topic, frame in trip.topics.items():
+        entry: dict[str, Any] = {"topic": topic, "group": None}
+        entry["columns"] = {str(name): str(frame[name].dtype) for name in frame.columns}
+        topics.append(entry | {"attrs": dict(frame.attrs)})
+        if not len(frame):
+            continue
+        since = nanoseconds(frame) - start
+        if since[-1] > LONGEST:
             raise LogError(
                 f"{topic} is longer than the 104 days for which MDF gives every nanosecond",
-                file=self._path,
+                file=path,
                 remedy="cut it, or convert to Parquet",
             )
-        seconds = since / NANOSECONDS
-        columns = [_samples(frame[name]) for name in frame.columns]
-        if topic in self._groups:
-            parts = [(seconds, None), *((column, None) for column in columns)]
-            self._mdf.extend(self._groups[topic], parts)
-            return
         _, fields = described_fields(topic, map(str, frame.columns), frame.attrs)
-        signals = [
-            self._signal(
-                samples=column,
-                timestamps=seconds,
-                name=str(name),
-                unit=fields[name].unit if name in fields else "",
-                comment=fields[name].meaning if name in fields else "",
-                **({"encoding": "utf-8"} if column.dtype.kind == "S" else {}),
+        signals = []
+        for name in map(str, frame.columns):
+            samples = _samples(frame[name])
+            words = {"encoding": "utf-8"} if samples.dtype.kind == "S" else {}
+            if name in fields:
+                words |= {"unit": fields[name].unit, "comment": fields[name].meaning}
+            signals.append(
+                signal(samples=samples, timestamps=since / NANOSECONDS, name=name, **words)
             )
-            for name, column in zip(frame.columns, columns, strict=True)
-        ]
-        group = self._mdf.append(signals, acq_name=topic, common_timebase=True)
-        self._groups[topic] = int(group)
-
-    def save(self, path: Path) -> None:
-        """Write the words, the attachments and the index, and save the file."""
-        for topic, frames in self._words.items():
-            joined = pd.concat(frames)
-            joined.attrs = frames[0].attrs
-            if len(joined):
-                self._append(topic, joined)
-        head = Trip({}) if self._head is None else self._head
-        self._mdf.header.start_time = pd.Timestamp(self._start, tz="UTC").to_pydatetime()
-        index = {
-            "format": FORMAT,
-            "version": VERSION,
-            "start": self._start,
-            "topics": [
-                {
-                    "topic": topic,
-                    "group": self._groups.get(topic),
-                    "columns": {str(n): str(frame[n].dtype) for n in frame.columns},
-                    "attrs": dict(frame.attrs),
-                }
-                for topic, frame in self._frames.items()
-            ],
-            "metadata": head.metadata,
-            "provenance": list(head.provenance),
-            "attachments": sorted(head.attachments),
-        }
-        text = json.dumps(index, ensure_ascii=False, allow_nan=False).encode()
-        for name, content in [*sorted(head.attachments.items()), (INDEX, text)]:
-            self._mdf.attach(content, file_name=name, compression=True, embedded=True)
-        with _quiet():
-            made = Path(self._mdf.save(path, overwrite=True, compression=2))
-        if made != path:
-            made.replace(path)
+        topics[-1]["group"] = int(mdf.append(signals, acq_name=topic, common_timebase=True))
+    index = {
+        "format": FORMAT,
+        "version": VERSION,
+        "start": start,
+        "topics": topics,
+        "metadata": trip.metadata,
+        "provenance": list(trip.provenance),
+        "attachments": sorted(trip.attachments),
+    }
+    text = json.dumps(index, ensure_ascii=False, allow_nan=False).encode()
+    for name, content in [*sorted(trip.attachments.items()), (INDEX, text)]:
+        mdf.attach(content, file_name=name, compression=True, embedded=True)
 
 
 def read_mdf_trip(path: str | Path) -> Trip:

@@ -981,18 +981,6 @@ class ParameterSet(Declared):
 
 
 # ------------------------------------------------------------------ vehicles
-# A `Consist` has every vehicle as a particle with its own forces. A `RollingVehicle` is given in
-# per mille of its weight: running resistance after Strahl (wagons) and Sauthoff (coaches), and that
-# of the traction unit, as in Wende, D. (2003), Fahrdynamik des Schienenverkehrs, pp. 151-153. All
-# are quadratic in speed, so that each is a `RunningResistance` with coefficients in newtons.
-
-VehicleType = Literal["traction unit", "multiple unit", "passenger", "freight"]
-
-REFERENCE_SPEED = 100.0 / KMH
-"""Speed at which the air resistance is given [m/s]."""
-
-HEAD_WIND = 15.0 / KMH
-"""Wind that is added to the speed in the air resistance of coaches and traction units [m/s]."""
 
 
 _NONLINEAR = Quantity("1/m^2", "1/m^2", must=FINITE, stated="required")
@@ -1324,69 +1312,3 @@ class Consist(Declared):
     def resistance(self) -> RunningResistance:
         """Of all vehicles together."""
         return reduce(add, (vehicle.resistance for vehicle in self.vehicles))
-
-
-@dataclass(frozen=True)
-class RollingVehicle:
-    """A vehicle of the rolling stock.
-
-    Attributes
-    ----------
-    name, kind : str
-    length : float [m]
-    mass, load : float [kg]
-        Empty mass, and the heaviest load.
-    adhesive_mass : float [kg]
-        On the powered axles, empty.
-    inertia_factor : float
-        Mass with the rotating part over mass.
-    basic_resistance, rolling_resistance, air_resistance : float
-        Over weight; of a traction unit the first is of its powered, the second of its carrying
-        axles, of a coach the second grows with speed. The air's is at 100 km/h.
-    max_speed : float [m/s]
-    effort : EffortCurve or None
-    deceleration : float or None [m/s²]
-        Of service braking.
-    """
-
-    name: str
-    kind: VehicleType
-    length: float
-    mass: float
-    load: float = 0.0
-    adhesive_mass: float = 0.0
-    inertia_factor: float = 1.06
-    basic_resistance: float = 0.0
-    rolling_resistance: float = 0.0
-    air_resistance: float = 0.0
-    max_speed: float = np.inf
-    effort: EffortCurve | None = None
-    deceleration: float | None = None
-
-    @property
-    def powered(self) -> bool:
-        """Whether it pulls."""
-        return self.kind in ("traction unit", "multiple unit")
-
-    def resistance(self, load: float) -> RunningResistance:
-        """Running resistance with `load` [kg] on board; Wende (2003), pp. 151 and 153."""
-        if self.powered:
-            weight = GRAVITY * self.mass  # published for the unit as it is, whatever it carries
-            carrying = self.mass - self.adhesive_mass
-            basic = GRAVITY * (
-                self.basic_resistance * self.adhesive_mass + self.rolling_resistance * carrying
-            )
-            return RunningResistance(basic, 0.0, 0.0) + _air(self.air_resistance * weight)
-        weight = GRAVITY * (self.mass + load)
-        basic = self.basic_resistance * weight
-        if self.kind == "freight":  # Strahl: without wind
-            air = self.air_resistance * weight / REFERENCE_SPEED**2
-            return RunningResistance(basic, 0.0, air)
-        rolling = self.rolling_resistance * weight / REFERENCE_SPEED  # Sauthoff
-        return RunningResistance(basic, rolling, 0.0) + _air(self.air_resistance * weight)
-
-
-def _air(force: float) -> RunningResistance:
-    """Air resistance that is `force` [N] at the reference speed, with the head wind."""
-    quadratic = force / REFERENCE_SPEED**2
-    return RunningResistance(quadratic * HEAD_WIND**2, 2.0 * quadratic * HEAD_WIND, quadratic)
