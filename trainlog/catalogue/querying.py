@@ -43,6 +43,8 @@ _DAY = 86_400_000_000_000
 
 COLUMNS = [each.name for each in TRIP_COLUMNS]
 
+_ESTIMATED = "; what the analysis passport estimated is asked by 'trainlog fleet query'"
+
 
 def conditions(
     where: str | None = None,
@@ -209,14 +211,21 @@ class Trips(Database):
         ...     catalogue.unmatched("weather = 'Wet'")
         ["no trip has the weather 'Wet'; did you mean 'wet'? known: dry, wet"]
         """
-        from trainlog.catalogue.where import keys_asked, texts_asked
+        from trainlog.catalogue.where import asked_by
 
-        asked = [] if where is None else texts_asked(where)
+        asked = [] if where is None else asked_by(where)
         asked += [(n, v) for n, v in (("train", train), ("line", line)) if v is not None]
         found = []
         for column, value in dict.fromkeys(asked):
-            values = _values(self, column)
+            keys = column in ("labels", "passport")
+            values = _keys(self, column) if keys else _values(self, column)
             if value in values:
+                continue
+            if keys:
+                what = "label" if column == "labels" else "value in its passport named"
+                known = f"known: {', '.join(values)}" if values else "none states any"
+                also = _ESTIMATED if column == "passport" else ""
+                found.append(f"no trip has a {what} '{value}'; {known}{also}")
                 continue
             folded = {each.casefold(): each for each in reversed(values)}
             close = get_close_matches(value.casefold(), list(folded), n=1)
@@ -224,15 +233,6 @@ class Trips(Database):
             more = f" and {len(values) - 8} more" if len(values) > 8 else ""
             known = f" known: {', '.join(values[:8])}{more}" if values else " none states any"
             found.append(f"no trip has the {column} '{value}';{meant}{known}")
-        for column, key in dict.fromkeys([] if where is None else keys_asked(where)):
-            keys = _keys(self, column)
-            if key in keys:
-                continue
-            what = "label" if column == "labels" else "value in its passport named"
-            known = f"known: {', '.join(keys)}" if keys else "none states any"
-            estimated = "; what the analysis passport estimated is asked by 'trainlog fleet query'"
-            also = estimated if column == "passport" else ""
-            found.append(f"no trip has a {what} '{key}'; {known}{also}")
         return found
 
     def paths(self, where: str | None = None, **limits: Any) -> list[Path]:

@@ -56,6 +56,11 @@ class FileOutcome:
     damage: str = ""
 
 
+def _file_table(outcomes: Sequence[FileOutcome]) -> WordTable:
+    columns = map(Column, ("path", "state", "reason", "damage"))
+    return new_table("Files", *columns, name="files", usual=False).add_rows(outcomes)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Added(Presented):
     """What became of all files that were added."""
@@ -77,8 +82,7 @@ class Added(Presented):
 
     def tables(self) -> list[WordTable]:
         """A row per file."""
-        columns = map(Column, ("path", "state", "reason", "damage"))
-        return [new_table("Files", *columns, name="files", usual=False).add_rows(self.outcomes)]
+        return [_file_table(self.outcomes)]
 
     def sentences(self) -> list[str]:
         """Which logs are damaged, and what became of all files."""
@@ -113,8 +117,12 @@ class Added(Presented):
         return ", ".join(words)
 
 
+_STANDING = ("present", "refused", "vanished")
+"""States of files that are where they were seen last."""
+
+
 def register(
-    connection: sa.Connection, entries: Sequence[FileEntry], now: int, present: Mapping[str, bool]
+    connection: sa.Connection, entries: Sequence[FileEntry], now: int
 ) -> list[FileOutcome]:
     """Register files that were looked at; what became of each, in their order.
 
@@ -124,70 +132,50 @@ def register(
     entries : sequence of FileEntry
     now : int
         [ns since 1970]
-    present : mapping of str to bool
-        Whether files of the same contents that are known stand where they stood, by path.
     """
-    ids = _ids(connection, {each.sha256 for each in entries if each.entry is not None})
-    known_before = set(ids)
-    new = {each.sha256: each for each in entries if each.entry is not None}
-    _insert(connection, [each for sha, each in new.items() if sha not in ids], now)
-    ids |= _ids(connection, {sha for sha in new if sha not in ids})
-    rows = _rows_of(connection, entries)
-    found, touched = [], set[int]()
+    read = {each.sha256: each for each in entries if each.entry is not None}
+    ids = _ids(connection, read)
+    new = [each for sha256, each in read.items() if sha256 not in ids]
+    ids |= _inserted(connection, new, now)
+    unseen, touched, found = {each.sha256 for each in new}, set(ids.values()), []
     for each in entries:
-        trip = ids.get(each.sha256) if each.entry is not None else None
-        state = _place_file(connection, each, trip, rows, present, touched)
-        if trip is not None:
-            touched.add(trip)
-            if state in ("new", "moved", "copy") and each.sha256 not in known_before:
-                state, known_before = "new", known_before | {each.sha256}
+        trip = ids[each.sha256] if each.entry is not None else None
+        state = _place_file(connection, each, trip, touched)
+        if each.sha256 in unseen and state in ("moved", "copy"):
+            state = "new"
+        unseen -= {each.sha256} if trip is not None and state != "version" else set()
         found.append(FileOutcome(each.path, state, each.reason))
-    new_rows = [
-        {name: value for name, value in row.items() if name != "id"}
-        for row in rows
-        if row["id"] is None
-    ]
-    if new_rows:
-        connection.execute(sa.insert(files), new_rows)
     settle(connection, touched)
     return found
 
 
 def _place_file(
-    connection: sa.Connection,
-    entry: FileEntry,
-    trip: int | None,
-    rows: list[dict[str, Any]],
-    present: Mapping[str, bool],
-    touched: set[int],
+    connection: sa.Connection, entry: FileEntry, trip: int | None, touched: set[int]
 ) -> FileState:
     """Put a file into the table of files; the trips whose files change are added to `touched`."""
-    here = [row for row in rows if row["path"] == entry.path]
-    standing = [row for row in here if row["state"] in ("present", "refused", "vanished")]
-    same = next((row for row in here if row["sha256"] == entry.sha256), None)
-    state: FileState = "new" if trip is not None else "refused"
-    if same is not None and same in standing and trip is not None and same["state"] == "present":
-        state = "known"
+    content = files.c.sha256 == entry.sha256
+    same = (files.c.path == entry.path) & content
+    before = connection.execute(sa.select(files.c.state).where(same)).scalar()
+    state: FileState = "refused" if trip is None else "known" if before == "present" else "new"
     # Of a file that cannot be read nothing is known: what stood there is not overwritten.
-    for row in standing if entry.sha256 else ():
-        if row is same:
-            continue
-        if row["trip"] is None:
-            if row["id"] is not None:
-                connection.execute(sa.delete(files).where(files.c.id == row["id"]))
-            rows.remove(row)
-            continue
-        state = "version" if trip is not None else state
-        _set_file(connection, row, touched, state="replaced")
-    if trip is not None and state == "new":
-        for row in rows:
-            if row["sha256"] != entry.sha256 or row["path"] == entry.path:
-                continue
-            if row["state"] == "present" and present.get(row["path"], True):
+    if entry.sha256:
+        other = (files.c.path == entry.path) & ~content & files.c.state.in_(_STANDING)
+        connection.execute(sa.delete(files).where(other, files.c.trip.is_(None)))
+        asked = sa.update(files).where(other).values(state="replaced").returning(files.c.trip)
+        replaced = set(connection.execute(asked).scalars())
+        touched |= replaced
+        state = "version" if replaced and trip is not None else state
+    if state == "new":
+        copies = sa.select(files).where(
+            content, files.c.path != entry.path, files.c.state.in_(("present", "vanished"))
+        )
+        for row in connection.execute(copies.order_by(files.c.id)).mappings().all():
+            if row["state"] == "present" and Path(row["path"]).is_file():
                 state = "copy" if state == "new" else state
-            elif row["state"] in ("present", "vanished"):
+            else:
                 state = "moved"
-                _set_file(connection, row, touched, state="moved")
+                gone = sa.update(files).where(files.c.id == row["id"])
+                connection.execute(gone.values(state="moved"))
     values = {
         "path": entry.path,
         "sha256": entry.sha256,
@@ -197,35 +185,12 @@ def _place_file(
         "state": "refused" if trip is None else "present",
         "reason": entry.reason,
     }
-    if same is not None:
-        _set_file(connection, same, touched, **values)
-    else:
-        rows.append({"id": None, **values})
+    put = sa.insert(files) if before is None else sa.update(files).where(same)
+    connection.execute(put.values(values))
     return state
 
 
-def _set_file(
-    connection: sa.Connection, row: dict[str, Any], touched: set[int], **values: Any
-) -> None:
-    """Change a row of files; one without a number is inserted with all others of its batch."""
-    if row["id"] is not None:
-        connection.execute(sa.update(files).where(files.c.id == row["id"]).values(values))
-    touched.update({row["trip"]} - {None})
-    row.update(values)
-
-
-def _rows_of(connection: sa.Connection, entries: Sequence[FileEntry]) -> list[dict[str, Any]]:
-    """The rows of files of the same paths or contents."""
-    found: dict[int, dict[str, Any]] = {}
-    shas = {each.sha256 for each in entries} - {""}
-    for column, values in ((files.c.path, {e.path for e in entries}), (files.c.sha256, shas)):
-        for part in parts(sorted(values)):
-            asked = sa.select(files).where(column.in_(part))
-            found |= {row["id"]: dict(row) for row in connection.execute(asked).mappings()}
-    return [found[number] for number in sorted(found)]
-
-
-def _ids(connection: sa.Connection, digests: set[str]) -> dict[str, int]:
+def _ids(connection: sa.Connection, digests: Iterable[str]) -> dict[str, int]:
     """The rows of trips by content."""
     found: dict[str, int] = {}
     for part in parts(sorted(digests)):
@@ -234,17 +199,16 @@ def _ids(connection: sa.Connection, digests: set[str]) -> dict[str, int]:
     return found
 
 
-def _insert(connection: sa.Connection, entries: Sequence[FileEntry], now: int) -> None:
-    """Insert the trips of files."""
-    rows, edges = [], []
+def _inserted(connection: sa.Connection, entries: Sequence[FileEntry], now: int) -> dict[str, int]:
+    """Insert the trips of files; their rows by content."""
+    rows, edges = list[dict[str, Any]](), list[dict[str, Any]]()
     for each in entries:
-        entry = each.entry
-        assert entry is not None
-        identity = entry.identity
+        assert each.entry is not None
+        identity = each.entry.identity
         rows.append(
             {
-                **entry.values,
-                "key": entry.key or each.sha256[:32],
+                **each.entry.values,
+                "key": each.entry.key or each.sha256[:32],
                 "sha256": each.sha256,
                 "added": now,
                 "source": "" if identity is None else identity.source,
@@ -252,10 +216,9 @@ def _insert(connection: sa.Connection, entries: Sequence[FileEntry], now: int) -
                 "standing": "counts",
             }
         )
-    if not rows:
-        return
-    connection.execute(sa.insert(trips), rows)
-    ids = _ids(connection, {each.sha256 for each in entries})
+    if rows:
+        connection.execute(sa.insert(trips), rows)
+    ids = _ids(connection, [each.sha256 for each in entries])
     names = ("edge", "km_from", "km_to", "direction")
     for each in entries:
         assert each.entry is not None
@@ -265,21 +228,7 @@ def _insert(connection: sa.Connection, entries: Sequence[FileEntry], now: int) -
         ]
     if edges:
         connection.execute(sa.insert(trip_edges), edges)
-
-
-def place_again(connection: sa.Connection, rows: Sequence[int], gone: set[int]) -> None:
-    """Mark files as vanished, those of `gone`, or as present again."""
-    touched = set[int]()
-    for number in rows:
-        before, after = ("present", "vanished") if number in gone else ("vanished", "present")
-        asked = (
-            sa.update(files)
-            .where(files.c.id == number, files.c.state == before)
-            .values(state=after)
-            .returning(files.c.trip)
-        )
-        touched |= set(connection.execute(asked).scalars()) - {None}
-    settle(connection, touched)
+    return ids
 
 
 def forget(connection: sa.Connection, numbers: Sequence[int]) -> int:
@@ -303,22 +252,13 @@ def parts(values: Sequence[Any]) -> Iterable[Sequence[Any]]:
 
 # ------------------------------------------------------------------------ which recording counts
 
-_ASKED = (
-    trips.c.id,
-    trips.c.key,
-    trips.c.name,
-    trips.c.sha256,
-    trips.c.start,
-    trips.c.end,
-    trips.c.samples,
-    trips.c.messages,
-    trips.c.quality,
-    trips.c.source,
-    trips.c.blocks,
-    trips.c.standing,
-    trips.c.same_as,
-    trips.c.share,
-)
+_ASKED = [
+    trips.c[name]
+    for name in (
+        "id", "name", "sha256", "start", "end", "samples", "messages", "quality", "source",
+        "blocks", "standing", "same_as", "share",
+    )
+]  # fmt: skip
 
 _QUALITIES = ("whole", "unclosed", "damaged")
 """The better one first."""
@@ -337,23 +277,16 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
     if not touched:
         return
     drives = _drives(connection, touched)
-    placed = _files_by_trip(connection, sorted(drives))
-    older = _older_versions(connection, placed)
+    older, present = dict[int, int](), set[int]()
+    for part in parts(sorted(drives)):
+        older |= _older_versions(connection, part)
+        asked = sa.select(files.c.trip).where(files.c.trip.in_(part), files.c.state == "present")
+        present |= set(connection.execute(asked).scalars())
     rows = [drives[number] for number in sorted(drives) if number not in older]
-    states = {number: {row["state"] for row in placed.get(number, ())} for number in drives}
-    known = [
-        Known(
-            row["name"],
-            _identity(row),
-            (
-                "present" not in states[row["id"]],
-                -row["messages"],
-                _QUALITIES.index(row["quality"]),
-                row["sha256"],
-            ),
-        )
-        for row in rows
-    ]
+    known = []
+    for row in rows:
+        worse = (row["id"] not in present, -row["messages"], _QUALITIES.index(row["quality"]))
+        known.append(Known(row["name"], _identity(row), (*worse, row["sha256"])))
     new: dict[int, tuple[str, int | None, float | None]] = dict.fromkeys(
         drives, ("counts", None, None)
     )
@@ -369,45 +302,30 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
 
 def _drives(connection: sa.Connection, touched: set[int]) -> dict[int, _Row]:
     """The trips, all that share recorded minutes with them, all that share some with these ..."""
-    found: dict[int, _Row] = {}
-    new: dict[int, _Row] = {}
-    for part in parts(sorted(touched)):
-        asked = sa.select(*_ASKED).where(trips.c.id.in_(part))
-        new |= {row["id"]: row for row in connection.execute(asked).mappings()}
     longest = connection.execute(sa.select(sa.func.max(trips.c.duration))).scalar() or 0.0
+    found: dict[int, _Row] = {}
+    new = _rows(connection, touched)
     while new:
         found |= new
-        beside = _meeting(connection, new.values(), int(longest * 1e9) + 1)
-        new = _sharing(new, {n: row for n, row in beside.items() if n not in found})
+        # The same minutes of a drive were recorded at the same time.
+        one, beside = trips.alias(), set[int]()
+        met = sa.select(trips.c.id).join(
+            one,
+            trips.c.start.between(one.c.start - int(longest * 1e9) - 1, one.c.end)
+            & (trips.c.end >= one.c.start),
+        )
+        for part in parts(sorted(new)):
+            beside |= set(connection.execute(met.where(one.c.id.in_(part)).distinct()).scalars())
+        new = _sharing(new, _rows(connection, beside - found.keys()))
     return found
 
 
-def _meeting(connection: sa.Connection, rows: Iterable[_Row], longest: int) -> dict[int, _Row]:
-    """The trips that were on their way at the same time as one of these.
-
-    The same minutes of a drive were recorded at the same time.
-    """
+def _rows(connection: sa.Connection, numbers: set[int]) -> dict[int, _Row]:
     found: dict[int, _Row] = {}
-    window: tuple[int, int] | None = None
-    for row in sorted(rows, key=lambda row: row["start"]):
-        start, end = row["start"], row["end"]
-        if window is not None and start <= window[1] + longest:
-            window = (window[0], max(window[1], end))
-            continue
-        found |= _within(connection, window, longest)
-        window = (start, end)
-    return found | _within(connection, window, longest)
-
-
-def _within(
-    connection: sa.Connection, window: tuple[int, int] | None, longest: int
-) -> dict[int, _Row]:
-    if window is None:
-        return {}
-    asked = sa.select(*_ASKED).where(
-        trips.c.start.between(window[0] - longest, window[1]), trips.c.end >= window[0]
-    )
-    return {row["id"]: row for row in connection.execute(asked).mappings()}
+    for part in parts(sorted(numbers)):
+        asked = sa.select(*_ASKED).where(trips.c.id.in_(part))
+        found |= {row["id"]: row for row in connection.execute(asked).mappings()}
+    return found
 
 
 def _sharing(rows: Mapping[int, _Row], others: Mapping[int, _Row]) -> dict[int, _Row]:
@@ -416,16 +334,10 @@ def _sharing(rows: Mapping[int, _Row], others: Mapping[int, _Row]) -> dict[int, 
         return {}
     sources = {row["source"] for row in rows.values()} - {""}
     blocks = np.concatenate([_blocks(row) for row in rows.values()])
-    numbers = list(others)
-    every = [_blocks(others[number]) for number in numbers]
-    owner = np.repeat(np.arange(len(numbers)), [each.size for each in every])
-    shared = np.zeros(len(numbers), dtype=bool)
-    shared[owner[np.isin(np.concatenate(every), blocks)]] = True
-    return {
-        number: others[number]
-        for number, both in zip(numbers, shared.tolist(), strict=True)
-        if both or others[number]["source"] in sources
-    }
+    every = [_blocks(row) for row in others.values()]
+    owner = np.repeat(np.array(list(others)), [each.size for each in every])
+    shared = set(owner[np.isin(np.concatenate(every), blocks)].tolist())
+    return {n: row for n, row in others.items() if n in shared or row["source"] in sources}
 
 
 def _blocks(row: _Row) -> np.ndarray[Any, np.dtype[np.uint64]]:
@@ -442,42 +354,18 @@ def _identity(row: _Row) -> TripIdentity | None:
     return TripIdentity(first, last, row["samples"], blocks, row["source"])
 
 
-def _files_by_trip(
-    connection: sa.Connection, numbers: Sequence[int]
-) -> dict[int, list[dict[str, Any]]]:
-    """The files of trips, and what else stood under their names."""
-    found: dict[int, list[dict[str, Any]]] = {}
-    for part in parts(numbers):
-        asked = sa.select(files).where(files.c.trip.in_(part))
-        for row in connection.execute(asked).mappings():
-            found.setdefault(row["trip"], []).append(dict(row))
-    return found
-
-
-def _older_versions(
-    connection: sa.Connection, placed: Mapping[int, Sequence[Mapping[str, Any]]]
-) -> dict[int, int]:
+def _older_versions(connection: sa.Connection, numbers: Sequence[int]) -> dict[int, int]:
     """Trips whose files were all overwritten by logs of trips, each with one that stands there."""
-    states = {number: {row["state"] for row in rows} for number, rows in placed.items()}
-    lost = [
-        number
-        for number, found in states.items()
-        if "replaced" in found and not found & {"present", "vanished"}
-    ]
-    paths = {row["path"] for number in lost for row in placed[number]}
-    now: dict[str, int] = {}
-    for part in parts(sorted(paths)):
-        asked = sa.select(files.c.path, files.c.trip).where(
-            files.c.path.in_(part),
-            files.c.state.in_(("present", "vanished")),
-            files.c.trip.is_not(None),
-        )
-        now |= {row.path: row.trip for row in connection.execute(asked)}
-    later = {
-        number: [now[row["path"]] for row in placed[number] if row["path"] in now]
-        for number in lost
-    }
-    return {number: min(others) for number, others in later.items() if others}
+    there = ("present", "vanished")
+    now, own = files.alias(), files.alias()
+    stands = sa.exists().where(own.c.trip == files.c.trip, own.c.state.in_(there))
+    asked = (
+        sa.select(files.c.trip, sa.func.min(now.c.trip))
+        .join(now, (now.c.path == files.c.path) & now.c.state.in_(there))
+        .where(files.c.trip.in_(numbers), files.c.state == "replaced", ~stands)
+        .where(now.c.trip.is_not(None))
+    )
+    return {row[0]: row[1] for row in connection.execute(asked.group_by(files.c.trip))}
 
 
 BATCH = 200
@@ -530,8 +418,7 @@ class Refreshed(Presented):
 
     def tables(self) -> list[WordTable]:
         """A row per file that was read."""
-        columns = map(Column, ("path", "state", "reason", "damage"))
-        return [new_table("Files", *columns, name="files", usual=False).add_rows(self.outcomes)]
+        return [_file_table(self.outcomes)]
 
     def sentences(self) -> list[str]:
         """Which files are not as they were, and all of it in a line."""
@@ -655,16 +542,6 @@ def _unchanged(database: Database, paths: Sequence[str]) -> dict[str, tuple[Any,
     return found
 
 
-def _present(database: Database, entries: Sequence[FileEntry]) -> dict[str, bool]:
-    """Whether known files of the same contents stand where they stood."""
-    found: dict[str, bool] = {}
-    with database.reading() as connection:
-        for part in parts(sorted({each.sha256 for each in entries} - {""})):
-            asked = sa.select(files.c.path).where(files.c.sha256.in_(part))
-            found |= dict.fromkeys(connection.execute(asked).scalars(), False)
-    return {path: Path(path).is_file() for path in found}
-
-
 def _compared(database: Database) -> tuple[set[int], set[int], set[str], int]:
     """Rows of files that are gone, and back; paths whose content changed; files as before."""
     asked = sa.select(files).where(files.c.state.in_(("present", "vanished")))
@@ -762,10 +639,8 @@ class Files(Database):
         """
         outcomes: list[FileOutcome] = []
         for at in range(0, len(entries), BATCH):
-            part = entries[at : at + BATCH]
-            present = _present(self, part)
             with self.writing() as connection:
-                outcomes += register(connection, part, time.time_ns(), present)
+                outcomes += register(connection, entries[at : at + BATCH], time.time_ns())
         return Added(_settled(self, outcomes))
 
     def refresh(self, paths: Iterable[str | Path] = ()) -> Refreshed:
@@ -792,9 +667,13 @@ class Files(Database):
         """
         paths = list(paths)
         gone, back, changed, same = _compared(self)
-        for part in parts(sorted(gone | back)):
-            with self.writing() as connection:
-                place_again(connection, part, gone)
+        for numbers, state in ((gone, "vanished"), (back, "present")):
+            for part in parts(sorted(numbers)):
+                # Unless another process has done something with the file meanwhile.
+                seen = files.c.id.in_(part) & files.c.state.in_(("present", "vanished"))
+                asked = sa.update(files).where(seen).values(state=state).returning(files.c.trip)
+                with self.writing() as connection:
+                    settle(connection, set(connection.execute(asked).scalars()) - {None})
         added = self.add(paths).outcomes if paths else ()
         read = [*self.register(list(read_files(sorted(changed)))).outcomes, *added]
         moved = [each.path for each in read if each.state == "moved"]

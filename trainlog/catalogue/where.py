@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -44,6 +44,9 @@ FUNCTIONS = {
     "passport": "passport('effort_gain'), a value of the passport",
 }
 """Functions of expressions, each as it is written."""
+
+_HOLDERS = {"label": "labels", "topic": "topics", "passport": "passport"}
+"""Columns of JSON by the function that asks for one of the values that they hold."""
 
 _COLUMNS = {each.name: each for each in TRIP_COLUMNS}
 _AS_JSON = {
@@ -107,43 +110,19 @@ def condition_of(text: str, zone: str | None = None) -> sa.ColumnElement[bool]:
     return _Compiler(text, zone).condition()
 
 
-def texts_asked(text: str) -> list[tuple[str, str]]:
-    """Columns of texts, and the texts that an expression asks them to equal, in its order.
+def asked_by(text: str) -> list[tuple[str, str]]:
+    """Columns, each with a text that an expression asks it to equal, or with a key, in its order.
+
+    Keys are those of ``label('x')`` and ``passport('x')``.
 
     Examples
     --------
-    >>> texts_asked("weather = 'wet' and train in ('flirt-01', 'flirt-02') and load > '10 t'")
-    [('weather', 'wet'), ('train', 'flirt-01'), ('train', 'flirt-02')]
+    >>> asked_by("weather = 'wet' and train in ('a', 'b') and label('season') = 'summer'")
+    [('weather', 'wet'), ('train', 'a'), ('train', 'b'), ('labels', 'season')]
     """
-    found: list[tuple[str, str]] = []
-    (parsed,) = sqlglot.parse(f"({text})")
-    for node in parsed.find_all(exp.EQ, exp.In, bfs=False) if parsed is not None else ():
-        sides = (
-            [node.this, *node.expressions] if isinstance(node, exp.In) else list(node.args.values())
-        )
-        names = [each.name.lower() for each in sides if isinstance(each, exp.Column)]
-        texts = [each.this for each in sides if isinstance(each, exp.Literal) and each.is_string]
-        if len(names) == 1 and names[0] in _COLUMNS and _COLUMNS[names[0]].kind == "text":
-            found += [(names[0], each) for each in texts]
-    return found
-
-
-def keys_asked(text: str) -> list[tuple[str, str]]:
-    """The columns and keys that an expression asks by ``label('x')`` and ``passport('x')``.
-
-    Examples
-    --------
-    >>> keys_asked("label('season') = 'summer' and passport('mass') > 2")
-    [('labels', 'season'), ('passport', 'mass')]
-    """
-    columns = {"label": "labels", "passport": "passport"}
-    (parsed,) = sqlglot.parse(f"({text})")
-    found = []
-    for node in parsed.find_all(exp.Anonymous, bfs=False) if parsed is not None else ():
-        name = str(node.this).lower()
-        if name in columns and node.expressions:
-            found.append((columns[name], str(node.expressions[0].this)))
-    return found
+    compiler = _Compiler(text, None)
+    compiler.condition()
+    return compiler.asked
 
 
 class _Compiler:
@@ -153,76 +132,67 @@ class _Compiler:
         self.text = text
         self.zone = zone
         self.few = False
+        self.asked: list[tuple[str, str]] = []
 
-    def condition(self) -> sa.ColumnElement[bool]:
+    def condition(self) -> Any:
         if len(self.text) > _MOST_LETTERS:
             raise self.refused(
-                "is longer than 10,000 letters", remedy="ask for fewer values at once"
+                "is longer than 10,000 letters", None, "ask for fewer values at once"
             )
         if not self.text.strip():
-            raise self.refused("is empty", remedy="leave it out, or write one as weather = 'wet'")
+            raise self.refused("is empty", None, "leave it out, or write one as weather = 'wet'")
         try:
             # In brackets, so that a column may have the name of a statement, as `load` has.
             parsed = sqlglot.parse(f"({self.text})")
+            if len(parsed) != 1 or not isinstance(parsed[0], exp.Paren):
+                raise self.refused("is more than one expression", None, "join them by and")
+            named = {each.name.lower() for each in parsed[0].find_all(exp.Column)}
+            self.few = bool(named & _INDEXED)
+            return self.truth(parsed[0].this)
         except sqlglot.errors.SqlglotError as error:
             raise self.unparsed(error) from error
         except RecursionError:
             raise self.refused(
-                "is nested too deeply", remedy="write it with fewer brackets"
-            ) from None
-        if len(parsed) != 1 or not isinstance(parsed[0], exp.Paren):
-            raise self.refused("is more than one expression", remedy="join them by and")
-        named = {each.name.lower() for each in parsed[0].find_all(exp.Column)}
-        self.few = bool(named & _INDEXED)
-        try:
-            return self.truth(parsed[0].this)
-        except RecursionError:
-            raise self.refused(
-                "is nested too deeply", remedy="write it with fewer brackets"
+                "is nested too deeply", None, "write it with fewer brackets"
             ) from None
 
     # -------------------------------------------------------------------------- what is true
 
-    def truth(self, node: Any) -> sa.ColumnElement[bool]:
+    def truth(self, node: Any) -> Any:
         if isinstance(node, exp.Paren):
-            return self.truth(node.this).self_group()
+            return self.truth(node.this)
         if isinstance(node, exp.Not):
             return sa.not_(self.truth(node.this))
-        if isinstance(node, exp.And):
-            return sa.and_(*(self.truth(each) for each in node.flatten()))
-        if isinstance(node, exp.Or):
-            return sa.or_(*(self.truth(each) for each in node.flatten()))
+        if isinstance(node, exp.And | exp.Or):
+            join = sa.and_ if isinstance(node, exp.And) else sa.or_
+            return join(*(self.truth(each) for each in node.flatten()))
         if type(node) in _COMPARISONS:
-            return self.compared(node)
+            return self.comparison(type(node), node.this, node.expression)
         if isinstance(node, exp.Between):
             low = self.comparison(exp.GTE, node.this, node.args["low"])
-            return sa.and_(low, self.comparison(exp.LTE, node.this, node.args["high"])).self_group()
-        if isinstance(node, exp.In):
-            if node.args.get("query") or node.args.get("unnest") or not node.expressions:
-                raise self.forbidden(node)
-            found = [self.comparison(exp.EQ, node.this, each) for each in node.expressions]
-            return sa.or_(*found).self_group()
+            return sa.and_(low, self.comparison(exp.LTE, node.this, node.args["high"]))
+        if isinstance(node, exp.In) and node.expressions:
+            return sa.or_(*(self.comparison(exp.EQ, node.this, each) for each in node.expressions))
         if isinstance(node, exp.Like):
             return self.like(node)
         if isinstance(node, exp.Is):
             return self.unknown(node)
         if isinstance(node, exp.Column | exp.Literal | exp.Func | exp.Neg):
             raise self.refused(
-                f"'{self.words(node)}' is compared with nothing", node, "compare it, as in = 'wet'"
+                f"'{_words(node)}' is compared with nothing", node, "compare it, as in = 'wet'"
             )
         raise self.forbidden(node)
 
-    def compared(self, node: Any) -> sa.ColumnElement[bool]:
-        return self.comparison(type(node), node.this, node.expression)
-
-    def comparison(self, kind: Any, left: Any, right: Any) -> sa.ColumnElement[bool]:
+    def comparison(self, kind: Any, left: Any, right: Any) -> Any:
         """A comparison; a literal is read as the other side asks."""
-        if self.is_literal(left):
-            if self.is_literal(right):
+        if kind is exp.NEQ:
+            return sa.not_(self.comparison(exp.EQ, left, right))
+        if _is_literal(left):
+            if _is_literal(right):
                 raise self.refused("compares two literals", left, "compare a column")
             kind, left, right = _TURNED.get(kind, kind), right, left
-        value = self.value(left)
-        if not self.is_literal(right):
+        value, compare = self.value(left), _COMPARISONS[kind]
+        if not _is_literal(right):
             other = self.value(right)
             if (value.kind, value.unit) != (other.kind, other.unit):
                 raise self.refused(
@@ -230,63 +200,52 @@ class _Compiler:
                     right,
                     "compare times with times, lengths with lengths",
                 )
-            return self.result(_COMPARISONS[kind](value.element, other.element))
+            return compare(value.element, other.element)
         if value.kind == "time":
             return self.at_time(kind, value, right)
-        if value.kind == "text":
-            return self.of_text(kind, left, value, self.text_of(right, value))
-        return self.result(_COMPARISONS[kind](value.element, self.number_of(right, value)))
+        if value.kind != "text":
+            return compare(value.element, self.number_of(right, value))
+        text = self.text_of(right, value)
+        if kind is exp.EQ:
+            self.asked += [(value.words, text)] * (value.words in _COLUMNS)
+            return self.on_any(value, lambda column: column == text)
+        return compare(value.element, text)
 
-    def of_text(self, kind: Any, node: Any, value: _Value, text: str) -> sa.ColumnElement[bool]:
-        if self.is_line(node) and kind in (exp.EQ, exp.NEQ):
-            found = on_line(value.element == text, trip_edges.c.edge == text, self.few)
-            return self.result(found.self_group() if kind is exp.EQ else sa.not_(found))
-        return self.result(_COMPARISONS[kind](value.element, text))
+    def on_any(self, value: _Value, test: Callable[[Any], Any]) -> Any:
+        """Whether a test holds for a text; of a line, for any of those that the trip ran over."""
+        found = test(value.element)
+        return found if value.words != "line" else on_line(found, test(trip_edges.c.edge), self.few)
 
-    def like(self, node: Any) -> sa.ColumnElement[bool]:
+    def like(self, node: Any) -> Any:
         value = self.value(node.this)
-        if value.kind != "text" or not self.is_literal(node.expression):
+        if value.kind != "text" or not _is_literal(node.expression):
             raise self.refused(
                 "like compares a text with a pattern", node, "as in train like 'RABe%'"
             )
         pattern = self.text_of(node.expression, value)
         if pattern.endswith("\\") and not pattern.endswith("\\\\"):
             raise self.refused("the pattern ends in a backslash", node.expression, "write it twice")
-        found = value.element.like(pattern, escape="\\")
-        if self.is_line(node.this):
-            over = trip_edges.c.edge.like(pattern, escape="\\")
-            return self.result(on_line(found, over, self.few).self_group())
-        return self.result(found)
+        return self.on_any(value, lambda column: column.like(pattern, escape="\\"))
 
-    def unknown(self, node: Any) -> sa.ColumnElement[bool]:
+    def unknown(self, node: Any) -> Any:
         negated = isinstance(node.expression, exp.Not)
-        other = node.expression.this if negated else node.expression
-        if not isinstance(other, exp.Null):
+        if not isinstance(node.expression.this if negated else node.expression, exp.Null):
             raise self.refused(
                 "is must be followed by null or not null", node, "write = for equality"
             )
         element = self.value(node.this).element
-        return self.result(element.is_not(None) if negated else element.is_(None))
+        return element.is_not(None) if negated else element.is_(None)
 
-    def at_time(self, kind: Any, value: _Value, node: Any) -> sa.ColumnElement[bool]:
+    def at_time(self, kind: Any, value: _Value, node: Any) -> Any:
         """A comparison with a time; a day stands for all of it."""
-        text = self.text_of(node, value).strip()
         try:
-            first, last = times_of(text, self.zone)
+            first, last = times_of(self.text_of(node, value).strip(), self.zone)
         except InputError as error:
             remedy = "write it as '2026-10-01' or '2026-10-01T06:30Z'"
             raise self.refused(error.problem, node, remedy) from error
-        time = value.element
         if kind is exp.EQ:
-            return sa.and_(time >= first, time <= last).self_group()
-        if kind is exp.NEQ:
-            return sa.or_(time < first, time > last).self_group()
-        limit = first if kind in (exp.LT, exp.GTE) else last
-        return self.result(_COMPARISONS[kind](time, limit))
-
-    def result(self, element: Any) -> sa.ColumnElement[bool]:
-        found: sa.ColumnElement[bool] = element
-        return found
+            return value.element.between(first, last)
+        return _COMPARISONS[kind](value.element, first if kind in (exp.LT, exp.GTE) else last)
 
     # ---------------------------------------------------------------------- what has a value
 
@@ -295,9 +254,11 @@ class _Compiler:
             return self.value(node.this)
         if isinstance(node, exp.Column):
             return self.column(node)
-        name = self.function_name(node)
-        if name is not None:
-            return self.function(name, node)
+        if isinstance(node, exp.Anonymous):
+            return self.function(str(node.this).lower(), node, node.expressions)
+        if isinstance(node, exp.Func):
+            given = [each for each in node.args.values() if isinstance(each, exp.Expression)]
+            return self.function(str(node.sql_name()).lower(), node, given)
         raise self.forbidden(node)
 
     def column(self, node: Any) -> _Value:
@@ -313,77 +274,56 @@ class _Compiler:
                 f"'{name}' is no column", node, f"{text}columns: {', '.join(_WORDS)}"
             )
         if column.kind == "json":
-            written = {"labels": "label", "topics": "topic", "passport": "passport"}[column.name]
+            written = next(word for word, held in _HOLDERS.items() if held == column.name)
             raise self.refused(
                 f"'{name}' holds several values", node, f"ask for one: {FUNCTIONS[written]}"
             )
         kind = "number" if column.kind == "count" else column.kind
         return _Value(kind, column.unit, trips.c[column.name], column.name)
 
-    def function_name(self, node: Any) -> str | None:
-        if isinstance(node, exp.Anonymous):
-            return str(node.this).lower()
-        return str(node.sql_name()).lower() if isinstance(node, exp.Func) else None
-
-    def function(self, name: str, node: Any) -> _Value:
-        given = (
-            list(node.expressions)
-            if isinstance(node, exp.Anonymous)
-            else [each for each in node.args.values() if isinstance(each, exp.Expression)]
-        )
+    def function(self, name: str, node: Any, given: Sequence[Any]) -> _Value:
         name = {"day_of_week": "weekday", "dayofweek": "weekday"}.get(name, name)
         if name not in FUNCTIONS:
-            raise self.refused(
-                f"the function {name}() is not allowed",
-                node,
-                f"known: {', '.join(FUNCTIONS.values())}",
-            )
+            known = f"known: {', '.join(FUNCTIONS.values())}"
+            raise self.refused(f"the function {name}() is not allowed", node, known)
+        usage = f"as in {FUNCTIONS[name]}"
         if len(given) != 1:
-            raise self.refused(f"{name}() takes one value", node, f"as in {FUNCTIONS[name]}")
-        if name in ("label", "topic", "passport"):
-            return self.held(name, given[0])
+            raise self.refused(f"{name}() takes one value", node, usage)
         inner = given[0]
+        if name in _HOLDERS:
+            if not (isinstance(inner, exp.Literal) and inner.is_string) or '"' in inner.this:
+                raise self.refused(f"{name}() takes a name in '...'", inner, usage)
+            return self.held(name, inner.this)
         while isinstance(inner, exp.Cast | exp.Paren | exp.TsOrDsToDate):
             inner = inner.this
         value = self.value(inner)
+        kind = "number" if name == "abs" else "time"
+        if value.kind != kind:
+            raise self.refused(f"{name}() takes a {kind}", node, usage)
         if name == "abs":
-            if value.kind != "number":
-                raise self.refused("abs() takes a number", node, f"as in {FUNCTIONS[name]}")
-            return _Value("number", value.unit, sa.func.abs(value.element), f"abs({value.words})")
-        if value.kind != "time":
-            raise self.refused(f"{name}() takes a time", node, f"as in {FUNCTIONS[name]}")
+            return replace(value, element=sa.func.abs(value.element), words=f"abs({value.words})")
         return _Value("number", "", _calendar(name, value.element), f"{name}({value.words})")
 
-    def held(self, name: str, node: Any) -> _Value:
+    def held(self, name: str, key: str) -> _Value:
         """One of the values that a column of JSON holds."""
-        if not (isinstance(node, exp.Literal) and node.is_string) or '"' in node.this:
-            raise self.refused(f"{name}() takes a name in '...'", node, f"as in {FUNCTIONS[name]}")
-        key, words = node.this, f"{name}('{node.this}')"
-        if name == "label":
-            return _Value("text", "", trips.c.labels[key].as_string(), words)
+        words, inside = f"{name}('{key}')", trips.c[_HOLDERS[name]][key]
         if name == "topic":
-            count = sa.func.coalesce(trips.c.topics[key].as_integer(), 0)
-            return _Value("number", "", count, words)
-        return _Value("number", "", trips.c.passport[key].as_float(), words)
+            return _Value("number", "", sa.func.coalesce(inside.as_integer(), 0), words)
+        self.asked.append((_HOLDERS[name], key))
+        if name == "label":
+            return _Value("text", "", inside.as_string(), words)
+        return _Value("number", "", inside.as_float(), words)
 
     # -------------------------------------------------------------------------------- literals
 
-    def is_literal(self, node: Any) -> bool:
-        return isinstance(node, exp.Literal | exp.Null | exp.Boolean) or (
-            isinstance(node, exp.Neg) and isinstance(node.this, exp.Literal)
-        )
-
-    def is_line(self, node: Any) -> bool:
-        while isinstance(node, exp.Paren):
-            node = node.this
-        return isinstance(node, exp.Column) and node.name.lower() == "line"
-
     def text_of(self, node: Any, value: _Value) -> str:
         if not (isinstance(node, exp.Literal) and node.is_string):
-            shown = self.words(node)
-            remedy = f"write it in quotes: '{shown}'"
-            if isinstance(node, exp.Null):
-                remedy = "write 'is null'"
+            shown = _words(node)
+            remedy = (
+                "write 'is null'"
+                if isinstance(node, exp.Null)
+                else f"write it in quotes: '{shown}'"
+            )
             what = "a time" if value.kind == "time" else "a text"
             raise self.refused(f"'{value.words}' is {what}, not {shown}", node, remedy)
         return str(node.this)
@@ -393,7 +333,7 @@ class _Compiler:
         literal = node.this if negative else node
         if not isinstance(literal, exp.Literal):
             raise self.refused(
-                f"'{value.words}' is a number, not {self.words(node)}", node, "write 'is null'"
+                f"'{value.words}' is a number, not {_words(node)}", node, "write 'is null'"
             )
         text = ("-" if negative else "") + str(literal.this)
         found = _QUANTITY.fullmatch(text)
@@ -414,12 +354,9 @@ class _Compiler:
 
     # -------------------------------------------------------------------------------- refusals
 
-    def words(self, node: Any) -> str:
-        return node.sql()[:60] if isinstance(node, exp.Expression) else str(node)[:60]
-
     def forbidden(self, node: Any) -> InputError:
         return self.refused(
-            f"'{self.words(node)}' is not allowed in an expression",
+            f"'{_words(node)}' is not allowed in an expression",
             node,
             "compare columns with values by = <> < <= > >= in, like, between, is null; join by"
             f" and, or, not; columns: {', '.join(_WORDS)}",
@@ -429,27 +366,30 @@ class _Compiler:
         details = (getattr(error, "errors", None) or [{}])[0]
         token = str(details.get("highlight") or "")
         column = max(1, int(details["col"]) - len(token)) if details.get("col") else None
-        inside = column is not None and column <= len(self.text)
-        return self.refused(
-            f"is not understood{f' at {token!r}' if inside and token else ': it is not complete'}",
-            remedy=f"write it as train = 'X' and weather = 'wet'; columns: {', '.join(_WORDS)}",
-            column=column if inside else None,
-        )
+        column = None if column is None or column > len(self.text) else column
+        where = ": it is not complete" if column is None or not token else f" at {token!r}"
+        remedy = f"write it as train = 'X' and weather = 'wet'; columns: {', '.join(_WORDS)}"
+        return self.refused(f"is not understood{where}", None, remedy, column)
 
     def refused(
-        self, problem: str, node: Any = None, remedy: str = "", column: int | None = None
+        self, problem: str, node: Any, remedy: str, column: int | None = None
     ) -> InputError:
         """That the expression is refused, naming the place of a piece of it."""
-        if column is None and isinstance(node, exp.Expression):
-            starts = [
-                each.meta["start"]
-                for each in node.walk()
-                if isinstance(each.meta.get("start"), int)
-            ]
-            column = min(starts, default=None)
+        if isinstance(node, exp.Expression):
+            starts = (each.meta.get("start") for each in node.walk())
+            column = min((each for each in starts if isinstance(each, int)), default=None)
         shown = self.text if len(self.text) <= 200 else f"{self.text[:200]}..."
         where = f'expression "{shown}"' + (f", column {column}" if column is not None else "")
-        return InputError(problem, place=where, remedy=remedy or None)
+        return InputError(problem, place=where, remedy=remedy)
+
+
+def _is_literal(node: Any) -> bool:
+    inner = node.this if isinstance(node, exp.Neg) else node
+    return isinstance(inner, exp.Literal) or isinstance(node, exp.Null | exp.Boolean)
+
+
+def _words(node: Any) -> str:
+    return node.sql()[:60] if isinstance(node, exp.Expression) else str(node)[:60]
 
 
 def _calendar(name: str, time: Any) -> Any:
