@@ -205,7 +205,9 @@ results = sa.Table(
 def log_of_trip() -> Any:
     """The path of the log of a trip, of several copies that of the first that was registered."""
     asked = sa.select(files.c.path).where(files.c.trip == trips.c.id, files.c.state == "present")
-    return asked.order_by(files.c.id).limit(1).correlate(trips).scalar_subquery().label("path")
+    # A sum, so that SQLite finds the files of the trip, not the first file in the order of id.
+    first = asked.order_by(files.c.id + 0).limit(1)
+    return first.correlate(trips).scalar_subquery().label("path")
 
 
 def on_line(

@@ -138,9 +138,11 @@ def register(
     new = [each for sha256, each in read.items() if sha256 not in ids]
     ids |= _inserted(connection, new, now)
     unseen, touched, found = {each.sha256 for each in new}, set(ids.values()), []
+    seen = _seen(connection, files.c.path, {each.path for each in entries})
+    seen |= _seen(connection, files.c.sha256, {each.sha256 for each in entries})
     for each in entries:
         trip = ids[each.sha256] if each.entry is not None else None
-        state = _place_file(connection, each, trip, touched)
+        state = _place_file(connection, each, trip, seen, touched)
         if each.sha256 in unseen and state in ("moved", "copy"):
             state = "new"
         unseen -= {each.sha256} if trip is not None and state != "version" else set()
@@ -149,23 +151,35 @@ def register(
     return found
 
 
+def _seen(connection: sa.Connection, column: Any, values: set[str]) -> set[str]:
+    """Those of the values that a column has."""
+    found = set[str]()
+    for part in parts(sorted(values)):
+        found |= set(connection.execute(sa.select(column).where(column.in_(part))).scalars())
+    return found
+
+
 def _place_file(
-    connection: sa.Connection, entry: FileEntry, trip: int | None, touched: set[int]
+    connection: sa.Connection, entry: FileEntry, trip: int | None, seen: set[str], touched: set[int]
 ) -> FileState:
-    """Put a file into the table of files; the trips whose files change are added to `touched`."""
+    """Put a file into the table of files, which has paths and contents that were seen.
+
+    The trips whose files change are added to `touched`.
+    """
     content = files.c.sha256 == entry.sha256
-    same = (files.c.path == entry.path) & content
-    before = connection.execute(sa.select(files.c.state).where(same)).scalar()
-    state: FileState = "refused" if trip is None else "known" if before == "present" else "new"
+    same, state, before = (files.c.path == entry.path) & content, "new", None
+    if entry.path in seen:
+        before = connection.execute(sa.select(files.c.state).where(same)).scalar()
+        state = "known" if before == "present" else "new"
     # Of a file that cannot be read nothing is known: what stood there is not overwritten.
-    if entry.sha256:
+    if entry.path in seen and entry.sha256:
         other = (files.c.path == entry.path) & ~content & files.c.state.in_(_STANDING)
         connection.execute(sa.delete(files).where(other, files.c.trip.is_(None)))
         asked = sa.update(files).where(other).values(state="replaced").returning(files.c.trip)
         replaced = set(connection.execute(asked).scalars())
         touched |= replaced
-        state = "version" if replaced and trip is not None else state
-    if state == "new":
+        state = "version" if replaced else state
+    if trip is not None and state == "new" and entry.sha256 in seen:
         copies = sa.select(files).where(
             content, files.c.path != entry.path, files.c.state.in_(("present", "vanished"))
         )
@@ -187,7 +201,8 @@ def _place_file(
     }
     put = sa.insert(files) if before is None else sa.update(files).where(same)
     connection.execute(put.values(values))
-    return state
+    seen |= {entry.path, entry.sha256}
+    return "refused" if trip is None else state  # type: ignore[return-value]
 
 
 def _ids(connection: sa.Connection, digests: Iterable[str]) -> dict[str, int]:
