@@ -658,20 +658,20 @@ def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -
     main = plain("main", ("A", 0.0), ("B", 4e3), ("C", 9e3))
     branch = plain("branch", ("A", 0.0), ("B", 4e3), ("D", 6e3))
     back = plain("short", ("C", 0.0), ("D", 3e3), gradient=0.01)
-    found = network_of_lines("all", [main, branch, back])
-    edges = {edge.name: (edge.start, edge.end) for edge in found.network.edges}
+    network, notes = network_of_lines("all", [main, branch, back])
+    edges = {edge.name: (edge.start, edge.end) for edge in network.edges}
     assert edges == {
         "main A - B": ("A", "B"), "main B - C": ("B", "C"), "branch B - D": ("B", "D"),
         "short": ("C", "D"),
     }  # fmt: skip
-    assert "'branch A - B' is the track of 'main A - B', which stays" in found.notes
-    assert found.network.route("A", "D").length == pytest.approx(6e3)
-    assert found.network.route("C", "D").line.gradient(100.0) == pytest.approx(0.01)
+    assert "'branch A - B' is the track of 'main A - B', which stays" in notes
+    assert network.route("A", "D").length == pytest.approx(6e3)
+    assert network.route("C", "D").line.gradient(100.0) == pytest.approx(0.01)
 
 
 def test_lines_of_another_height_between_the_same_stations_are_two_tracks() -> None:
     low, high = (plain(f"{g}", ("A", 0.0), ("B", 4e3), gradient=g) for g in (0.0, 0.01))
-    assert len(network_of_lines("both", [low, high]).network.edges) == 2
+    assert len(network_of_lines("both", [low, high])[0].edges) == 2
 
 
 def test_lines_that_do_not_meet_are_refused() -> None:
@@ -770,9 +770,9 @@ def test_a_train_of_osrd_is_driven_along_a_route_and_stops_at_its_station(
 
 
 def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:
-    found = network_of_lines("one", [plain("a", ("A", 0.0), ("B", 1e3))])
-    refused(InputError, "has coordinates", export_network, found.network, tmp_path / "a.geojson")
-    write_network(found.network, tmp_path / "a.network.json")
+    network, _ = network_of_lines("one", [plain("a", ("A", 0.0), ("B", 1e3))])
+    refused(InputError, "has coordinates", export_network, network, tmp_path / "a.geojson")
+    write_network(network, tmp_path / "a.network.json")
     assert list(tmp_path.iterdir()) == [tmp_path / "a.network.json"]
 
 
@@ -783,12 +783,12 @@ def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> No
     back = replace(main.reversed(), name="back", speed_limits=own)
     # Measured anew, 3 m longer.
     back = replace(back, length=9_003.0, stations=(*back.stations[:-1], Station("A", 9_003.0)))
-    found = network_of_lines("both", [main, back])
-    notes = [note for note in found.notes if "takes over" in note]
+    network, notes = network_of_lines("both", [main, back])
+    notes = [note for note in notes if "takes over" in note]
     # From B to A `back` has 20 m/s all along, from C to B 30 m/s over its first kilometre.
-    assert len(notes) == len(found.network.edges) == 2
+    assert len(notes) == len(network.edges) == 2
     assert "its speed limits for the other direction" in notes[0]
-    there, again = (found.network.route(*ends).line for ends in (("A", "C"), ("C", "A")))
+    there, again = (network.route(*ends).line for ends in (("A", "C"), ("C", "A")))
     assert there.speed_limit([100.0, 8_500.0]).tolist() == [30.0, 30.0]
     assert again.speed_limit([100.0, 990.0, 1_010.0, 8_900.0]).tolist() == [30.0, 30.0, 20.0, 20.0]
     # The same limits in both files are one profile; those that are assumed, or that the first
@@ -801,12 +801,12 @@ def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> No
         (own_way, back, 10.0, "with its own speed limits of the other direction, which differ"),
         (main, replace(main, name="again", speed_limits=own), None, "are not used"),
     ):
-        found = network_of_lines("both", [first, second])
-        limits = [edge.line.speed_limits_reverse for edge in found.network.edges]
+        network, notes = network_of_lines("both", [first, second])
+        limits = [edge.line.speed_limits_reverse for edge in network.edges]
         assert [None if x is None else x.values.tolist() for x in limits] == [
             None if limit is None else [limit]
         ] * 2
-        assert any(note.endswith(words) for note in found.notes)
+        assert any(note.endswith(words) for note in notes)
 
 
 def test_a_speed_change_of_railml_2_without_a_direction_holds_in_both(tmp_path: Path) -> None:

@@ -217,15 +217,14 @@ def new_network(
     """
     from trainlog.railway.network import network_of_lines
 
-    found = network_of_lines(
+    network, notes = network_of_lines(
         name or output.name.partition(".")[0], [trainlog.read_line(each) for each in from_]
     )
-    network = found.network
     trainlog.write_network(network, output)
     console.print(
         f"{network.name}: {counted(len(network.edges), 'edge')} of {network.length / 1e3:.3f} km,"
         f" {counted(len(network.nodes), 'node')}",
-        *found.notes,
+        *notes,
         sep="\n",
     )
     wrote(output)

@@ -19,7 +19,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import CurvatureProfile, Line, LineReference, Station, StepProfile, Tunnel
 from trainlog.railway.line import Geometry, composed
-from trainlog.railway.network import AT_END, Edge, Network, Node, NodeKind, assumed_on
+from trainlog.railway.network import AT_END, Edge, Network, Node, NodeKind, assumed_on, unused
 from trainlog.units import KMH
 
 ASSUMED_LIMIT = 80.0 / KMH
@@ -615,7 +615,7 @@ class TrackGraph:
             if not name or name in taken:
                 known = [self.labels[each] for each in group if each in self.labels]
                 own = f"{group[0].track} {'end' if group[0].at_end else 'begin'}"
-                name = _unused(" + ".join(dict.fromkeys(known)) or own, taken)
+                name = unused(" + ".join(dict.fromkeys(known)) or own, taken)
             else:
                 taken.add(name)
                 self.stations.add(name)
@@ -759,15 +759,4 @@ def _restrictions(
         there = sorted(ending[name])
         if name in turns and set(combinations(there, 2)) - turns[name]:
             found[name] = tuple(sorted(turns[name]))
-    return found
-
-
-def _unused(name: str, taken: set[str]) -> str:
-    """The name, with a number where it is taken."""
-    found = next(
-        each
-        for number in range(1, len(taken) + 2)
-        if (each := name if number == 1 else f"{name} ({number})") not in taken
-    )
-    taken.add(found)
     return found

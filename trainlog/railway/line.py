@@ -6,7 +6,7 @@ gives the same line travelled the other way, `Line.section` a part of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -1285,14 +1285,6 @@ def composed(
     (29556.1, True)
     """
     parts = [part for _, part in placed]
-
-    def profiles(name: str, otherwise: Any) -> list[tuple[float, Any]]:
-        """A profile of each part, or what holds where it has none."""
-        return [(at, getattr(part, name) or otherwise(part)) for at, part in placed]
-
-    def known(name: str) -> list[Any]:
-        return [each for part in parts if (each := getattr(part, name)) is not None]
-
     formulas = {part.curve_resistance: part.name for part in parts if part.curvatures is not None}
     if len(formulas) > 1:
         words = ", ".join(f"'{formula}' on '{edge}'" for formula, edge in formulas.items())
@@ -1301,44 +1293,40 @@ def composed(
             remedy="state the same on all edges of a network",
         )
     straight = CurvatureProfile(np.zeros(1), np.zeros(1), np.zeros(1))
-    first, *others = (part.braking_parameters for part in parts)
+    otherwise: dict[str, Callable[[Line], Profile]] = {
+        "curvatures": lambda _: straight,
+        "reference": lambda part: part.kilometres,
+        "speed_limits_reverse": lambda part: part.limits_against,
+    }
+    joined: dict[str, Any] = {}
+    for field_name in ("speed_limits", "gradients", *otherwise):
+        given = [(at, getattr(part, field_name), part) for at, part in placed]
+        if any(each is not None for _, each, _ in given):
+            whole = [(at, each or otherwise[field_name](part)) for at, each, part in given]
+            joined[field_name] = type(whole[0][1]).joined(whole)
+    if "reference" in joined:
+        names = dict.fromkeys(part.reference.name for part in parts if part.reference is not None)
+        joined["reference"] = replace(joined["reference"], name=" + ".join(names))
+    courses = [(at, part.geometry) for at, part in placed if part.geometry is not None]
+    first, *others = (part.braking_parameters.items() for part in parts)
     return Line(
         name=name,
         length=placed[-1][0] + parts[-1].length,
         stations=tuple(stations),
-        speed_limits=StepProfile.joined([(at, part.speed_limits) for at, part in placed]),
-        gradients=StepProfile.joined([(at, part.gradients) for at, part in placed]),
-        curvatures=CurvatureProfile.joined(profiles("curvatures", lambda _: straight))
-        if known("curvatures")
-        else None,
         tunnels=tuple(
             replace(each, position=at + each.position)
             for at, part in placed
             for each in part.tunnels
         ),
         altitude=parts[0].altitude,
-        geometry=None
-        if len(known("geometry")) < len(parts)
-        else Geometry.joined([(at, part.geometry) for at, part in placed if part.geometry]),
+        geometry=Geometry.joined(courses) if len(courses) == len(parts) else None,
         source="; ".join(dict.fromkeys(part.source for part in parts if part.source)),
-        braking_parameters={
-            name: value
-            for name, value in first.items()
-            if all(other.get(name) == value for other in others)
-        },
+        braking_parameters=dict(each for each in first if all(each in other for other in others)),
         survey=_joined_survey(parts),
         assumed=tuple(dict.fromkeys(name for part in parts for name in part.assumed)),
-        reference=replace(
-            LineReference.joined(profiles("reference", lambda part: part.kilometres)),
-            name=" + ".join(dict.fromkeys(each.name for each in known("reference"))),
-        )
-        if known("reference")
-        else None,
         curve_resistance=next(iter(formulas), "proportional"),
         legs=tuple(legs),
-        speed_limits_reverse=StepProfile.joined([(at, part.limits_against) for at, part in placed])
-        if known("speed_limits_reverse")
-        else None,
+        **joined,
     )
 
 
@@ -1348,19 +1336,16 @@ def _joined_survey(parts: Sequence[Line]) -> Survey | None:
     The longest stretch over which an error holds: of a part whose gradients have each one of
     their own, their mean length, the longer ones counting for more.
     """
-    surveys = [part.survey for part in parts]
-    if any(survey is None for survey in surveys):
+    known = [part.survey for part in parts if part.survey is not None]
+    if len(known) < len(parts):
         return None
-    known = [survey for survey in surveys if survey is not None]
-    worst = max(survey.gradient_std for survey in known)
-    if all(survey.correlation_length is None for survey in known):
-        return Survey(worst)
     lengths = []
     for part, survey in zip(parts, known, strict=True):
         widths = np.diff(np.append(part.gradients.positions, part.length))
-        own = float(np.sum(widths**2) / part.length)
-        lengths.append(survey.correlation_length or own)
-    return Survey(worst, max(lengths))
+        lengths.append(survey.correlation_length or float(np.sum(widths**2) / part.length))
+    alone = all(survey.correlation_length is None for survey in known)
+    worst = max(survey.gradient_std for survey in known)
+    return Survey(worst, None if alone else max(lengths))
 
 
 # ------------------------------------------------------------------ kilometres

@@ -142,7 +142,7 @@ class Place:
     node: str = ""
     edge: str = ""
     position: float = 0.0
-    station: bool = True
+    station: bool = field(default=True, compare=False)
 
 
 def climbs(line: Line) -> tuple[float, float]:
@@ -522,11 +522,7 @@ class Network(Declared):
             )
         require("networkx")
         names = tuple(meant(place.strip(), self.places) for place in places)
-        stages = [
-            {(each.node, each.edge, each.position): each.station for each in self.place(name)}
-            for name in names
-        ]
-        found = shortest_way(self._edges, self.turns, stages)
+        found = shortest_way(self._edges, self.turns, [self.place(name) for name in names])
         if isinstance(found, int):
             raise InputError(
                 f"network '{self.name}' has no route from '{names[found]}' to '{names[found + 1]}'",
@@ -790,14 +786,11 @@ def _nearest(name: str, known: Any, otherwise: str) -> str:
 Stretch = tuple[str, float, float]
 """Of an edge, by its name, from one chainage [m] to another."""
 
-Point = tuple[str, str, float]
-"""A node by its name, or of an edge, by its name, a chainage [m]."""
-
 
 def shortest_way(
     edges: Mapping[str, Edge],
     turns: Mapping[str, Sequence[tuple[str, str]]],
-    stages: Sequence[Mapping[Point, bool]],
+    stages: Sequence[Sequence[Place]],
 ) -> list[Stretch] | int:
     """Stretches of edges of the shortest way through places, or the place behind which none leads.
 
@@ -809,8 +802,8 @@ def shortest_way(
     edges : dict of str to Edge
     turns : dict of str to sequence of (str, str)
         By node, pairs of edges between which trains pass; see `Network`.
-    stages : sequence of dict
-        Of each place in the order of travel: its points, and whether trains turn back there.
+    stages : sequence of sequence of Place
+        The points of each place in the order of travel.
 
     Examples
     --------
@@ -818,19 +811,20 @@ def shortest_way(
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> first, second = line.section(0.0, 800.0), line.section(800.0, 1_300.0)
     >>> edges = {"a": Edge("a", first, "X", "Y"), "b": Edge("b", second, "Y", "Z")}
-    >>> shortest_way(edges, {}, [{("Z", "", 0.0): True}, {("", "a", 300.0): True}])
+    >>> shortest_way(edges, {}, [[Place("Z")], [Place(edge="a", position=300.0)]])
     [('b', 500.0, 0.0), ('a', 800.0, 300.0)]
     """
     import networkx
 
     inside: dict[str, set[float]] = {name: set() for name in edges}
-    for _, name, position in {point for stage in stages for point in stage if not point[0]}:
-        inside[name].add(position)
-    ends: dict[Stretch, Point] = {}
-    departing: dict[Point, list[Stretch]] = {}
+    for point in (point for stage in stages for point in stage if point.edge):
+        inside[point.edge].add(point.position)
+    ends: dict[Stretch, Place] = {}
+    departing: dict[Place, list[Stretch]] = {}
     for name, edge in edges.items():
-        points = {0.0: (edge.start, "", 0.0)} | {at: ("", name, at) for at in sorted(inside[name])}
-        points[edge.line.length] = (edge.end, "", 0.0)
+        points = {0.0: Place(edge.start)}
+        points |= {at: Place("", name, at) for at in sorted(inside[name])}
+        points[edge.line.length] = Place(edge.end)
         for first, last in pairwise(points):
             for begin, end in ((first, last), (last, first)):
                 ends[name, begin, end] = points[end]
@@ -839,7 +833,7 @@ def shortest_way(
     def onward(piece: Stretch) -> Iterator[Stretch]:
         """Pieces onto which a train passes without turning back."""
         name, begin, end = piece
-        allowed = turns.get(ends[piece][0])
+        allowed = turns.get(ends[piece].node)
         for other in departing[ends[piece]]:
             pair = (name, other[0])
             free = allowed is None or pair in allowed or pair[::-1] in allowed
@@ -851,7 +845,8 @@ def shortest_way(
         graph.add_weighted_edges_from(
             ("start", (0, first), 0.0) for first in departing.get(point, [])
         )
-    for stage, places in enumerate(stages[1:]):
+    for stage, asked in enumerate(stages[1:]):
+        places = {each: each.station for each in asked}
         for piece, point in ends.items():
             following: list[Any] = [(stage, each) for each in onward(piece)]
             if point in places and stage == len(stages) - 2:
@@ -885,22 +880,7 @@ SAME_TRACK = 0.001
 """By how much of their length two lines between the same stations may differ, to be one track."""
 
 
-@dataclass(frozen=True)
-class NetworkOfLines:
-    """A network made of lines.
-
-    Attributes
-    ----------
-    network : Network
-    notes : tuple of str
-        What was joined, cut or left out, in words.
-    """
-
-    network: Network
-    notes: tuple[str, ...]
-
-
-def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
+def network_of_lines(name: str, lines: Sequence[Line]) -> tuple[Network, list[str]]:
     """Join lines to a network at the stations that they share.
 
     Nodes are the ends of the lines, and stations that several of them serve; there lines are cut,
@@ -913,6 +893,12 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
     ----------
     name : str
     lines : sequence of Line
+
+    Returns
+    -------
+    network : Network
+    notes : list of str
+        What was joined, cut or left out, in words.
 
     Raises
     ------
@@ -930,8 +916,8 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
     ...     name="branch",
     ...     stations=(Station(line.stations[1].name, 0.0), Station("Branch", 5_000.0)),
     ... )
-    >>> found = network_of_lines("both", [line, branch])
-    >>> [(edge.name, edge.start, edge.end) for edge in found.network.edges][-1]
+    >>> network, _ = network_of_lines("both", [line, branch])
+    >>> [(edge.name, edge.start, edge.end) for edge in network.edges][-1]
     ('branch', 'Gossau SG', 'Branch')
     """
     if not lines:
@@ -941,7 +927,8 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
             raise InputError(
                 f"line '{line.name}' is a route itself", remedy="give the lines of its edges"
             )
-    lines = _with_own_names(lines)
+    taken = set[str]()
+    lines = [replace(line, name=unused(line.name, taken)) for line in lines]
     _check_places(lines)
     shared = _shared(lines)
     edges, notes = list[Edge](), list[str]()
@@ -960,16 +947,21 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
     names = dict.fromkeys(end for edge in edges for end in (edge.start, edge.end))
     nodes = tuple(_node(each, edges, shared) for each in names)
     source = "; ".join(dict.fromkeys(line.source for line in lines if line.source))
-    return NetworkOfLines(Network(name, nodes, tuple(edges), source=source), tuple(notes))
+    return Network(name, nodes, tuple(edges), source=source), notes
 
 
-def _with_own_names(lines: Sequence[Line]) -> list[Line]:
-    """The lines, with a number behind a name that comes again."""
-    counts, found = Counter[str](), list[Line]()
-    for line in lines:
-        counts[line.name] += 1
-        number = counts[line.name]
-        found.append(line if number == 1 else replace(line, name=f"{line.name} ({number})"))
+def unused(name: str, taken: set[str]) -> str:
+    """The name, with a number where it is taken; then it is, too.
+
+    Examples
+    --------
+    >>> taken = {"Wil"}
+    >>> unused("Wil", taken), unused("Wil", taken)
+    ('Wil (2)', 'Wil (3)')
+    """
+    numbered = (f"{name} ({number})" for number in range(2, len(taken) + 3))
+    found = next(each for each in (name, *numbered) if each not in taken)
+    taken.add(found)
     return found
 
 
@@ -1012,14 +1004,11 @@ def _parts(line: Line, shared: set[str]) -> Iterator[Edge]:
         cuts.append((line.length, f"{line.name} end"))
     cuts[0], cuts[-1] = (0.0, cuts[0][1]), (line.length, cuts[-1][1])
     pieces = [(start, end) for start, end in pairwise(cuts) if end[0] - start[0] > AT_END]
-    taken = Counter[str]()
+    taken = set[str]()
     for start, end in pieces:
         whole = len(pieces) == 1
-        name = line.name if whole else f"{line.name} {start[1]} - {end[1]}"
-        taken[name] += 1
-        own = name if taken[name] == 1 else f"{name} ({taken[name]})"
-        part = line if whole else line.section(start[0], end[0])
-        yield Edge(own, replace(part, name=own), start[1], end[1])
+        own = unused(line.name if whole else f"{line.name} {start[1]} - {end[1]}", taken)
+        yield Edge(own, line if whole else line.section(start[0], end[0]), start[1], end[1])
 
 
 def _same_track(edge: Edge, other: Edge) -> bool:
