@@ -13,7 +13,7 @@ positive as seen along the location, speeds in km/h; x is longitude.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -268,9 +268,17 @@ class _Track:
 
     element: Element
     name: str
+    first: Element
+    last: Element
     begin: float
     length: float
     cuts: list[float] = field(default_factory=list)
+
+    @property
+    def ends(self) -> tuple[tuple[Element, float, TrackEnd], ...]:
+        """What stands at its beginning and at its end, with the position [m] and the section."""
+        begin, end = TrackEnd(self.section(0), False), TrackEnd(self.section(len(self.cuts)), True)
+        return (self.first, 0.0, begin), (self.last, self.length, end)
 
     @property
     def edges(self) -> list[float]:
@@ -279,7 +287,7 @@ class _Track:
 
     def section(self, number: int) -> str:
         """The name of a section."""
-        return self.name if len(self.cuts) == 0 else f"{self.name}/{number + 1}"
+        return f"{self.name}/{number + 1}" if self.cuts else self.name
 
     def around(self, cut: float) -> tuple[TrackEnd, TrackEnd]:
         """The end of the section before a cut, and the beginning of the one behind it."""
@@ -380,19 +388,21 @@ class _Railml2(_Railml):
         elements = list(self.infra.all("tracks", "track"))
         names = [each.text("name") or each.text("id") for each in elements]
         for element, name in zip(elements, names, strict=True):
-            ends = [element.first("trackTopology", tag) for tag in ("trackBegin", "trackEnd")]
-            if ends[0] is None or ends[1] is None:
+            first, last = (
+                element.first("trackTopology", tag) for tag in ("trackBegin", "trackEnd")
+            )
+            if first is None or last is None:
                 raise element.error(
                     "has no trackBegin and trackEnd", "give both in its trackTopology"
                 )
-            begin, end = ends[0].number("pos", 0.0), ends[1].number("pos")
+            begin, end = first.number("pos", 0.0), last.number("pos")
             if end < begin:
-                raise ends[1].error(
+                raise last.error(
                     f"ends at pos {end:g}, before it begins at {begin:g}",
                     "pos counts from the track's beginning; absPos is the mileage",
                 )
             own = name if names.count(name) == 1 else element.text("id") or name
-            track = _Track(element, own, begin, end - begin)
+            track = _Track(element, own, first, last, begin, end - begin)
             track.cuts = sorted({track.at(each) for each in _switches(element)})
             yield track
 
@@ -401,7 +411,7 @@ class _Railml2(_Railml):
         return TrackData(
             name=track.name,
             length=track.length,
-            gradients=self._changes(track, "gradient", "slope", 1e-3),
+            gradients=self._stretches(track, "gradient", lambda each: 1e-3 * each.number("slope")),
             curves=self._curves(track),
             limits=self._limits(track),
             tunnels=list(self._tunnels(track)),
@@ -411,34 +421,37 @@ class _Railml2(_Railml):
             reference=self._reference(track),
         )
 
-    def _elements(self, track: _Track, kind: str) -> list[Element]:
-        found = track.element.all("trackElements", f"{kind}Changes", f"{kind}Change")
-        return sorted(found, key=lambda each: each.number("pos"))
+    def _changes(self, track: _Track, kind: str, both: bool = False) -> list[Element]:
+        """The changes of a kind along a track; `both`: those for the other direction, too."""
+        every = track.element.all("trackElements", f"{kind}Changes", f"{kind}Change")
+        found = sorted(every, key=lambda each: each.number("pos"))
+        used = [each for each in found if both or each.text("dir") != "down"]
+        self.left_out(f"{kind}Changes of the direction down", len(found) - len(used))
+        return used
 
-    def _changes(self, track: _Track, kind: str, what: str, factor: float) -> list[Stretch]:
-        """What holds from each change to the next; changes for the other direction left out."""
-        used = []
-        for each in self._elements(track, kind):
-            if each.text("dir") == "down":
-                self.left_out(f"{kind}Changes of the direction down")
-            else:
-                used.append(each)
+    def _stretches(
+        self, track: _Track, kind: str, value: Callable[[Element], float]
+    ) -> list[Stretch]:
+        """What holds from each change to the next."""
+        used = self._changes(track, kind)
         places = [*(track.at(each) for each in used), track.length]
         return [
-            Stretch(start, end, factor * each.number(what))
-            for each, (start, end) in zip(used, pairwise(places), strict=True)
+            Stretch(*ends, value(each)) for each, ends in zip(used, pairwise(places), strict=True)
         ]
 
     def _curves(self, track: _Track) -> list[Stretch]:
         """Curvature; between a transition curve's ends it changes in a straight line."""
-        used = [each for each in self._elements(track, "radius") if each.text("dir") != "down"]
-        stretches = self._changes(track, "radius", "radius", 1.0)
-        bends = [Stretch(s.begin, s.end, curvature_of(s.value)) for s in stretches]
-        for number, each in enumerate(used):
-            curve = each.text("geometryElementDescription").lower()
-            if any(word in curve for word in TRANSITIONS) and number + 1 < len(bends):
+        used = self._changes(track, "radius", both=True)
+        curves = [
+            each.text("geometryElementDescription").lower()
+            for each in used
+            if each.text("dir") != "down"
+        ]
+        bends = self._stretches(track, "radius", lambda each: curvature_of(each.number("radius")))
+        for number, following in enumerate(bends[1:]):
+            if any(word in curves[number] for word in TRANSITIONS):
                 # A transition that begins on straight track has the radius 0 there.
-                bends[number] = bends[number]._replace(last=bends[number + 1].value)
+                bends[number] = bends[number]._replace(last=following.value)
         return bends
 
     def _limits(self, track: _Track) -> list[Limit]:
@@ -450,7 +463,7 @@ class _Railml2(_Railml):
         """
         found = list[Limit]()
         changes: dict[tuple[str, str], list[Element]] = {}
-        for each in self._elements(track, "speed"):
+        for each in self._changes(track, "speed", both=True):
             stated, category = each.text("dir"), self._category(each)
             if stated not in ("up", "down"):
                 changes.setdefault(("", category), []).append(each)
@@ -495,8 +508,8 @@ class _Railml2(_Railml):
         for each in track.element.all("trackTopology", "crossSections", "crossSection"):
             if each.text("ocpRef"):
                 yield Station(self._ocp_name(each), track.at(each))
-        for tag, at in (("trackBegin", 0.0), ("trackEnd", track.length)):
-            for node in track.element.all("trackTopology", tag, "macroscopicNode"):
+        for place, at, _ in track.ends:
+            for node in place.all("macroscopicNode"):
                 yield Station(self._ocp_name(node), at)
 
     def _ocp_name(self, element: Element) -> str:
@@ -531,32 +544,24 @@ class _Railml2(_Railml):
 
     def _reference(self, track: _Track) -> LineReference | None:
         """The operator's mileage by absPos of the track's ends and its mileage changes."""
-        topology = track.element.first("trackTopology")
-        assert topology is not None
-        begin, end = topology.first("trackBegin"), topology.first("trackEnd")
-        assert begin is not None
-        assert end is not None
-        if not (begin.text("absPos") and end.text("absPos")) or track.length <= SAME_PLACE:
+        first, last = track.first, track.last
+        if not (first.text("absPos") and last.text("absPos")) or track.length <= SAME_PLACE:
             return None
         changes = sorted(
-            topology.all("mileageChanges", "mileageChange"), key=lambda each: each.number("pos")
+            track.element.all("trackTopology", "mileageChanges", "mileageChange"),
+            key=lambda each: each.number("pos"),
         )
-        starts = [(0.0, begin.number("absPos"))]
-        starts += [(track.at(each), each.number("absPos")) for each in changes]
-        ends = [each.number("absPosIn", float("inf")) for each in changes]
-        ends.append(end.number("absPos"))
-        falling = end.number("absPos") < begin.number("absPos")
-        rows = dict[float, tuple[float, float]]()
-        for (at, km), out, stop in zip(
-            starts, ends, [*(at for at, _ in starts[1:]), track.length], strict=True
-        ):
+        starts = [0.0, *(track.at(each) for each in changes), track.length]
+        km = [each.number("absPos") for each in (first, *changes, last)]
+        ends = [*(each.number("absPosIn", np.inf) for each in changes), km[-1]]
+        sign = -1.0 if km[-1] < km[0] else 1.0
+        rows = dict[float, tuple[float, float, float]]()
+        for (at, stop), begin, end in zip(pairwise(starts), km, ends, strict=False):
             if stop > at:
-                known = km + (stop - at) * (-1.0 if falling else 1.0)
-                rows[at] = (km, known if out == float("inf") else out)
+                rows[at] = at, begin, begin + sign * (stop - at) if end == np.inf else end
         line = self.lines.get(track.element.text("id"))
         name = (line.text("name") or line.text("id")) if line is not None else track.name
-        table = np.array([(at, *rows[at]) for at in sorted(rows)])
-        return LineReference(name, *table.T)
+        return LineReference(name, *np.array([rows[at] for at in sorted(rows)]).T)
 
     # ---- topology
 
@@ -564,10 +569,7 @@ class _Railml2(_Railml):
         """Movements between tracks, by the connections that name each other."""
         macroscopic = dict[str, list[TrackEnd]]()
         for track in self.tracks:
-            begin, last = TrackEnd(track.section(0), False), track.section(len(track.cuts))
-            for tag, end in (("trackBegin", begin), ("trackEnd", TrackEnd(last, True))):
-                place = track.element.first("trackTopology", tag)
-                assert place is not None
+            for place, _, end in track.ends:
                 for each in place.children:
                     if each.tag == "connection":
                         self._add_side(each, [end])
@@ -860,22 +862,18 @@ class _Railml3(_Railml):
         self, element: _NetElement, location: Element, word: str, coordinate: str
     ) -> float | None:
         """Position [m] on a net element: by intrinsic coordinate, position, or measure."""
-        if location.text(f"intrinsicCoord{word}"):
-            share = location.number(f"intrinsicCoord{word}")
-            if not -1e-6 <= share <= 1.0 + 1e-6:
-                raise location.error(
-                    f"intrinsicCoord{word} {share:g} is not from 0 to 1",
-                    "give the share of the net element's length",
-                )
-            return float(np.clip(share, 0.0, 1.0)) * element.length
-        if location.text(f"pos{word}"):
-            at = location.number(f"pos{word}")
-            if not -1.0 <= at <= element.length + 1.0:
-                raise location.error(
-                    f"pos{word} {at:g} is not on its net element of {element.length:g} m",
-                    "give the position from its beginning",
-                )
-            return float(np.clip(at, 0.0, element.length))
+        for name, most, slack, unit in (
+            (f"intrinsicCoord{word}", 1.0, 1e-6, element.length),
+            (f"pos{word}", element.length, 1.0, 1.0),
+        ):
+            if location.text(name):
+                value = location.number(name)
+                if not -slack <= value <= most + slack:
+                    raise location.error(
+                        f"{name} {value:g} is not from 0 to {most:g}",
+                        "give the share of the length of its net element, or the position on it",
+                    )
+                return float(np.clip(value, 0.0, most)) * unit
         for each in location.all(coordinate):
             found = element.at_measure(each.text("positioningSystemRef"), each.number("measure"))
             if found is None:
@@ -979,13 +977,12 @@ class _Railml3(_Railml):
 
     def _geographic_systems(self) -> set[str]:
         """Geometric positioning systems that are WGS 84."""
-        found = set()
-        for each in self.root.all(
-            "common", "positioning", "geometricPositioningSystems", "geometricPositioningSystem"
-        ):
-            if each.text("crsDefinition").rpartition(":")[2].strip() in ("4326", "CRS84", "84"):
-                found.add(each.text("id"))
-        return found
+        systems = ("geometricPositioningSystems", "geometricPositioningSystem")
+        return {
+            each.text("id")
+            for each in self.root.all("common", "positioning", *systems)
+            if each.text("crsDefinition").rpartition(":")[2].strip() in ("4326", "CRS84", "84")
+        }
 
     def _course(self, element: _NetElement) -> Iterator[tuple[float, float, float]]:
         """Coordinates along a net element."""
@@ -1000,15 +997,10 @@ class _Railml3(_Railml):
     def _reference(self, element: _NetElement) -> LineReference | None:
         """The measures of its first linear positioning system."""
         for system, rows in element.measures.items():
-            ends_known = rows[0][0] <= SAME_PLACE and rows[-1][0] >= element.length - SAME_PLACE
-            if len(rows) > 1 and ends_known:
-                starts = [(at, km) for at, km in rows[:-1]]
-                return LineReference(
-                    self._named(system, "common", "positioning", *_LINEAR),
-                    np.array([at for at, _ in starts]),
-                    np.array([km for _, km in starts]),
-                    np.array([km for _, km in rows[1:]]),
-                )
+            at, km = np.array(rows).T
+            if len(rows) > 1 and at[0] <= SAME_PLACE and at[-1] >= element.length - SAME_PLACE:
+                name = self._named(system, "common", "positioning", *_LINEAR)
+                return LineReference(name, at[:-1], km[:-1], km[1:])
         return None
 
     def _account(self) -> None:
