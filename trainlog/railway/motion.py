@@ -30,16 +30,12 @@ import numpy as np
 from numba import njit
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.train import Train
 
 SUBSTEPS = 4
 """Runge-Kutta sub-steps a cell; the audit takes many more."""
-
-COARSEST = 0.005
-"""Change of the running time by half the step, relative, beyond which a step is too coarse."""
 
 TIMETABLE_STEP = 5.0
 """Step of the running times that timetables are made of [m]."""
@@ -451,10 +447,13 @@ def timetable_run(
     deceleration: float = 0.6,
     lever: float = 0.8,
     load: float = 0.0,
+    step: float = TIMETABLE_STEP,
 ) -> FastestRun:
     """The run of the shortest time from standing at `start` to standing at `end` [m].
 
-    Steps of `TIMETABLE_STEP` that take the acceleration of their beginning.
+    Permitted speeds are kept with the whole length of the train, braking has a constant
+    deceleration. Each step takes the acceleration of its beginning, as in TrainRuns.jl, whose own
+    step is 20 m; the result converges with the step.
 
     Parameters
     ----------
@@ -467,6 +466,8 @@ def timetable_run(
     lever : float
         Share of the tractive effort used.
     load : float [kg]
+    step : float [m]
+        About.
 
     Examples
     --------
@@ -477,67 +478,7 @@ def timetable_run(
     >>> round(timetable_run(line, train, 0.0, line.length).running_time)
     1009
     """
-    positions = np.linspace(start, end, max(int((end - start) / TIMETABLE_STEP), 2) + 1)
-    run, _ = _fastest(line, train, positions, deceleration, lever, load, 0.5 * SLOWEST**2)
-    return run
-
-
-def shortest_run(line: Line, train: Train, *, step: float = 1.0) -> FastestRun:
-    """Run a train from one end of the line to the other as fast as it can.
-
-    Full effort, permitted speeds kept with the whole length of the train, constant deceleration
-    in braking. In each step the acceleration is that of its beginning, as in TrainRuns.jl, whose
-    own step is 20 m; the result converges with the step.
-
-    Parameters
-    ----------
-    line : Line
-        As travelled.
-    train : Train
-    step : float [m]
-        Longest step.
-
-    Raises
-    ------
-    InputError
-        If the step is not positive, or too coarse: half of it would change the running time by
-        more than `COARSEST`.
-    InfeasibleError
-        If the train cannot start, or comes to a stand on the line.
-    """
-    if not (step > 0.0 and np.isfinite(step)):
-        raise InputError(f"a step of {step} m is not positive", remedy="give metres above 0")
-    runs = []
-    for each in (step, 0.5 * step):
-        positions = _grid(line, train.length, each)
-        run, stalled = _fastest(line, train, positions, train.max_deceleration)
-        if stalled >= 0:
-            raise InfeasibleError(
-                f"train '{train.name}' comes to a stand at km {positions[stalled] / 1e3:.3f}:"
-                " full effort does not overcome the line there",
-                remedy="less load, or another traction unit",
-            )
-        runs.append(run)
-    change = abs(runs[1].running_time / runs[0].running_time - 1.0)
-    if change > COARSEST:
-        raise InputError(
-            f"step of {step:g} m is too coarse for train '{train.name}': half of it changes"
-            f" the running time by {100.0 * change:.1f} %",
-            remedy=f"use at most {step * COARSEST / change:.0f} m",
-        )
-    return runs[0]
-
-
-def _fastest(
-    line: Line,
-    train: Train,
-    positions: FloatArray,
-    deceleration: float,
-    lever: float = 1.0,
-    load: float = 0.0,
-    least: float = 0.0,
-) -> tuple[FastestRun, int]:
-    """The fastest run of one train, of first order, and the cell in which it stalls or -1."""
+    positions = np.linspace(start, end, max(int((end - start) / step), 2) + 1)
     limits = np.minimum(line.limits_over(train.length)(positions), train.max_speed)
     limits[-1] = 0.0
     mass = train.mass + load
@@ -559,21 +500,7 @@ def _fastest(
         np.diff(positions),
     )
     ceiling = 0.5 * braking_curve(positions, limits, deceleration)[None] ** 2
-    z, stalled = pull_forwards(ceiling, 0.0, traction, motion, 1, least)
+    z, _ = pull_forwards(ceiling, 0.0, traction, motion, 1, 0.5 * SLOWEST**2)
     speeds = np.sqrt(2.0 * z[0])
-    with np.errstate(divide="ignore"):
-        spent = np.cumsum(2.0 * np.diff(positions) / (speeds[1:] + speeds[:-1]))
-    return FastestRun(positions, speeds, np.concatenate(([0.0], spent))), int(stalled[0])
-
-
-def _grid(line: Line, length: float, step: float) -> FloatArray:
-    """Breakpoints of the line, where the rear passes a change of speed, and steps between them."""
-    changes = np.concatenate(
-        (line.breakpoints, line.speed_limits.positions + length, [line.length])
-    )
-    edges = np.unique(changes[(changes >= 0.0) & (changes <= line.length)])
-    pieces = [
-        low + np.arange(max(int(np.ceil((high - low) / step - 1e-9)), 1)) * step
-        for low, high in pairwise(edges.tolist())
-    ]
-    return np.append(np.concatenate(pieces), line.length)
+    spent = np.cumsum(2.0 * np.diff(positions) / (speeds[1:] + speeds[:-1]))
+    return FastestRun(positions, speeds, np.concatenate(([0.0], spent)))
