@@ -684,10 +684,12 @@ def fleet_status(
     for analysis in _chosen(analyses):
         computation = computation_of(analysis)
         found[analysis.name] = catalogue.standing(computation, where=where)
-        listed = catalogue.problems(computation, where=where, most=most)
+        listed = catalogue.outcomes(
+            computation, where=where, states=("refused", "failed"), most=most
+        )
         problems += [
-            Problem(key, path or "", analysis.name, state, reason, name or "")
-            for key, name, path, state, reason in listed.to_numpy().tolist()
+            Problem(row.key, row.path or "", analysis.name, row.state, row.reason, row.name or "")
+            for row in listed.itertuples(index=False)
         ]
     gone = catalogue.gone(where)
     return FleetStatus(found, tuple(problems), catalogue.results_folder, gone)

@@ -107,7 +107,7 @@ def crps(estimate: AdhesionEstimate, adhesion: ArrayLike, steps: int = 600) -> F
     edges = np.linspace(np.log(1e-3), np.log(2.0), steps + 1)
     step = edges[1] - edges[0]
     passed = np.clip((edges[1:] - value[:, None]) / step, 0.0, 1.0)
-    below = estimate.below_each(np.exp(0.5 * (edges[1:] + edges[:-1])))
+    below = estimate.below(np.exp(0.5 * (edges[1:] + edges[:-1]))[:, None]).T
     error = passed * (below - 1.0) ** 2 + (1.0 - passed) * below**2
     return np.asarray(step * error.sum(axis=1))
 

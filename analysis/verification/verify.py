@@ -606,7 +606,7 @@ def slip_probability(
     >>> slip_probability(bad, np.array([[0.75, 0.25]]), np.array([0.08, 0.12])).tolist()
     [0.25]
     """
-    below = estimate.below_each(asked)
+    below = estimate.below(np.asarray(asked)[:, None]).T
     return np.asarray(np.clip((shares * below).sum(axis=1), 0.0, 1.0))
 
 

@@ -41,7 +41,6 @@ from trainlog.formats.settings import read_settings
 
 if TYPE_CHECKING:
     import duckdb
-    import pyarrow as pa
     from sqlglot import exp
 
     from trainlog.catalogue.database import Database
@@ -374,8 +373,6 @@ def _view(
     connection: duckdb.DuckDBPyConnection, name: str, analysis: _Analysis, number: int
 ) -> None:
     """A view of the rows of the trips that count, each of the file that holds them."""
-    import pyarrow as pa
-
     table = '"' + name.replace('"', '""') + '"'
     if not analysis.paths:
         connection.execute(f"CREATE VIEW {table} AS SELECT '' AS {KEY} WHERE false")
@@ -444,8 +441,6 @@ def _table(
     empty: bool,
 ) -> pa.Table:
     """The columns that are wanted of a table of the database, times as time stamps in UTC."""
-    import pyarrow as pa
-
     kinds = {name: kind for name, (_, kind) in columns.items() if named.wants(name)}
     kinds = kinds or {KEY: "text"}
     asked = asked.with_only_columns(

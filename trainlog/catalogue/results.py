@@ -12,9 +12,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import sqlalchemy as sa
 
 from trainlog.catalogue.database import (
@@ -31,10 +34,6 @@ from trainlog.catalogue.querying import conditions
 from trainlog.catalogue.registration import parts
 from trainlog.errors import InputError
 from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 
 ResultState = Literal["done", "refused", "failed"]
 
@@ -178,9 +177,6 @@ def _there() -> sa.ColumnElement[bool]:
 
 def is_readable(path: Path) -> bool:
     """Whether a file of results is there, and whole."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:
         pq.read_table(path, partitioning=None, page_checksum_verification=True)
     except (OSError, pa.ArrowInvalid):
@@ -213,9 +209,6 @@ def file_id(connection: sa.Connection, computation: int, name: str, rows: int) -
 
 def write_table(folder: Path, table: pa.Table) -> str:
     """Write a table under the name of its content; the name."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd", row_group_size=ROWS, write_page_checksum=True)
     data = sink.getvalue().to_pybytes()
@@ -263,8 +256,6 @@ def _named(connection: sa.Connection, analysis: str) -> set[str]:
 
 def _check(table: pa.Table, outcomes: Sequence[ResultOutcome]) -> None:
     """Refuse a table that does not hold the rows that its outcomes state."""
-    import pyarrow.compute as pc
-
     if KEY not in table.column_names:
         raise InputError(
             f"the table of results has no column '{KEY}'", remedy="name the trip of each row"
@@ -367,10 +358,6 @@ def _put(
 
 def _table_of(folder: Path, rows: pd.DataFrame) -> pa.Table:
     """The rows of trips, each of the file that is named beside it, in the order of trip."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
     pieces = []
     for name, group in rows.groupby("name", sort=True):
         path = folder / str(name)
@@ -473,29 +460,6 @@ class Computed(Database):
         with self.reading() as connection:
             found = connection.execute(asked.where(*conditions(where), ~_there()))
             return int(found.scalar_one())
-
-    def problems(
-        self,
-        of: Computation | str,
-        *,
-        where: str | None = None,
-        most: int = 1000,
-    ) -> pd.DataFrame:
-        """The trips that an analysis refused, or failed at, with the reasons, in the order of key.
-
-        Parameters are those of `pending`, and how many are listed at most.
-
-        Returns
-        -------
-        DataFrame
-            With the columns ``key``, ``name``, ``path``, ``state`` and ``reason``.
-        """
-        columns = (trips.c.key, trips.c.name, log_of_trip(), results.c.state, results.c.reason)
-        with self.reading() as connection:
-            asked = trips_with_results(computation_id(connection, of), where, *columns)
-            asked = asked.where(results.c.state.in_(("refused", "failed")))
-            rows = connection.execute(asked.order_by(trips.c.key).limit(most)).all()
-        return pd.DataFrame(rows, columns=["key", "name", "path", "state", "reason"], dtype=object)
 
     def forget(
         self,
@@ -678,6 +642,8 @@ class Computed(Database):
         of: Computation | str,
         *,
         where: str | None = None,
+        states: Sequence[ResultState] = STATES,
+        most: int | None = None,
     ) -> pd.DataFrame:
         """What became of the analysis of each trip, in the order of trip.
 
@@ -685,12 +651,16 @@ class Computed(Database):
         ----------
         of, where
             As for `pending`.
+        states : sequence of str
+            Only of trips of these.
+        most : int, optional
+            How many are listed at most.
 
         Returns
         -------
         DataFrame
             The columns ``key``, ``name``, ``train``, ``kind``, ``line``, ``start`` of the trip,
-            ``state``, ``reason``, ``rows`` and ``seconds``.
+            ``state``, ``reason``, ``rows`` and ``seconds``, and ``path`` of its log.
 
         Examples
         --------
@@ -710,9 +680,11 @@ class Computed(Database):
         about, own = (KEY, "name", *JOINED), ("state", "reason", "rows", "seconds")
         columns = [*(trips.c[name] for name in about), *(results.c[name] for name in own)]
         with self.reading() as connection:
-            asked = trips_with_results(computation_id(connection, of), where, *columns)
-            rows = connection.execute(asked.order_by(trips.c.key)).all()
-        found = pd.DataFrame(columns_of(rows, [*about, *own]))
+            number = computation_id(connection, of)
+            asked = trips_with_results(number, where, *columns, log_of_trip())
+            asked = asked.where(results.c.state.in_(states)).order_by(trips.c.key).limit(most)
+            rows = connection.execute(asked).all()
+        found = pd.DataFrame(columns_of(rows, [*about, *own, "path"]))
         found["start"] = pd.to_datetime(found["start"], utc=True)
         return found
 

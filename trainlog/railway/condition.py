@@ -113,9 +113,10 @@ class AdhesionEstimate:
 
         Parameters
         ----------
-        adhesion : float or (n,) array
+        adhesion : float, (n,) array, or (k, 1) array
+            With the last, (k, n) probabilities.
         """
-        log = np.broadcast_to(np.log(np.asarray(adhesion, dtype=np.float64)), self.log_mean.shape)
+        log = np.log(np.asarray(adhesion, dtype=np.float64))
         # Imported where it is used: an update that finds nothing new begins without it.
         from scipy.special import ndtr
 
@@ -124,26 +125,9 @@ class AdhesionEstimate:
         edges, cumulated = self._cumulated
         step = np.clip(np.searchsorted(edges, log, side="right") - 1, 0, edges.size - 2)
         share = np.clip((log - edges[step]) / (edges[step + 1] - edges[step]), 0.0, 1.0)
-        rows = np.arange(log.size)
+        rows = np.arange(self.log_mean.size)
         low, high = cumulated[rows, step], cumulated[rows, step + 1]
         return np.asarray(low + share * (high - low))
-
-    def below_each(self, adhesion: ArrayLike) -> FloatArray:
-        """Probability that the maximum is below each of several adhesions, by bin; (n, k) array.
-
-        Parameters
-        ----------
-        adhesion : (k,) array
-        """
-        log = np.log(np.asarray(adhesion, dtype=np.float64))
-        from scipy.special import ndtr
-
-        if self.log_levels is None or self.probability is None:
-            return np.asarray(ndtr((log - self.log_mean[:, None]) / self.log_std[:, None]))
-        edges, cumulated = self._cumulated
-        step = np.clip(np.searchsorted(edges, log, side="right") - 1, 0, edges.size - 2)
-        share = np.clip((log - edges[step]) / (edges[step + 1] - edges[step]), 0.0, 1.0)
-        return np.asarray(cumulated[:, step] * (1.0 - share) + cumulated[:, step + 1] * share)
 
     def quantile(self, share: float) -> FloatArray:
         """Adhesion below which the maximum lies with probability `share`, by bin; (n,) array.
