@@ -19,12 +19,13 @@ from format_examples import (
     trajectories,
 )
 from hypothesis import given, settings
+from map_bytes import opened
 from refusals import refused
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import plain, read_json
-from trainlog.formats.mapfile import MapFile, read_map, whole_file, write_map
+from trainlog.formats.mapfile import read_map, whole_file, write_map
 from trainlog.formats.railway import (
     line_from_bytes,
     line_of,
@@ -127,9 +128,9 @@ def test_trajectories_survive_to_the_last_bit(trajectory: Trajectory) -> None:
 def test_the_evidence_of_maps_survives_to_the_last_bit(condition: TrackConditionMap) -> None:
     """Any numbers at all: the estimate is not made of them."""
     data = whole_file(condition)
-    with MapFile.of_bytes(data, "track.map") as file:
+    with opened(data) as file:
         trips = file.trips()
-        empty, layers = file.empty, file.layers(trips)
+        empty, layers = file.empty, file.summed(trips).evidence
     entries = tuple(row.entry_whole for row in trips)
     assert_same(empty, replace(condition, layers={}, trips=()))
     expected = [json.dumps(trip, sort_keys=True) for trip in plain(condition.trips, "trips")]

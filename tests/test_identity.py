@@ -13,6 +13,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
+from map_bytes import map_from_bytes
 from refusals import refused
 
 from analysis.adhesion import evidence
@@ -27,7 +28,7 @@ from analysis.resistance.logs import fit
 from trainlog.cli.map import map_update
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.files import sha256_of
-from trainlog.formats.mapfile import map_from_bytes, map_to_bytes
+from trainlog.formats.mapfile import map_to_bytes
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import read_summaries, write_summaries
 from trainlog.identity import (

@@ -44,7 +44,11 @@ def content(path: Path) -> Content:
     """All that a map is made from: its header, its rows, and the evidence of each layer."""
     with MapFile(path) as file:
         rows = file.trips()
-        return repr(file.empty), rows, {name: each for name, (each, _) in file.layers(rows).items()}
+        return (
+            repr(file.empty),
+            rows,
+            {name: each for name, (each, _) in file.summed(rows).evidence.items()},
+        )
 
 
 def of_killed_updaters(work: str, *words: object) -> Any:

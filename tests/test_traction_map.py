@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from gaussian_field import solve_field
 from hypothesis import given, settings, strategies as st
+from map_bytes import map_from_bytes
 from refusals import refused
 from rich.console import Console
 from scipy.optimize import minimize
@@ -35,7 +36,7 @@ from estimators.condition_field import Prior
 from trainlog.arrays import FloatArray
 from trainlog.condition import prior_of
 from trainlog.errors import InputError, LogError
-from trainlog.formats.mapfile import MapFile, map_from_bytes, map_to_bytes
+from trainlog.formats.mapfile import MapFile, map_to_bytes
 from trainlog.mcap import write_log
 from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import ConditionLayer
@@ -607,7 +608,7 @@ class TestTripsThatDisagree:
             file.append_all([recording_of(each) for each in trips])
             assert file.compact(DAY + 5) == 5
             file.append(recording_of(rail.trip(20, 0.7, "reverse")))
-            later = {name: known for name, (known, _) in file.layers(file.trips()).items()}
+            later = {name: known for name, (known, _) in file.summed(file.trips()).evidence.items()}
         assert sorted(later) == ["wet forward", "wet reverse"]
         assert later["wet forward"] == track.layers["wet forward"].evidence
 

@@ -22,10 +22,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import reduce
-from itertools import groupby
 from operator import xor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from isal import isal_zlib
@@ -105,9 +104,6 @@ _TOGETHER = 200
 
 JUDGED = 500
 """The latest so many trips of a layer are compared with one another."""
-
-_FIRST, _LAST = np.iinfo(np.int64).min, np.iinfo(np.int64).max
-"""Days before and after all."""
 
 
 # ------------------------------------------------------------------------------- recordings
@@ -432,16 +428,6 @@ class MapFile:
         return found
 
     @classmethod
-    def of_bytes(cls, data: bytes, file: str | Path) -> Self:
-        """A copy in memory of the bytes of a file; `file` is what errors call it."""
-        _check_start(data[:4096], file)
-        found = cls._in_memory(file)
-        with _refusing(file):
-            found._database.deserialize(data)
-            _check_kind(found._database, file)
-        return found
-
-    @classmethod
     def of_map(cls, track: TrackConditionMap, file: str | Path = "map") -> Self:
         """The file of a map at hand, in memory: sums by day, so that all its trips count for good.
 
@@ -617,7 +603,7 @@ class MapFile:
     def _sums(self) -> dict[str, tuple[DailyEvidence, str]]:
         """The evidence that was added up, and its digest, by layer."""
         return {
-            layer: (self._joined([self._raw(data, digest, layer)], digest), digest)
+            layer: (self._joined([self._raw(data, digest, layer)]), digest)
             for layer, digest, data in self._asked("SELECT layer, digest, data FROM sums")
         }
 
@@ -631,12 +617,12 @@ class MapFile:
             raise _damaged(self.path, f"evidence {digest[:16]}", "its checksum fails")
         return raw
 
-    def _joined(self, raw: Sequence[bytes], digest: str) -> DailyEvidence:
+    def _joined(self, raw: Sequence[bytes]) -> DailyEvidence:
         """The rows of several pieces of evidence, one behind the other."""
         try:
             return unpacked_evidence(raw)
         except (ValueError, TypeError, KeyError) as error:
-            raise _damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
+            raise _damaged(self.path, "evidence", str(error)) from error
 
     def trips(self) -> list[Row]:
         """All recordings; that none is missing is verified."""
@@ -646,10 +632,6 @@ class MapFile:
             if not known or int(known[0][0], 16) != self._total():
                 raise _damaged(self.path, "table of trips", "entries are missing")
         return found
-
-    def layers(self, trips: Sequence[Row]) -> dict[str, tuple[DailyEvidence, str]]:
-        """Evidence of the trips by layer, added up, and a digest of what it was added up from."""
-        return self.summed(trips).evidence
 
     def summed(self, trips: Sequence[Row]) -> Sums:
         """Evidence of the trips by layer, added up; what does not agree is set aside or apart."""
@@ -693,9 +675,10 @@ class MapFile:
 
         if len(pieces) < 2 and not apart:
             return None
+        every = (self._joined([each]) for raw in self._raw_of(pieces) for each in raw)
         trips = [
             TripEvidence(each.key, each.direction, each.start, evidence)
-            for each, evidence in zip(pieces, self._each(pieces), strict=True)
+            for each, evidence in zip(pieces, every, strict=True)
         ]
         trips.sort(key=lambda each: each.key)
         track = self.empty
@@ -704,39 +687,24 @@ class MapFile:
             return None  # which is refused where the map is read
         return reconciled(track, layer, trips, apart=apart)
 
-    def _each(self, pieces: Sequence[_Piece]) -> Iterator[DailyEvidence]:
-        """The evidence of pieces, one by one."""
+    def _raw_of(self, pieces: Sequence[_Piece]) -> Iterator[list[bytes]]:
+        """Evidence of pieces, some hundred at once."""
         for first in range(0, len(pieces), _TOGETHER):
             digests = [piece.digest for piece in pieces[first : first + _TOGETHER]]
-            blobs = self._blobs(digests)
-            for each in digests:
-                yield self._joined([self._raw(blobs.get(each, b""), each)], each)
-
-    def _blobs(self, digests: Sequence[str]) -> dict[str, bytes]:
-        """Evidence as it stands in the file, by digest."""
-        every = ",".join("?" * len(digests))
-        return dict(
-            self._asked(f"SELECT digest, data FROM evidence WHERE digest IN ({every})", digests)
-        )
+            every = ",".join("?" * len(digests))
+            asked = f"SELECT digest, data FROM evidence WHERE digest IN ({every})"
+            blobs = dict(self._asked(asked, digests))
+            yield [self._raw(blobs.get(each, b""), each) for each in digests]
 
     def _added_up(self, known: DailyEvidence | None, pieces: Sequence[_Piece]) -> DailyEvidence:
         """What is known already and the pieces, in one; at least one of them there must be.
 
-        Added up day by day: rows of one day lie close together, and few are in memory at once.
+        Those of the same days together: few rows are in memory at once.
         """
         done = [] if known is None else [known]
-        latest: list[DailyEvidence] = []
-        for first_day, group in groupby(sorted(pieces), key=lambda piece: piece.first_day):
-            # Those of a trip before midnight may lie in this day, too.
-            done += [each.between(_FIRST, first_day - 1) for each in latest]
-            latest = [each.between(first_day, _LAST) for each in latest]
-            digests = [piece.digest for piece in group]
-            for start in range(0, len(digests), _TOGETHER):
-                some = digests[start : start + _TOGETHER]
-                blobs = self._blobs(some)
-                raw = [self._raw(blobs.get(each, b""), each) for each in some]
-                latest = [DailyEvidence.total([*latest, self._joined(raw, some[0])])]
-        return DailyEvidence.total([*done, *latest])
+        in_order = sorted(pieces, key=lambda piece: piece.first_day)
+        done += [DailyEvidence.total([self._joined(raw)]) for raw in self._raw_of(in_order)]
+        return DailyEvidence.total(done)
 
     def contents(self) -> dict[str, tuple[int, list[int]]]:
         """Trips that count, and the days of their evidence, by layer; it is not added up."""
@@ -1199,24 +1167,6 @@ def _check_alike(first: TrackConditionMap | None, second: TrackConditionMap, pat
 # ------------------------------------------------------------------------- maps at hand
 
 
-def map_from_bytes(data: bytes, *, file: str | Path = "track.map") -> TrackConditionMap:
-    """The track-condition map in the bytes of a map file; `file` is what errors call it.
-
-    Raises
-    ------
-    InputError
-        If they are not a map file, naming the place and the remedy.
-
-    Examples
-    --------
-    >>> from trainlog.formats.files import read_bytes
-    >>> map_from_bytes(read_bytes("sample_logs/CH_StGallen_Wil.map")).bins
-    1183
-    """
-    with MapFile.of_bytes(data, file) as opened:
-        return opened.read()
-
-
 def map_to_bytes(condition: TrackConditionMap) -> bytes:
     """The bytes of a file with the map's evidence, added up by day: equal for equal maps.
 
@@ -1228,7 +1178,7 @@ def map_to_bytes(condition: TrackConditionMap) -> bytes:
     Examples
     --------
     >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
-    >>> map_to_bytes(map_from_bytes(map_to_bytes(condition))) == map_to_bytes(condition)
+    >>> map_to_bytes(condition) == Path("sample_logs/CH_StGallen_Wil.map").read_bytes()
     True
     """
     _check_estimates(condition)
@@ -1236,7 +1186,12 @@ def map_to_bytes(condition: TrackConditionMap) -> bytes:
 
 
 def read_map(path: str | Path) -> TrackConditionMap:
-    """Read a track-condition map; errors as `map_from_bytes`, and if the file cannot be read.
+    """Read a track-condition map.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is not a map file, naming the place and the remedy.
 
     Examples
     --------
@@ -1331,34 +1286,35 @@ def _refusing(file: str | Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        _refuse(file, error)
+        words = str(error)
+        for signs, problem, remedy in _TROUBLES:
+            if any(sign in words for sign in signs):
+                raise InputError(problem.format(words), file=file, remedy=remedy) from error
+        raise _damaged(file, "database", words) from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         # A value is not what the table says that it is.
         raise _damaged(file, "database", str(error)) from error
 
 
-def _refuse(file: str | Path, error: sqlite3.Error) -> NoReturn:
-    words = str(error)
-    if "locked" in words or "busy" in words:
-        raise InputError(
-            f"is being written by another process for more than {PATIENCE:g} s",
-            file=file,
-            remedy="try again when it has ended",
-        ) from error
-    if "readonly" in words or "unable to open" in words:
-        raise InputError(
-            f"cannot be written: {words}",
-            file=file,
-            remedy="choose a folder you may write to; what an interrupted update left must be"
-            " undone by one who may",
-        ) from error
-    if "full" in words or "disk I/O" in words:
-        raise InputError(
-            f"cannot be written: {words}",
-            file=file,
-            remedy="free some space on the disk and try again; what was acknowledged is kept",
-        ) from error
-    raise _damaged(file, "database", words) from error
+_TROUBLES = (
+    (
+        ("locked", "busy"),
+        f"is being written by another process for more than {PATIENCE:g} s",
+        "try again when it has ended",
+    ),
+    (
+        ("readonly", "unable to open"),
+        "cannot be written: {}",
+        "choose a folder you may write to; what an interrupted update left must be undone by one"
+        " who may",
+    ),
+    (
+        ("full", "disk I/O"),
+        "cannot be written: {}",
+        "free some space on the disk and try again; what was acknowledged is kept",
+    ),
+)
+"""Parts of messages of SQLite, what is wrong then, and the remedy."""
 
 
 def _damaged(file: str | Path, place: str, what: str) -> InputError:
