@@ -681,6 +681,7 @@ def fleet_status(
     """
     found: dict[str, dict[str, int]] = {}
     problems: list[Problem] = []
+    columns = ["key", "path", "state", "reason", "name"]
     for analysis in _chosen(analyses):
         computation = computation_of(analysis)
         found[analysis.name] = catalogue.standing(computation, where=where)
@@ -688,8 +689,8 @@ def fleet_status(
             computation, where=where, states=("refused", "failed"), most=most
         )
         problems += [
-            Problem(row.key, row.path or "", analysis.name, row.state, row.reason, row.name or "")
-            for row in listed.itertuples(index=False)
+            Problem(key, path or "", analysis.name, state, reason, name or "")
+            for key, path, state, reason, name in listed[columns].to_numpy().tolist()
         ]
     gone = catalogue.gone(where)
     return FleetStatus(found, tuple(problems), catalogue.results_folder, gone)

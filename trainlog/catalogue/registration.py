@@ -686,9 +686,9 @@ class Files(Database):
             for part in parts(sorted(numbers)):
                 # Unless another process has done something with the file meanwhile.
                 seen = files.c.id.in_(part) & files.c.state.in_(("present", "vanished"))
-                asked = sa.update(files).where(seen).values(state=state).returning(files.c.trip)
+                put = sa.update(files).where(seen).values(state=state).returning(files.c.trip)
                 with self.writing() as connection:
-                    settle(connection, set(connection.execute(asked).scalars()) - {None})
+                    settle(connection, set(connection.execute(put).scalars()) - {None})
         added = self.add(paths).outcomes if paths else ()
         read = [*self.register(list(read_files(sorted(changed)))).outcomes, *added]
         moved = [each.path for each in read if each.state == "moved"]

@@ -107,7 +107,8 @@ def condition_of(text: str, zone: str | None = None) -> sa.ColumnElement[bool]:
     Traceback (most recent call last):
     trainlog.errors.InputError: expression "wether = 'wet'", column 1: 'wether' is no column; did...
     """
-    return _Compiler(text, zone).condition()
+    found: sa.ColumnElement[bool] = _Compiler(text, zone).condition()
+    return found
 
 
 def asked_by(text: str) -> list[tuple[str, str]]:

@@ -295,7 +295,7 @@ def _frame_in(entry: _TopicEntry, path: Path, columns: list[str] | None) -> pd.D
     frame.index = pd.DatetimeIndex(_times_of(table).view("M8[ns]"), tz="UTC", name=TIME)
     if isinstance(attrs.get("units"), dict):
         attrs["units"] = {name: unit for name, unit in attrs["units"].items() if name in frame}
-    frame.attrs = attrs
+    frame.attrs.update(attrs)
     return frame
 
 
