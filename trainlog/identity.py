@@ -318,13 +318,10 @@ def same_drives(trips: Sequence[Known]) -> list[SameDrive]:
     ['first']
     """
     known = [number for number, trip in enumerate(trips) if trip.identity is not None]
-    involved = _involved(trips, known)
-    if not involved:
-        return []
     used: dict[int, int] = {}
     by_source: dict[str, list[int]] = {}
     found = []
-    for number in sorted(involved, key=lambda number: _place(trips[number])):
+    for number in sorted(known, key=lambda number: _place(trips[number])):
         trip, identity = trips[number], _known(trips[number])
         blocks = identity.blocks.tolist()
         owners = Counter(used[block] for block in blocks if block in used)
@@ -355,21 +352,6 @@ def _known(trip: Known) -> TripIdentity:
 def _place(trip: Known) -> tuple[object, ...]:
     identity = _known(trip)
     return (not trip.held, -identity.blocks.size, -identity.samples, trip.order)
-
-
-def _involved(trips: Sequence[Known], known: Sequence[int]) -> list[int]:
-    """The trips that share a block or the source with another; most do not."""
-    if not known:
-        return []
-    identities = [_known(trips[number]) for number in known]
-    sizes = [identity.blocks.size for identity in identities]
-    blocks = np.concatenate([identity.blocks for identity in identities])
-    sources = Counter(identity.source for identity in identities if identity.source)
-    found = {n for n, each in zip(known, identities, strict=True) if sources[each.source] > 1}
-    owner = np.repeat(np.asarray(known, dtype=np.int64), sizes)
-    order = np.argsort(blocks, kind="stable")
-    again = blocks[order][1:] == blocks[order][:-1]
-    return sorted({*found, *owner[order][1:][again], *owner[order][:-1][again]})
 
 
 def _blocks(time: IntArray, values: IntArray) -> UintArray:

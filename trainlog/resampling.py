@@ -62,8 +62,8 @@ def interpolated(
     -------
     (n,) array
         In the column's unit. A sample at exactly one of the times is found as it is, the last of
-        several. NaN outside the recorded span, in gaps, and between two samples of which one is
-        not known.
+        several; at its own times a topic is what it was. NaN outside the recorded span, in gaps,
+        and between two samples of which one is not known.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def interpolated(
     values = frame[column].to_numpy(dtype=np.float64)
     if len(known) == 0:
         return np.full(len(wanted), np.nan)
-    if np.array_equal(known, wanted) and np.all(known[1:] > known[:-1]):
+    if np.array_equal(known, wanted):
         return values.copy()
     before = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, None)
     after = np.clip(before + 1, None, len(known) - 1)
@@ -160,15 +160,8 @@ def resampled_frame(
     """The frame of a topic at other times; see `interpolated`. Texts and codes are left out."""
     topic = topic_of_frame(frame.attrs)
     names = [name for name in frame.columns if column_field(topic, name).interpolation != "none"]
-    # At its own times a topic is what it was, though one come twice.
-    own = np.array_equal(nanoseconds(frame), time.as_unit("ns").asi8)
     found = pd.DataFrame(
-        {
-            name: frame[name].to_numpy(np.float64).copy()
-            if own
-            else interpolated(frame, name, time, max_gap)
-            for name in names
-        },
+        {name: interpolated(frame, name, time, max_gap) for name in names},
         index=_named(time),
         columns=names,
         dtype=np.float64,
@@ -217,7 +210,6 @@ def joined(
     ((14140, 2), 'm/s')
     """
     check_max_gap(max_gap)
-    clock_topic = on if isinstance(on, str) else None
     times = pd.DatetimeIndex(trip[on].index) if isinstance(on, str) else _times(trip, on)
     found: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
@@ -227,10 +219,7 @@ def joined(
             full = f"{topic}.{column}"
             if full in found:
                 raise InputError(f"{full} is joined twice", remedy="name it once")
-            values = interpolated(frame, column, times, max_gap)
-            # At its own times a topic is what it was, though one come twice.
-            own = topic == clock_topic
-            found[full] = frame[column].to_numpy(np.float64).copy() if own else values
+            found[full] = interpolated(frame, column, times, max_gap)
             units[full] = frame.attrs["units"][column]
     result = pd.DataFrame(found, index=_named(times), columns=list(found), dtype=np.float64)
     result.attrs = {"units": units}

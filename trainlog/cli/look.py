@@ -19,6 +19,7 @@ from trainlog.cli.options import (
     destination,
     logs_in,
     moment,
+    named_apart,
     part_of,
     refuse_rivals,
 )
@@ -87,13 +88,11 @@ def compare_trips(
         by_time_of_day=time_of_day,
     )
     show(found)
-    if picture is not None:
-        for each in found.directions:
-            several = len(found.directions) > 1
-            path = picture.with_stem(f"{picture.stem}-{each.direction}") if several else picture
-            with task(f"drawing {path.name}"):
-                draw_charts(comparison_charts(each), path)
-            wrote(path)
+    pictures = named_apart(picture, [each.direction for each in found.directions])
+    for each, path in zip(found.directions, pictures, strict=False):
+        with task(f"drawing {path.name}"):
+            draw_charts(comparison_charts(each), path)
+        wrote(path)
 
 
 @compare_app.command("groups")
@@ -138,22 +137,21 @@ def compare_calculated(
     picture : FILE
         Save a picture (.png), one a trip.
     """
-    from analysis.charts import draw_charts
+    from analysis.charts import draw
     from analysis.comparison.calculated import judged_together, together_words
 
-    predicted, trips = _model(model), list(logs_in(logs))
+    predicted, trips = _model(model), logs_in(logs)
+    pictures = named_apart(picture, [log.stem for log in trips])
     every, calculations = [], []
-    for log in track(trips, "calculating", "trip"):
+    for number, log in enumerate(track(trips, "calculating", "trip")):
         found = analysis.calculate(log, predicted, wind_std=wind)
         calculations.append(found)
         every.append(found.data())
         together = judged_together(calculations)
         if not state({"trips": every, "together": together}):
             show(found)
-        if picture is not None:
-            several = len(trips) > 1
-            path = picture.with_stem(f"{picture.stem}-{log.stem}") if several else picture
-            draw_charts(found.charts(), path)
+        for path in pictures[number : number + 1]:
+            draw(found, path)
             wrote(path)
     if len(calculations) > 1:
         console.print(together_words(calculations, together))

@@ -28,6 +28,7 @@ from trainlog.cli.options import (
     destination,
     logs_in,
     moment,
+    named_apart,
     refuse_rivals,
     stretch,
     zone_assumed,
@@ -236,9 +237,7 @@ def _show_place(
         analysis.map_history(track, position, name, line=known, days=days or MOST_DAYS)
         for name in names
     ]
-    pictures = [] if picture is None else [picture]
-    if picture is not None and len(found) > 1:
-        pictures = [picture.with_stem(f"{picture.stem}-{each.layer}") for each in found]
+    pictures = named_apart(picture, [each.layer for each in found])
     for each, path in zip(found, pictures, strict=False):
         draw(each, path)
     if not state({"layers": [each.data() for each in found]}):

@@ -44,7 +44,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -454,6 +454,13 @@ def logs_in(paths: list[Path]) -> list[Path]:
     from trainlog.formats.files import logs_of
 
     return [log for path in paths for log in logs_of(path)]
+
+
+def named_apart(picture: Path | None, names: Sequence[str]) -> list[Path]:
+    """The pictures of several things: with their names added where there are more than one."""
+    if picture is None or len(names) < 2:
+        return [] if picture is None else [picture]
+    return [picture.with_stem(f"{picture.stem}-{name}") for name in names]
 
 
 def sections_in(paths: list[Path]) -> list[Path]:
