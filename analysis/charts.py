@@ -278,11 +278,45 @@ class Chart:
             object.__setattr__(self, "x", "km")
 
     @property
-    def marked(self) -> Sequence[tuple[float, str]]:
-        """The places, or the stations of the line."""
-        if self.places is not None or self.line is None:
-            return self.places or ()
-        return [(each.position / 1e3, each.name) for each in self.line.stations]
+    def marked(self) -> list[Panel]:
+        """The panels with the places marked in all of them, and named in the first."""
+        places = self.places
+        if places is None:
+            stations = () if self.line is None else self.line.stations
+            places = [(each.position / 1e3, each.name) for each in stations]
+        low, high = self.ends
+        width = high - low
+        within = [
+            (min(max(at, low), high), _short(name))
+            for at, name in places
+            if low - 0.005 * width <= at <= high + 0.005 * width
+        ]
+        # Upright where they would else overlap.
+        close = any(
+            after - at < 0.011 * width * max(len(name), len(other))
+            for (at, name), (after, other) in pairwise(within)
+        )
+        names = list[Label]()
+        for at, name in within:
+            at_end = close or at > low + 0.95 * width
+            side = "right" if at_end else "left" if at < low + 0.05 * width else "center"
+            names.append(Label(at, name, None, GREY, close, side, 8.0))
+        rules = [Rule(at, PALE, upright=True, width=0.9) for at, _ in within]
+        return [
+            replace(
+                panel,
+                rules=[*rules, *panel.rules],
+                labels=[*panel.labels, *names] if number == 0 else panel.labels,
+            )
+            for number, panel in enumerate(self.panels)
+        ]
+
+    def kilometres(self, most: int = 10) -> list[tuple[float, str]]:
+        """Ticks at the operator's kilometres, about so many; none where the line has none."""
+        if self.line is None or self.line.reference is None:
+            return []
+        places, names = km_ticks(self.line, *(1e3 * each for each in self.ends), most)
+        return list(zip((places / 1e3).tolist(), names, strict=True))
 
     @property
     def alt(self) -> str:
@@ -410,20 +444,6 @@ def shades(values: ArrayLike, colours: str, span: tuple[float, float]) -> NDArra
         to_hex(colormaps[colours](each)) if np.isfinite(each) else "" for each in share.ravel()
     ]
     return np.array(found, dtype=np.str_).reshape(known.shape)
-
-
-def named_places(chart: Chart) -> Iterator[tuple[float, str, int]]:
-    """Where the names of a chart's places stand, and their angle: upright if they would overlap."""
-    span = chart.ends
-    width = span[1] - span[0]
-    low, high = span[0] - 0.005 * width, span[1] + 0.005 * width
-    within = [each for each in chart.marked if low <= each[0] <= high]
-    close = any(
-        after[0] - before[0] < 0.011 * width * max(len(_short(before[1])), len(_short(after[1])))
-        for before, after in pairwise(within)
-    )
-    for place, name in within:
-        yield min(max(place, span[0]), span[1]), name, 90 if close else 0
 
 
 def legend_of(chart: Chart) -> Iterator[tuple[str, str, str]]:
@@ -584,21 +604,15 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
     places = np.atleast_1d(
         figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     ).tolist()
-    for axes, panel in zip(places, chart.panels, strict=True):
+    for axes, panel in zip(places, chart.marked, strict=True):
         _draw_panel(axes, panel)
         _draw_legend(axes, panel, share, known, chart.second is None)
-        for place, _ in chart.marked:
-            axes.axvline(place, color=PALE, linewidth=0.9, zorder=0)
     last: Axes = places[-1]
     last.set_xlabel(chart.x, color=INK)
     last.set_xlim(*chart.ends)
-    if chart.line is not None and chart.line.reference is not None:
-        low, high = chart.ends
-        at, labels = km_ticks(chart.line, 1e3 * low, 1e3 * high)
-        last.set_xticks(at / 1e3, labels)
-    if chart.ticks:
-        close = sum(len(name) for _, name in chart.ticks) > 90 * chart.width
-        last.set_xticks(*zip(*chart.ticks, strict=True), rotation=40 if close else 0,
+    if ticks := chart.ticks or chart.kilometres():
+        close = sum(len(name) for _, name in ticks) > 90 * chart.width
+        last.set_xticks(*zip(*ticks, strict=True), rotation=40 if close else 0,
                         ha="right" if close else "center", fontsize=8)  # fmt: skip
     if chart.dates:
         locator = AutoDateLocator(minticks=3, maxticks=9)  # type: ignore[no-untyped-call]
@@ -616,7 +630,6 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
         # Where the data's limits are fixed, it is the frame that is adjusted.
         fixed = chart.span is not None or chart.panels[-1].limits is not None
         last.set_aspect("equal", adjustable="box" if fixed else "datalim")
-    _name_places(places[0], chart)
     figure.align_ylabels(places)
 
 
@@ -633,7 +646,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     for rule in panel.rules:
         line = axes.axvline if rule.upright else axes.axhline
         line(rule.at, color=rule.colour, linewidth=rule.width, linestyle=rule.dash or "-",
-             label=rule.label or None)  # fmt: skip
+             label=rule.label or None, zorder=0 if rule.colour == PALE else 2)  # fmt: skip
     dress(axes, x="", y=panel.y, title=panel.title)
     if panel.rows:
         axes.set_yticks(range(len(panel.rows)), [_short(each) for each in panel.rows], fontsize=7)
@@ -739,20 +752,6 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
         axes.bar(x, y - base, curve.width, bottom=base, linewidth=0, **style)
     else:
         axes.plot(x, y, **style, **dashed)
-
-
-def _name_places(axes: Axes, chart: Chart) -> None:
-    """Names of stations at the top of an axes, upright where they would overlap."""
-    low, high = chart.ends
-    for place, name, angle in named_places(chart):
-        share = (place - low) / (high - low)
-        side = (
-            "left" if share < 0.05 and not angle else "right" if angle or share > 0.95 else "center"
-        )
-        axes.text(
-            place, 0.985, _short(name), fontsize=8, color=GREY, va="top", ha=side, rotation=angle,
-            rotation_mode="default", transform=axes.get_xaxis_transform(), clip_on=True,
-        )  # fmt: skip
 
 
 def _short(name: str) -> str:

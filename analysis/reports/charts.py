@@ -22,10 +22,8 @@ from analysis.charts import (
     Chart,
     Curve,
     Panel,
-    named_places,
 )
 from trainlog.arrays import FloatArray
-from trainlog.railway.line import km_ticks
 from trainlog.spans import runs_of
 
 FINE_TICKS = 60
@@ -62,8 +60,10 @@ def item_of(chart: Chart) -> dict[str, Any] | None:
     shared = models.Range1d(low, high, bounds="auto")
     ruler = models.Span(dimension="height", line_color=GREY, line_dash="dashed")
     plots = []
-    for number, panel in enumerate(chart.panels):
-        plot = _plot(chart, panel, shared, first=number == 0, last=panel is chart.panels[-1])
+    panels = chart.marked
+    for panel in panels:
+        ends = {"first": panel is panels[0], "last": panel is panels[-1]}
+        plot = _plot(chart, panel, shared, **ends)
         plot.add_tools(models.CrosshairTool(overlay=ruler))
         plots.append(plot)
     layout = column(*plots, sizing_mode="stretch_width")
@@ -123,7 +123,7 @@ def _plot(chart: Chart, panel: Panel, shared: Any, *, first: bool, last: bool) -
         else:
             _add(plot, each, scale)
     _limit(plot, panel)
-    _annotate(plot, chart, panel, first=first)
+    _annotate(plot, panel, scale)
     return plot
 
 
@@ -139,12 +139,9 @@ def _limit(plot: Any, panel: Panel) -> None:
         plot.ygrid.visible = False
 
 
-def _annotate(plot: Any, chart: Chart, panel: Panel, *, first: bool) -> None:
-    """Lines, names of places and labels."""
+def _annotate(plot: Any, panel: Panel, scale: float) -> None:
+    """Lines and labels."""
     models: Any = import_module("bokeh.models")
-    scale = _scale(chart)
-    for place, _ in chart.marked:
-        plot.add_layout(models.Span(location=place, dimension="height", line_color=PALE))
     for rule in panel.rules:
         plot.add_layout(
             models.Span(
@@ -153,32 +150,21 @@ def _annotate(plot: Any, chart: Chart, panel: Panel, *, first: bool) -> None:
                 line_dash=DASHES.get(rule.dash, "solid"),
             )
         )  # fmt: skip
-    style = {"text_font_size": "8pt", "x_units": "data"}
     for label in panel.labels:
-        at = {"y": 1.0, "y_units": "screen"} if label.y is None else {"y": label.y}
+        # Where the ordinate's end is known what has no ordinate stands at the top, else below.
+        at_top = label.y is None and panel.limits is not None
+        at: dict[str, Any] = {"y": label.y}
+        if label.y is None:
+            at = {"y": panel.limits[1]} if panel.limits else {"y": 2.0, "y_units": "screen"}
+        across = "top" if at_top else "bottom" if label.y is None else "middle"
         plot.add_layout(
             models.Label(
-                x=label.x * scale, text=_plain(label.words), text_color=label.colour, **at, **style,
-                angle=float(np.pi / 2.0) if label.upright else 0.0,
-                text_align="left" if label.upright else label.side,
-                text_baseline="middle" if label.upright or label.y is not None else "bottom",
+                x=label.x * scale, text=_plain(label.words), text_color=label.colour, **at,
+                angle=float(np.pi / 2.0) if label.upright else 0.0, text_font_size="8pt",
+                text_align=("right" if at_top else "left") if label.upright else label.side,
+                text_baseline="middle" if label.upright else across,
             )
         )  # fmt: skip
-    if not first:
-        return
-    low, high = chart.ends
-    # Where the ordinate's end is known the names stand at the top, else at the bottom.
-    at_end = {"y": 2.0, "y_units": "screen"}
-    if panel.limits is not None:
-        at_end = {"y": panel.limits[1], "text_baseline": "top"}
-    for place, name, angle in named_places(chart):
-        last_one = place > low + 0.93 * (high - low) and not angle
-        label = models.Label(
-            x=place, text=_plain(name), text_color=GREY, **at_end, **style,
-            angle=np.deg2rad(angle).item(), x_offset=-3 if last_one else 3,
-            text_align="right" if last_one else "left",
-        )  # fmt: skip
-        plot.add_layout(label)
 
 
 def _label_axes(plot: Any, chart: Chart, panel: Panel) -> None:
@@ -188,20 +174,12 @@ def _label_axes(plot: Any, chart: Chart, panel: Panel) -> None:
         plot.yaxis.ticker = models.FixedTicker(ticks=list(range(len(panel.rows))))
         names = {number: _plain(name) for number, name in enumerate(panel.rows)}
         plot.yaxis.major_label_overrides = names
-    if chart.ticks:
-        plot.xaxis.ticker = models.FixedTicker(ticks=[place for place, _ in chart.ticks])
-        plot.xaxis.major_label_overrides = {place: _plain(name) for place, name in chart.ticks}
-        plot.xaxis.major_label_policy = models.NoOverlap(min_distance=4)
-    if chart.line is None or chart.line.reference is None:
-        return
-    low, high = (1e3 * each for each in chart.ends)
-    coarse, _ = km_ticks(chart.line, low, high)
-    fine, labels = km_ticks(chart.line, low, high, FINE_TICKS)
-    places = (fine / 1e3).tolist()
-    plot.xaxis.ticker = models.FixedTicker(ticks=places)
-    plot.xaxis.major_label_overrides = dict(zip(places, labels, strict=True))
-    plot.xaxis.major_label_policy = models.NoOverlap(min_distance=40)
-    plot.xgrid.ticker = models.FixedTicker(ticks=(coarse / 1e3).tolist())
+    if coarse := chart.kilometres():
+        plot.xgrid.ticker = models.FixedTicker(ticks=[place for place, _ in coarse])
+    if ticks := chart.ticks or chart.kilometres(FINE_TICKS):
+        plot.xaxis.ticker = models.FixedTicker(ticks=[place for place, _ in ticks])
+        plot.xaxis.major_label_overrides = {place: _plain(name) for place, name in ticks}
+        plot.xaxis.major_label_policy = models.NoOverlap(min_distance=40 if coarse else 4)
 
 
 def _plain(text: str) -> str:
