@@ -298,9 +298,12 @@ class Chart:
         )
         names = list[Label]()
         for at, name in within:
-            at_end = close or at > low + 0.95 * width
-            side = "right" if at_end else "left" if at < low + 0.05 * width else "center"
-            names.append(Label(at, name, None, GREY, close, side, 8.0))
+            label = Label(at, name, None, GREY, close, "center", 8.0)
+            if close or at > low + 0.95 * width:
+                label = replace(label, side="right")
+            elif at < low + 0.05 * width:
+                label = replace(label, side="left")
+            names.append(label)
         rules = [Rule(at, PALE, upright=True, width=0.9) for at, _ in within]
         return [
             replace(
@@ -315,7 +318,8 @@ class Chart:
         """Ticks at the operator's kilometres, about so many; none where the line has none."""
         if self.line is None or self.line.reference is None:
             return []
-        places, names = km_ticks(self.line, *(1e3 * each for each in self.ends), most)
+        low, high = self.ends
+        places, names = km_ticks(self.line, 1e3 * low, 1e3 * high, most)
         return list(zip((places / 1e3).tolist(), names, strict=True))
 
     @property

@@ -45,9 +45,10 @@ from trainlog.units import KMH, factor, to_si
 
 Thing = TypeVar("Thing")
 Result = TypeVar("Result")
-Stated = Literal["", "written", "required", "read", "never"]
+
+Stated = Literal["", "written", "required", "read"]
 """When a field that has a default stands in the file: where it differs from it; always, and it may
-be left out; always; it may, and is not written; never. One without a default always does."""
+be left out; always; it may, and is not written. One without a default always does."""
 
 
 def _once(make: Callable[[Any], Result]) -> Callable[[Any], Result]:
@@ -131,7 +132,7 @@ class Form:
     ----------
     key : str
         Its key there; empty: its name.
-    stated : {"", "written", "required", "read", "never"}
+    stated : {"", "written", "required", "read"}
         See `Stated`.
     usual : object
         Value of the template.
@@ -898,7 +899,7 @@ def entries(kind: type) -> tuple[Entry, ...]:
     for field in fields(kind):
         hint = hints[field.name]
         form = form_of(hint)
-        if form.stated == "never" or not field.init:
+        if not field.init:
             continue
         if isinstance(form, Column) and form.table:
             before = made.get(form.table, Entry(form.table, (), Table(fields=True), None, MISSING))

@@ -153,18 +153,16 @@ def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
         check_zone(zone)
     stamp = stamp_of(text)
     try:
+        ends = [stamp, stamp + pd.Timedelta(days=1)] if day else [stamp]
         if stamp.tzinfo is None and zone is not None:
-            following = (stamp + pd.Timedelta(days=1)).tz_localize(zone)
-            stamp = stamp.tz_localize(zone)
-        else:
-            following = stamp + pd.Timedelta(days=1)
+            ends = [each.tz_localize(zone) for each in ends]
     except (ValueError, TypeError, KeyError, OverflowError) as error:
         raise InputError(
             f"'{text}' is not one time in the zone '{zone}'" if zone else f"'{text}' is not a time",
             remedy="write it as 2026-10-01T06:30Z, or with another offset",
         ) from error
-    first = int(utc(stamp).value)
-    return first, int(utc(following).value) - 1 if day else first
+    first, *following = (int(utc(each).value) for each in ends)
+    return first, following[0] - 1 if following else first
 
 
 def time_limits(start: Any = None, end: Any = None) -> tuple[int, int]:
