@@ -85,6 +85,9 @@ RENEWALS, FINER_RENEWALS = 3, 2
 """How often cells are laid anew about the plan found; and how often more while the gap is too large
 to certify. Every other time they are twice as many."""
 
+TOGETHER = 6_000
+"""Cells of all configurations that count in the program of an expected energy, at first."""
+
 _CUT = 0.9
 """Times the gap before, above which new cells are the last."""
 
@@ -150,7 +153,7 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
     running_time = _running_time(problem, fastest, options.cells)
     try:
         check_time(problem, fastest, running_time)
-        found = _audited(problem, fastest, running_time, options.cells)
+        found = _audited(problem, fastest, running_time, _first_cells(problem, options.cells))
         found, bound = _renewed(found, fastest, running_time, options)
     except InfeasibleError as refusal:
         raise _with_time_to_allow(refusal, problem, fastest, running_time, options.cells) from None
@@ -183,6 +186,13 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
             "line": file_content(problem.line),
         },
     )
+
+
+def _first_cells(problem: TrajectoryProblem, cells: int) -> int:
+    """Cells of the first grid: fewer where all of many configurations are in the program."""
+    if problem.objective != "expected":
+        return cells
+    return min(cells, max(COARSE_CELLS, TOGETHER // len(problem.configurations)))
 
 
 def _running_time(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> float:
@@ -284,6 +294,8 @@ def _renewed(
 ) -> tuple[_Audited, ContinuousBound]:
     """The best plan, on cells laid anew where the bound of the last states that it loses most."""
     cells = first = found.problem.shape[1]
+    few = _first_cells(found.problem.run, options.cells) < options.cells
+    most = options.cells if few else MOST_CELLS
     tolerance = options.tolerance
     bound = best_bound(found.answer, fastest, running_time)
     last, excess = found, bound.excess
@@ -293,7 +305,7 @@ def _renewed(
         if number >= RENEWALS:
             tolerance = max(tolerance, GAP_TOLERANCE)
         if number > 0 and number % 2 == 0:
-            cells = min(2 * cells, MOST_CELLS)
+            cells = min(2 * cells, most)
         if gap <= tolerance or time_left() <= 0.0:
             break
         again = _searched_again(last, excess, cells, fastest, running_time)
@@ -309,11 +321,12 @@ def _renewed(
         if less <= _CUT * gap or (number == 0 and not several):
             continue
         # By each other's power several lose what no cells regain: more of them are tried once, but
-        # not where all are in the program.
+        # where all are in the program only if it has fewer than were asked for.
         all_count = several and found.problem.run.objective == "expected"
-        if less <= GAP_TOLERANCE or cells > first or all_count:
+        largest = most if few else first if all_count else 2 * first
+        if less <= GAP_TOLERANCE or 2 * cells > largest:
             break
-        cells = min(2 * cells, MOST_CELLS)
+        cells = min(2 * cells, most)
     return found, bound
 
 
