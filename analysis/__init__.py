@@ -60,12 +60,12 @@ if TYPE_CHECKING:
         coast_down_without_gradient as coast_down_without_gradient,
     )
     from analysis.trajectory.advice import journey_advice as journey_advice
+    from analysis.trajectory.instructions import phases_of as phases_of
     from analysis.trajectory.journey import optimise_journey as optimise_journey
     from analysis.trajectory.optimiser import (
         energy_against_time as energy_against_time,
         optimise as optimise,
     )
-    from analysis.trajectory.phases import phases_of as phases_of
     from analysis.trajectory.problem import (
         OptimiserOptions as OptimiserOptions,
         TrajectoryProblem as TrajectoryProblem,

@@ -16,7 +16,7 @@ from advised_driver import driven, rows_of
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
 from analysis.trajectory.advice import journey_advice, limits_of, write_journey_advice
-from analysis.trajectory.phases import Phase
+from analysis.trajectory.instructions import Phase
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, Line, RunningResistance, Train

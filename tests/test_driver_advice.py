@@ -21,9 +21,8 @@ from analysis.trajectory.advice import (
     time_of_day,
     with_times,
 )
-from analysis.trajectory.instructions import Cap, Instruction
+from analysis.trajectory.instructions import Cap, Instruction, Phase
 from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.phases import Phase
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.formats.railway import (

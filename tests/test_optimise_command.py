@@ -15,8 +15,7 @@ from refusals import refused
 
 from analysis.comparison.driven import driven_trip
 from analysis.reports.summary import report
-from analysis.trajectory.adhesion import adhesion_demand, adhesion_words
-from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.problem import TrajectoryProblem, adhesion_demand, adhesion_words
 from trainlog.cli import main as cli
 from trainlog.cli.options import sections_in
 from trainlog.errors import InputError

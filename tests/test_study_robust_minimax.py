@@ -12,7 +12,7 @@ from test_study_tables import check_page
 
 from analysis.studies.cunillera_2022 import model as study
 from analysis.trajectory.discretisation import discretise
-from analysis.trajectory.phases import Phase
+from analysis.trajectory.instructions import Phase
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.formats.railway import read_trajectory

@@ -23,9 +23,8 @@ from analysis.trajectory.advice import (
     with_advice,
     write_journey_advice,
 )
-from analysis.trajectory.instructions import instructions
+from analysis.trajectory.instructions import Phase, agreement, instructions
 from analysis.trajectory.optimiser import energy_against_time, optimise
-from analysis.trajectory.phases import Phase, agreement
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railway import read_line, read_train, read_trajectory

@@ -11,11 +11,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory.active_set import search
-from analysis.trajectory.continuous import continuous_bound
+from analysis.trajectory.active_set import initial_guess, search
+from analysis.trajectory.bound import continuous_bound
 from analysis.trajectory.discretisation import discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.guess import initial_guess
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError

@@ -10,8 +10,8 @@ import pytest
 from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, optimised, steps
 
 from analysis.trajectory import active_set, attempts, convex, optimiser
+from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import NoSolutionError
-from analysis.trajectory.guess import Answer
 from analysis.trajectory.sqp import Solution
 from trainlog.errors import TrainlogError
 from trainlog.railway import Trajectory

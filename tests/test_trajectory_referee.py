@@ -10,7 +10,12 @@ from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observ
 
 from analysis.charts import draw
 from analysis.trajectory.discretisation import graded_mesh
-from analysis.trajectory.phases import Phase, phase_letters, phases_by_control, phases_by_switching
+from analysis.trajectory.instructions import (
+    Phase,
+    phase_letters,
+    phases_by_control,
+    phases_by_switching,
+)
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 

@@ -18,8 +18,7 @@ import numpy as np
 from numba import njit
 from pandas import Timestamp
 
-from analysis.trajectory.adhesion import read_words
-from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.problem import TrajectoryProblem, read_words
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import TrackConditionMap, Trajectory

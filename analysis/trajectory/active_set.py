@@ -5,17 +5,21 @@ lower bound for some is one for all. Few are ever active: the slowest, those sho
 the line those that regain least. How the others drive the optimum leaves open; those that do not
 decide leave the program, and are judged by the best that they can make of the common traction. In
 the expected energy every configuration that has a weight counts.
+
+An answer is driven by the audit. What it finds beyond a limit by little is rounding, of the
+programs or of the integration: the same search within slightly stricter limits removes it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import count
 
 import numpy as np
 
+from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.convex import (
     NoSolutionError,
     OutOfTimeError,
@@ -24,7 +28,8 @@ from analysis.trajectory.convex import (
     time_limit,
 )
 from analysis.trajectory.descent import DrivenPlan, descend, unpriced
-from analysis.trajectory.discretisation import DiscreteProblem, Plan
+from analysis.trajectory.discretisation import DiscreteProblem, Plan, discretise
+from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.feasibility import (
     LATE,
     brakes_explained,
@@ -32,8 +37,10 @@ from analysis.trajectory.feasibility import (
     time_explained,
     unsettled,
 )
-from analysis.trajectory.guess import INACTIVE, Answer, Guess
+from analysis.trajectory.problem import MOST_CELLS, TrajectoryProblem
 from analysis.trajectory.rollout import (
+    capped_run,
+    cell_times,
     delays,
     energy_of,
     paced_run,
@@ -49,6 +56,7 @@ from analysis.trajectory.sqp import (
     minimise,
 )
 from trainlog.arrays import FloatArray
+from trainlog.errors import TrainlogError
 from trainlog.progress import note
 
 _COARSE = Tolerances(energy=1e-4, lateness=0.05, smoothing=0.0)
@@ -348,3 +356,278 @@ def _optimum(
     if problem.common:
         raise brakes_explained(problem, speeds, running_time)
     raise refusal
+
+
+INACTIVE = 1e-3
+"""Switching function below which a configuration is inactive, and leaves a prepared set."""
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Where a search begins: some configurations, their plan, and what a second is worth to each.
+
+    Attributes
+    ----------
+    rows : tuple of int
+    plan : Plan
+        Of these configurations, as the price.
+    price : (rows,) array [J/(kg s)]
+    statuses : tuple of str
+        The solver's status of every program so far.
+    """
+
+    rows: tuple[int, ...]
+    plan: Plan
+    price: FloatArray
+    statuses: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The best plan for all configurations.
+
+    Attributes
+    ----------
+    problem : DiscreteProblem
+        With the traction tapered as the plan has it.
+    plan : Plan
+    active : tuple of int
+        Rows of the configurations that it was optimised for.
+    solution : Solution
+        Of the active configurations.
+    turns : int
+        How often configurations were added, and once more.
+    statuses : tuple of str
+        The solver's status of every program.
+    """
+
+    problem: DiscreteProblem
+    plan: Plan
+    active: tuple[int, ...]
+    solution: Solution
+    turns: int
+    statuses: tuple[str, ...]
+
+
+def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: float) -> Guess:
+    """The slowest configuration and that of the highest resistance, their fastest run cut off.
+
+    Where a window of time opens on the way, the fastest too; all, where all count.
+
+    Parameters
+    ----------
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
+    """
+    times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
+    rows = {int(np.argmax(times)), _highest_resistance(problem, times)}
+    if problem.common:
+        rows |= {int(np.argmin(times)), int(np.argmin(problem.power))}
+    if np.isfinite(problem.earliest).any():
+        rows |= {int(np.argmin(times))}
+    if problem.run.objective == "expected":
+        rows |= set(np.flatnonzero(problem.weights).tolist())
+    chosen = tuple(sorted(rows))
+    part = problem.select(chosen)
+    return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
+
+
+def interpolated_guess(answer: Answer, coarse: FloatArray, problem: DiscreteProblem) -> Guess:
+    """What was found on one grid, interpolated to another one.
+
+    Parameters
+    ----------
+    answer : Answer
+        For all configurations.
+    coarse : (m + 1,) array [m]
+        Its grid.
+    problem : DiscreteProblem
+    """
+    solution, positions = answer.solution, problem.positions
+    influence = np.abs(solution.multipliers.pull / np.diff(coarse)).max(axis=1)
+    active = np.flatnonzero(influence > INACTIVE)
+    if active.size == 0 or problem.common or problem.run.objective == "expected":
+        active = np.arange(len(answer.active))
+    plan = solution.plan
+    cell = np.searchsorted(coarse, 0.5 * (positions[1:] + positions[:-1])) - 1
+    cell = np.clip(cell, 0, coarse.size - 2)
+    z = np.array([np.interp(positions, coarse, plan.z[row]) for row in active])
+    guess = Plan(
+        z, plan.traction[cell], *(e[active][:, cell] for e in (plan.braking, plan.dynamic))
+    )
+    chosen = tuple(answer.active[row] for row in active)
+    return Guess(chosen, guess, solution.time_price[active], answer.statuses)
+
+
+def _highest_resistance(problem: DiscreteProblem, least_times: FloatArray) -> int:
+    """The configuration of the highest resistance at the mean speed of the fastest runs."""
+    speed = float(problem.step.sum()) / float(np.median(least_times))
+    drag = problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2
+    drag += (problem.mean_drag0 @ problem.step) / problem.step.sum()
+    return int(np.argmax(drag / problem.gain))
+
+
+_CORRECTIONS = 3
+"""How often limits are made stricter by what an audit found beyond them."""
+
+_LITTLE = 1e-3
+"""Part of a limit up to which an excess is corrected so."""
+
+_TIMES, _LEAST = 4.0, 1e-3
+"""Ratio of ``z`` at both ends from which a cell is split, and the least ``z`` that counts."""
+
+_SPLITS, _LOST = 5, 0.3
+"""How often cells are split that cost a run at a constant pace time; and what each may cost, over
+an even share of the time in hand."""
+
+_MORE = 1.5
+"""Times the excess by which a limit becomes stricter."""
+
+
+def driven(answer: Answer) -> Audit:
+    """The audit of an answer."""
+    problem, unit = answer.problem, answer.problem.reference
+    plan, fall = answer.plan, problem.taper.fall * unit
+    return audit(problem.run, problem.positions, plan.traction * unit, fall, plan.braking * unit)
+
+
+def searched(
+    problem: DiscreteProblem, guess: Guess, envelope: Envelope, running_time: float
+) -> tuple[Answer, Audit]:
+    """The optimum, if need be within stricter limits and on more cells, so that it can be driven.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        With all configurations, not tapered.
+    guess : Guess
+    envelope : Envelope
+        Fast runs of each configuration.
+    running_time : float [s]
+
+    Raises
+    ------
+    InfeasibleError
+        If the search finds no trajectory.
+    TrainlogError
+        If the one that it finds does not pass.
+    """
+    strict, asked = problem, running_time
+    for _ in range(_CORRECTIONS + 1):
+        answer = search(strict, guess, envelope.at(strict.positions), asked)
+        found = driven(answer)
+        failures = found.failures(problem.run, running_time)
+        if not failures:
+            # The bound is to hold for the limits as they are.
+            return replace(answer, problem=problem.tapered(answer.problem.taper)), found
+        late = float(found.arrival.max()) - running_time
+        split = split_where_slow(problem.positions, answer.plan.z)
+        if split.size > problem.positions.size:
+            problem = strict = discretise(problem.run, split)
+        elif _is_little(found, problem.run, late / running_time):
+            strict, asked = _stricter(strict, found), asked - max(_MORE * late, 0.0)
+        else:
+            break
+        guess = interpolated_guess(answer, answer.problem.positions, strict)
+    raise _not_passed(failures)
+
+
+def split_where_slow(positions: FloatArray, z: FloatArray) -> FloatArray:
+    """A grid with cells split in which the speed changes by more than a factor of two.
+
+    Near a standstill on the way the resistance changes within metres. New nodes are where ``z``,
+    taken as linear, is four times, sixteen times ... what it is at the slower end.
+
+    Parameters
+    ----------
+    positions : (n + 1,) array [m]
+    z : (q, n + 1) array [m²/s²]
+        Of a plan.
+    """
+    low, high = np.minimum(z[:, 1:-2], z[:, 2:-1]), np.maximum(z[:, 1:-2], z[:, 2:-1])
+    ratio = high / np.maximum(low, _LEAST)
+    row, cells = np.argmax(ratio, axis=0), np.arange(ratio.shape[1])
+    found = [positions]
+    for k in cells[ratio[row, cells] > 1.5 * _TIMES].tolist():
+        a, begin, end = row[k], positions[k + 1], positions[k + 2]
+        count = int(np.ceil(np.log(ratio[a, k]) / np.log(_TIMES)))
+        least, most = max(low[a, k], _LEAST), high[a, k]
+        share = (least * (most / least) ** (np.arange(1, count) / count) - least) / (most - least)
+        slow_first = z[a, k + 1] < z[a, k + 2]
+        found.append(begin + share * (end - begin) if slow_first else end - share * (end - begin))
+    return np.unique(np.concatenate(found))
+
+
+def _is_little(found: Audit, run: TrajectoryProblem, late: float) -> bool:
+    """Whether every excess is so small that slightly stricter limits remove it."""
+    worst = (late, *(float(each.max()) - 1.0 for each in _used(found)))
+    way = float(found.shortfall.max()) / (run.end - run.start)
+    end = float(found.end_speed.max()) - run.final_speed
+    over = float(found.overspeed.max()) / float(found.speeds.max())
+    return max(*worst, way, over) <= _LITTLE and end <= 0.1
+
+
+def _used(found: Audit) -> tuple[FloatArray, ...]:
+    return found.power, found.effort, found.braking, found.adhesion
+
+
+def _stricter(problem: DiscreteProblem, found: Audit) -> DiscreteProblem:
+    """The problem with limits lowered by what the audit found beyond them."""
+    power, effort, braking, adhesion = (
+        1.0 - _MORE * max(float(each.max()) - 1.0, 0.0) for each in _used(found)
+    )
+    over = _MORE * max(float(found.overspeed.max()), 0.0)
+    ceiling = problem.ceiling - over * np.sqrt(2.0 * problem.ceiling)
+    ceiling[0] = max(ceiling[0], problem.initial)
+    pull, brake = min(effort, adhesion), min(braking, adhesion)
+    return replace(
+        problem,
+        power=power * problem.power,
+        traction=pull * problem.traction,
+        braking=brake * problem.braking,
+        friction=brake * problem.friction,
+        dynamic=brake * problem.dynamic,
+        dynamic_power=brake * problem.dynamic_power,
+        ceiling=np.maximum(ceiling, np.minimum(problem.floor, problem.ceiling)),
+    )
+
+
+def paced_grid(
+    run: TrajectoryProblem, positions: FloatArray, paced: Envelope, running_time: float
+) -> DiscreteProblem | None:
+    """The problem on a grid on which all can follow the slowest in time; None if that is not found.
+
+    Under power, on a climb on which they hardly move, trains lose minutes in cells whose traction
+    is constant, or stand: such cells are split in halves.
+
+    Parameters
+    ----------
+    run : TrajectoryProblem
+    positions : (n + 1,) array [m]
+        Where it begins.
+    paced : Envelope
+        Runs at one pace, in time.
+    running_time : float [s]
+    """
+    most = min(MOST_CELLS, 4 * positions.size)
+    for _ in range(_SPLITS):
+        problem, speeds = discretise(run, positions), paced.at(positions)
+        driven = DrivenPlan.together(problem, speeds, running_time)
+        if driven.late <= 0.0:
+            return problem
+        slowest = np.diff(paced.times_behind_slowest(positions))
+        lost = cell_times(driven.problem, driven.plan).max(axis=0) - slowest
+        spare = running_time - float(slowest.sum())
+        split = lost > max(_LOST * spare / lost.size, float(np.median(lost)))
+        positions = np.union1d(positions, 0.5 * (positions[1:] + positions[:-1])[split])
+        if not split.any() or positions.size > most:
+            break
+    return None
+
+
+def _not_passed(failures: list[str]) -> TrainlogError:
+    words = failures[0] + (f" and {len(failures) - 1} more" if len(failures) > 1 else "")
+    return TrainlogError(
+        f"the trajectory does not pass its audit: {words}",
+        remedy="more cells, or another running time",
+    )

@@ -19,8 +19,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from analysis.trajectory.instructions import Instruction, instructions
-from analysis.trajectory.phases import Phase
+from analysis.trajectory.instructions import Instruction, Phase, instructions
 from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from analysis.trajectory.active_set import Answer
 from analysis.trajectory.audit import Audit
-from analysis.trajectory.continuous import ContinuousBound, continuous_bound
+from analysis.trajectory.bound import ContinuousBound, continuous_bound
 from analysis.trajectory.convex import (
     Multipliers,
     NoSolutionError,
@@ -19,8 +20,7 @@ from analysis.trajectory.convex import (
 )
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
-from analysis.trajectory.guess import Answer
-from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
+from analysis.trajectory.instructions import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY
 from trainlog.arrays import FloatArray

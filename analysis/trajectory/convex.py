@@ -30,8 +30,7 @@ import piqp
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from analysis.trajectory.curves import SPARE, Curves
-from analysis.trajectory.discretisation import DiscreteProblem, Plan
+from analysis.trajectory.discretisation import SPARE, Curves, DiscreteProblem, Plan
 from analysis.trajectory.rollout import dynamic_share
 from trainlog.arrays import FloatArray, IntArray
 

@@ -8,9 +8,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from analysis.trajectory.active_set import search
-from analysis.trajectory.attempts import paced_grid, searched
+from analysis.trajectory.active_set import (
+    Answer,
+    initial_guess,
+    interpolated_guess,
+    paced_grid,
+    search,
+    searched,
+)
 from analysis.trajectory.audit import Audit
+from analysis.trajectory.bound import ContinuousBound
 from analysis.trajectory.certificate import (
     GAP_TOLERANCE,
     best_bound,
@@ -18,7 +25,6 @@ from analysis.trajectory.certificate import (
     energy_of_audit,
     gap_of,
 )
-from analysis.trajectory.continuous import ContinuousBound
 from analysis.trajectory.convex import time_left, time_limit
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
@@ -35,11 +41,6 @@ from analysis.trajectory.envelope import (
     paced_envelope,
 )
 from analysis.trajectory.feasibility import check_time
-from analysis.trajectory.guess import (
-    Answer,
-    initial_guess,
-    interpolated_guess,
-)
 from analysis.trajectory.problem import (
     DEFAULT_OPTIONS,
     MOST_CELLS,

@@ -21,8 +21,8 @@ from analysis.charts import (
     rows_to_draw,
     worded,
 )
+from analysis.trajectory.instructions import Phase, phases_of
 from analysis.trajectory.optimiser import Front
-from analysis.trajectory.phases import Phase, phases_of
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.formats.railway import line_of_plan
 from trainlog.railway import Line, Trajectory

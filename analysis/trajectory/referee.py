@@ -12,10 +12,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import power_cells, separates_dynamic_brake
-from analysis.trajectory.curves import Curves
-from analysis.trajectory.discretisation import DiscreteProblem, Plan
-from analysis.trajectory.guess import Answer
+from analysis.trajectory.discretisation import Curves, DiscreteProblem, Plan
 from analysis.trajectory.rollout import paced_run
 from analysis.trajectory.sqp import least_z
 from trainlog.arrays import FloatArray

@@ -26,8 +26,7 @@ from analysis.trajectory.convex import (
     power_cells,
     solve,
 )
-from analysis.trajectory.curves import Curves
-from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_along
+from analysis.trajectory.discretisation import Curves, DiscreteProblem, Plan, Taper, taper_along
 from analysis.trajectory.rollout import delays, integrate_cells, realise
 from trainlog.arrays import FloatArray, IntArray
 

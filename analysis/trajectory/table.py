@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from analysis.trajectory.adhesion import adhesion_words
 from analysis.trajectory.advice import JourneyAdvice, driver_table, journey_advice
+from analysis.trajectory.problem import adhesion_words
 from trainlog.display import at_most, counted, lateness
 from trainlog.formats.files import csv_bytes, write_bytes
 from trainlog.presentation import (

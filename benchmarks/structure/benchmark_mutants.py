@@ -32,9 +32,7 @@ NEAREST = {
     "trainlog/catalogue/registration.py": "identity catalogue catalogue_versions",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_views",
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
-    "analysis/trajectory/hamiltonian.py": "trajectory_certificate trajectory_random",
-    "analysis/trajectory/costate.py": "trajectory_certificate trajectory_random",
-    "analysis/trajectory/continuous.py": "trajectory_certificate trajectory_random",
+    "analysis/trajectory/bound.py": "trajectory_certificate trajectory_random",
     "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest live",
 }
 """Modules, and the tests that a fault in them should fail, the quickest first."""
@@ -47,9 +45,7 @@ WIDER = {
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
     "trainlog/formats/mapfile.py": "network_maps traction_map formats_samples golden",
     "analysis/trajectory/audit.py": "trajectory_many trajectory_limits trajectory_curves",
-    "analysis/trajectory/hamiltonian.py": "trajectory_answers trajectory_curves trajectory_many",
-    "analysis/trajectory/costate.py": "trajectory_answers trajectory_curves trajectory_many",
-    "analysis/trajectory/continuous.py": "trajectory_answers trajectory_curves trajectory_many",
+    "analysis/trajectory/bound.py": "trajectory_answers trajectory_curves trajectory_many",
     "trainlog/ingest/clock.py": "ingest_recorders ingest_formats golden",
 }
 

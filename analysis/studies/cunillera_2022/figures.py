@@ -10,7 +10,7 @@ from analysis.charts import BLUE, GREEN, GREY, RED, Chart, Curve, Panel, Rule
 from analysis.studies.cunillera_2022 import model as study
 from analysis.studies.cunillera_2022.model import Instance, driven
 from analysis.trajectory.discretisation import discretise
-from analysis.trajectory.phases import Phase
+from analysis.trajectory.instructions import Phase
 from trainlog.presentation import Columns, WordTable, new_table, word_table
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH

@@ -21,8 +21,8 @@ from numba import njit
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import braking_curves, fastest_run
 from analysis.trajectory.feasibility import lowest_end_speed
+from analysis.trajectory.instructions import Phase, phases_by_switching, phases_of
 from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.phases import Phase, phases_by_switching, phases_of
 from analysis.trajectory.problem import Braking, OptimiserOptions, TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.railway import (

@@ -13,6 +13,9 @@ change anywhere, and the least value over the speed is a global one; nothing dep
 costates of an optimum on cells, interpolated such that they satisfy the adjoint equation along its
 speeds, make the bound as close as the optimum on cells is to that without. The Hamiltonian of the
 plan less the least one, in each cell, states what the cell costs, and where cells must be shorter.
+
+A multiplier is the mean of the costate over its cell. Between, the costate follows the adjoint
+equation along the plan, but where it stands at the level of a partial control.
 """
 
 from __future__ import annotations
@@ -23,11 +26,10 @@ from itertools import pairwise
 import numpy as np
 
 from analysis.trajectory.convex import Multipliers
-from analysis.trajectory.curves import Curves
-from analysis.trajectory.discretisation import DiscreteProblem, Plan, effort_limits
+from analysis.trajectory.discretisation import Curves, DiscreteProblem, Plan, effort_limits
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.arrays import FloatArray
+from trainlog.arrays import BoolArray, FloatArray
 
 _NEWTON_STEPS = 8
 
@@ -363,3 +365,243 @@ def _below(a: FloatArray, b: FloatArray, c: FloatArray, start: FloatArray) -> Fl
     falling = np.maximum(np.cbrt(0.5 * a / cubic), 0.5 * np.maximum(-b, 0.0) / cubic)
     found = np.where(c > 0.0, np.where(b > 0.0, both, falling), np.sqrt(a / linear))
     return np.asarray(np.where(a > 0.0, found, start))
+
+
+_CREEPING = 2.0
+"""Speed below which a train that starts or stops does so at its fastest [m/s]."""
+
+_AT_FASTEST = 3e-3
+"""Part of the fastest run's ``z`` within which a plan is at it."""
+
+_AT_LIMIT = 1e-5
+"""Part of the permitted ``z`` within which a plan is at its limit."""
+
+_LEVEL = 1e-5
+"""Within which a costate is at the level where a control is partial."""
+
+_STANDING = 0.1
+"""Speed below which a plan that could go faster all but stands [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Costate:
+    """The costate as a function of the position: its values at the ends of cells.
+
+    Attributes
+    ----------
+    segments : Segments
+    begin, end : (q, n) array
+    even : (q, n) array of bool
+        Where it is linear; elsewhere it follows the adjoint equation.
+    at_nodes : float [J/kg]
+        What its jumps and its values at both ends of the run add to the bound.
+    """
+
+    segments: Segments
+    begin: FloatArray
+    end: FloatArray
+    even: BoolArray
+    at_nodes: float
+
+    def along(self, hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
+        """Its values and slopes at the points of its segments, (q, n, p)."""
+        segments, change = self.segments, self.end - self.begin
+        line = self.begin[:, :, None] + change[:, :, None] * segments.place
+        shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(line))
+        part = segments.weights / segments.length[:, None]
+        rest = change / segments.length - (shape * part).sum(axis=2)
+        slope = shape + rest[:, :, None]
+        step = segments.length[:, None] * (slope @ segments.gathering.T)
+        return np.where(self.even[:, :, None], line, self.begin[:, :, None] + step), slope
+
+
+def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
+    """The multipliers of cells as a function of the position.
+
+    A multiplier is the mean of the costate over its cell. Where a control is partial the costate
+    stands at a level, or joins its neighbours along the adjoint equation.
+    """
+    problem, plan, step = hamiltonian.problem, hamiltonian.plan, hamiltonian.problem.step
+    mean = multipliers.pull / (step * problem.gain[:, None])
+    shape = hamiltonian.slopes(np.broadcast_to(mean[:, :, None], hamiltonian.speed.shape))
+    limit, floor = node_limits(hamiltonian)
+    limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
+    held = limited[:, :-1] & limited[:, 1:]
+    partial, alone = partial_cells(hamiltonian, mean)
+    flat = alone | (held & (shape.mean(axis=2) < 0.0))
+    flat |= _standing(hamiltonian)
+    base = np.where(flat[:, :, None], 0.0, shape)
+    base, even = _together(base, mean, problem.gain, (partial & ~alone, alone, held))
+    flat |= even
+    whole = hamiltonian.segments
+    change = (base * whole.weights).sum(axis=2)
+    gathered = whole.length[:, None] * (base @ whole.gathering.T)
+    begin = mean - (gathered * whole.weights).sum(axis=2) / step
+    end = begin + change
+    # Between two cells; the one that follows the adjoint equation knows better.
+    trust = np.where(partial, 1e-6, 1.0) / step**2
+    left, right = end[:, :-1], begin[:, 1:]
+    middle = (trust[:, :-1] * left + trust[:, 1:] * right) / (trust[:, :-1] + trust[:, 1:])
+    free = limited[:, 1:-1] & (right > left)
+    slow = (floor > 0.0) & (plan.z <= floor * (1.0 + _AT_LIMIT))
+    free |= slow[:, 1:-1] & (right < left)
+    first = np.column_stack((begin[:, :1], np.where(free, right, middle)))
+    last = np.column_stack((np.where(free, left, middle), end[:, -1:]))
+    creeping = _creep(problem, hamiltonian.fastest, plan, first, last)
+    jump = first[:, 1:] - last[:, :-1]
+    added = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1]).sum()
+    added -= float((first[:, 0] * problem.initial).sum())
+    added += float((np.minimum(last[:, -1], 0.0) * np.minimum(problem.final, limit[:, -1])).sum())
+    # One that leaves its level in the cell follows the adjoint equation there.
+    leaves = partial & (np.maximum(np.abs(first - begin), np.abs(last - end)) > _LEVEL)
+    return Costate(whole, first, last, creeping | (flat & ~leaves), float(added))
+
+
+def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
+    """Largest ``z`` at the nodes, (q, n + 1), and the least, (n + 1,) [m²/s²]."""
+    problem, run = hamiltonian.problem, hamiltonian.problem.run
+    positions = problem.positions
+    limit = run.permitted_speed(positions[:-1] + 0.5 * problem.step)
+    lowest = np.asarray(np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf)))
+    for node, point in zip(problem.passed.tolist(), run.windows, strict=True):
+        if point.highest_speed is not None:
+            lowest[node] = min(lowest[node], point.highest_speed)
+    own = reached(hamiltonian.fastest, positions)
+    return 0.5 * np.minimum(lowest, own) ** 2, problem.floor
+
+
+def partial_cells(hamiltonian: Hamiltonian, mean: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Cells in which a control is partial, (q, n); and those in which the costate itself is level.
+
+    By common traction, or a common brake, that is the sum of the costates.
+    """
+    problem, prices = hamiltonian.problem, hamiltonian.prices
+    own, regained = mean * problem.gain[:, None], prices.regained[:, None]
+    worth = np.asarray(own.sum(axis=0))
+    shared = np.abs(worth - prices.traction) < _LEVEL
+    if problem.common:
+        shared |= (np.abs(worth) < _LEVEL) | (np.abs(worth - regained.sum()) < _LEVEL)
+        alone = np.zeros(own.shape, dtype=np.bool_)
+    else:
+        alone = np.asarray((np.abs(own) < _LEVEL) | (np.abs(own - regained) < _LEVEL))
+    return np.asarray(shared | alone), alone
+
+
+def _together(
+    base: FloatArray,
+    worth: FloatArray,
+    gain: FloatArray,
+    kinds: tuple[BoolArray, BoolArray, BoolArray],
+) -> tuple[FloatArray, BoolArray]:
+    """Slopes such that the sum of the costates is level where a common control is partial.
+
+    A configuration at its limit takes what the others leave: it stays there under any costate that
+    falls less than the adjoint equation asks for. Where there is none all share it, by what effort
+    is `worth` to them, (q, n).
+
+    Returns
+    -------
+    base : (q, n, p) array
+    even : (q, n) array of bool
+        Whose slope was changed.
+    """
+    shared, alone, held = kinds
+    able = np.asarray(held & ~alone)
+    able = np.where(able.any(axis=0), able, ~alone) & shared
+    weight = np.where(able, np.abs(worth) + 1e-12, 0.0)
+    part = weight / np.maximum(weight.sum(axis=0), 1e-300) / gain[:, None]
+    excess = (gain[:, None, None] * base).sum(axis=0)
+    return base - part[:, :, None] * excess, np.asarray(able)
+
+
+def _standing(hamiltonian: Hamiltonian) -> BoolArray:
+    """Cells at whose end a plan all but stands, though not as the fastest run does, (q, n).
+
+    The adjoint equation grows beyond all bounds there; the mean over the cell is as good as any.
+    """
+    problem, plan = hamiltonian.problem, hamiltonian.plan
+    own = 0.5 * hamiltonian.fastest.at(problem.positions) ** 2
+    found = (plan.z < 0.5 * _STANDING**2) & (plan.z < (1.0 - _AT_FASTEST) * own)
+    return np.asarray(found[:, 1:] | found[:, :-1])
+
+
+def _creep(
+    problem: DiscreteProblem, fastest: Envelope, plan: Plan, first: FloatArray, last: FloatArray
+) -> BoolArray:
+    """Keep the costate level, in place, where a train starts or stops at its fastest.
+
+    There any costate that falls less than the adjoint equation asks for leads to the same speed; by
+    the equation it grows beyond all bounds towards a standstill.
+    """
+    own = 0.5 * fastest.at(problem.positions) ** 2
+    free = (plan.z > 0.5 * _CREEPING**2) | (plan.z < (1.0 - _AT_FASTEST) * own)
+    free |= own >= problem.ceiling * (1.0 - _AT_LIMIT)
+    found = np.zeros(problem.shape, dtype=np.bool_)
+    n = problem.shape[1]
+    for row in np.flatnonzero(free[:, 1:-1].any(axis=1)).tolist():
+        nodes = np.flatnonzero(free[row])
+        if problem.initial == 0.0:
+            begins = min(max(int(nodes[0]) - 1, 1), n - 1)
+            found[row, :begins] = True
+            first[row, :begins] = last[row, :begins] = first[row, begins]
+        if problem.final == 0.0:
+            ends = max(min(int(nodes[-1]) + 1, n - 1), 1)
+            found[row, ends:] = True
+            first[row, ends:] = last[row, ends:] = last[row, ends - 1]
+    return found
+
+
+_POINTS = 4
+"""Of Gauss and Legendre in each cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousBound:
+    """What no trajectory comes below, however its controls change.
+
+    Attributes
+    ----------
+    value : float [J/kg]
+    excess : (n,) array [J/kg]
+        By how much the plan is above it in each cell; where it is large cells are too long.
+    source : str
+        Where its multipliers come from.
+    """
+
+    value: float
+    excess: FloatArray
+    source: str = "multipliers"
+
+
+def continuous_bound(
+    problem: DiscreteProblem,
+    plan: Plan,
+    multipliers: Multipliers,
+    fastest: Envelope,
+    running_time: float,
+    run: TrajectoryProblem,
+) -> ContinuousBound:
+    """Lower bound of the energy of all trajectories, on these cells or any others.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    plan : Plan
+        The optimum of the problem on its cells.
+    multipliers : Multipliers
+        Its multipliers.
+    fastest : Envelope
+        Of the same configurations; no trajectory is faster anywhere.
+    running_time : float [s]
+    run : TrajectoryProblem
+        With all configurations, whose traction is one; the problem may be of some of them.
+    """
+    prices = Prices.of(problem, multipliers.convex())
+    segments, times = Segments.of(problem, _POINTS), prices.of_times(problem, running_time)
+    hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments)
+    costate = costate_of(hamiltonian, multipliers)
+    values, slopes = costate.along(hamiltonian)
+    least, spent = hamiltonian.least(values, slopes), hamiltonian.of_plan(values, slopes)
+    total = float((least * segments.weights).sum()) + costate.at_nodes - times
+    excess = ((spent - least) * segments.weights).sum(axis=1)
+    return ContinuousBound(total, np.maximum(excess, 0.0))
