@@ -43,7 +43,7 @@ def test_provenance_is_stated_in_words(tmp_path: Path) -> None:
     options = {"direction": None, "metadata": {"load": "0"}, "rules": ["gaps", "spikes"]}
     found = described(trip.with_step("ingest", options=options, report=report), tmp_path)
     words = " ".join(printed(found).split())
-    assert "options metadata load 0, rules gaps spikes" in words
+    assert "options metadata load 0, rules gaps, spikes" in words
     assert "report findings 1, rows_read 10" in words
     assert not any(each in words for each in ("None", "{'", "switched_off"))
 

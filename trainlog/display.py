@@ -81,6 +81,32 @@ def lateness(seconds: float) -> str:
     return f"{abs(seconds):.2f} s {'late' if seconds > 0.0 else 'early'}"
 
 
+MOST_BRIEF = 6
+"""Of many inputs, how many are named."""
+
+
+def in_brief(value: object, apart: str = ", ") -> str:
+    """Inputs and settings in words: of many the first, of records their number, digests by begin.
+
+    What states nothing is left out.
+
+    Examples
+    --------
+    >>> in_brief({"inputs": {"line.json": "d2ee4f2609b9" * 5 + "d2ee"}, "seed": 7, "at": None})
+    'inputs line.json d2ee4f2609b9…, seed 7'
+    """
+    if isinstance(value, Mapping):
+        said = [(name, in_brief(each)) for name, each in value.items()]
+        return apart.join(f"{name} {words}" for name, words in said if words)
+    if isinstance(value, list | tuple):
+        if any(isinstance(each, Mapping) for each in value):
+            return str(len(value))
+        more = [f"and {len(value) - MOST_BRIEF} more"] * (len(value) > MOST_BRIEF)
+        return ", ".join([*map(in_brief, value[:MOST_BRIEF]), *more])
+    text = "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{text[:12]}…" if re.fullmatch("[0-9a-f]{64}", text) else text
+
+
 FORMULA = r"'*[=+\-@\t\r]"
 """Beginning of a text that a spreadsheet takes for a formula, or that `cell_of` has written."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shlex
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -39,7 +38,7 @@ from analysis.reports.results import (
 from analysis.reports.summary import content_of, copies_in, report, results_in
 from analysis.reports.trip import Motion, Zone, recorded_trip, trip_sections
 from trainlog import __version__
-from trainlog.display import counted
+from trainlog.display import counted, in_brief
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import (
     check_kind,
@@ -491,7 +490,7 @@ def _origin(files: Sequence[Path], options: ReportOptions, source: Path) -> Sect
             made_by.setdefault(what, []).append(name)
             if number < MOST_TRACED:
                 about = {key: each for key, each in step.items() if key not in UNLISTED}
-                steps.add_row(name, what, str(step.get("software", "")), _brief(about, "\n"))
+                steps.add_row(name, what, str(step.get("software", "")), in_brief(about, "\n"))
     if len(files) > MOST_TRACED:
         steps.caption = f"{len(files) - MOST_TRACED} more files; 'trainlog show' states theirs"
     commands = [
@@ -514,7 +513,7 @@ _COMMANDS = {
     "estimate": "trainlog estimate LOG -o FOLDER  # {}",
     "fit": "trainlog fit LOGS -o {}",
     "coast-down": "trainlog fit coasting LOGS -o {}",
-    "optimise": "trainlog plan PARAMETERS --line LINE --train TRAIN -o {}",
+    "plan": "trainlog plan PARAMETERS --line LINE --train TRAIN -o {}",
     "advise": "trainlog advice TRAJECTORY --onto LOG -o {}",
     "map update": "trainlog map update LOGS --map {}",
 }
@@ -548,15 +547,3 @@ MOST_TRACED = 12
 
 UNLISTED = ("step", "software", "report")
 """Of a step of provenance."""
-
-
-def _brief(value: object, apart: str = ", ") -> str:
-    """An input or a setting in words; of many in one the first, digests by their begin."""
-    if isinstance(value, Mapping):
-        value = [f"{name}: {_brief(each)}" for name, each in value.items() if each is not None]
-    if isinstance(value, list | tuple):
-        return apart.join(_named([_brief(each) for each in value]))
-    text = f"{value:.6g}" if isinstance(value, float) else str(value)
-    if re.fullmatch(r"[0-9a-f]{64}", text):
-        return f"{text[:12]}…"
-    return text

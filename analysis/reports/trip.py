@@ -32,7 +32,7 @@ from analysis.reports.answers import Verdict, slip_words, summary_section, verdi
 from analysis.reports.page import Part, Section, Warned
 from analysis.view import SHORTEST_STOP, TOPICS, TripView, view_of
 from trainlog.arrays import FloatArray
-from trainlog.display import counted, is_number, lateness
+from trainlog.display import counted, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of
 from trainlog.ingest.report import report_of
@@ -264,7 +264,6 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
             "Recording",
             [
                 *([Warned(view.damage)] if view.damage else []),
-                _facts(trip, motion, zone),
                 *_quality(trip),
                 *replace(
                     description, path=Path(log.name), recorded=recorded_fields(description)
@@ -288,23 +287,6 @@ def _line(trip: Trip) -> Line | None:
     with suppress(TrainlogError):
         return line_of(trip)
     return None
-
-
-def _facts(trip: Trip, motion: Motion, zone: Zone) -> WordTable:
-    known = trip.metadata
-    ends = motion.time[[0, -1]] if motion.time.size else ()
-    begin, end = [f"{zone.date(each)} {zone.name}" for each in ends] or ["", ""]
-    rows = {
-        "trip": trip.name,
-        "from": begin,
-        "to": end,
-        "train": known.get("train", ""),
-        "line": ", ".join(filter(None, [known.get("line", ""), known.get("direction", "")])),
-        "load": f"{float(known['load']) / 1e3:.1f} t" if is_number(known.get("load", "")) else "",
-        "rail": known.get("weather", ""),
-        "clock of the recording": known.get("clock", ""),
-    }
-    return facts_table("", {name: words for name, words in rows.items() if words})
 
 
 def _driven(trip: Trip, motion: Motion, line: Line | None, zone: Zone, cost: object) -> list[str]:

@@ -15,7 +15,7 @@ import pandas as pd
 from mcap.records import Channel
 
 from trainlog.arrays import IntArray, UintArray
-from trainlog.display import counted
+from trainlog.display import counted, in_brief
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import sha256
 from trainlog.formats.railway import travelled_line
@@ -200,10 +200,8 @@ class LogDescription(Presented):
     def tables(self) -> list[WordTable]:
         """The file, its topics and their fields, metadata, provenance, attachments."""
         steps = {
-            f"{number} {step.get('step', '')}".strip(): ", ".join(
-                f"{key} {_in_words(value)}"
-                for key, value in step.items()
-                if key != "step" and _said(value)
+            f"{number} {step.get('step', '')}".strip(): in_brief(
+                {key: value for key, value in step.items() if key != "step"}
             )
             for number, step in enumerate(self.provenance, start=1)
         }
@@ -648,28 +646,6 @@ def _pairs(heading: str, pairs: dict[str, str]) -> WordTable:
         shown = value if len(value) <= _LONGEST else f"{value[:_LONGEST]} …"
         table.add_row(_plain(key), _plain(shown))
     return table
-
-
-def _in_words(value: object) -> str:
-    """A value of provenance in words, checksums shortened to their first digits.
-
-    What states nothing is left out; of a list of records their number is stated.
-    """
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {_in_words(each)}" for key, each in value.items() if _said(each))
-    if isinstance(value, list | tuple):
-        if any(isinstance(each, dict) for each in value):
-            return str(len(value))
-        return " ".join(_in_words(each) for each in value)
-    text = str(value)
-    return f"{text[:12]}…" if re.fullmatch("[0-9a-f]{64}", text) else text
-
-
-def _said(value: object) -> bool:
-    """Whether a value of provenance states anything: not None, nor an empty text, list or table."""
-    if isinstance(value, dict):
-        return any(_said(each) for each in value.values())
-    return value is not None and (not isinstance(value, str | list | tuple) or len(value) > 0)
 
 
 def _attachments(description: LogDescription) -> WordTable:
