@@ -16,7 +16,7 @@ from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv
+from trainlog.simulation.sensors import write_recorder_csv, write_ublox_csv
 
 LOGS = {"trip-01": "nonstop.mcap", "trip-03": "stopping.mcap"}
 """Logs: a dry trip from St.Gallen to Wil without a stop, and a wet one that calls everywhere."""

@@ -18,7 +18,7 @@ import pytest
 from command import Shell
 
 from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.diff import FleetDiff, Results, Version, compared, parameters_of
+from analysis.fleet.diff import FleetDiff, Results, Version, compared, typed_parameters
 from analysis.fleet.maps import evidence_of_row
 from analysis.view import view_of
 from trainlog.catalogue import Computation
@@ -274,9 +274,9 @@ def test_what_is_packed_and_differs_in_a_byte_is_not_the_same() -> None:
 
 def test_parameters_that_no_analysis_has_are_refused() -> None:
     with pytest.raises(InputError, match=r"no analysis 'resistence'.*resistance"):
-        parameters_of("resistence.speeds=3")
+        typed_parameters("resistence.speeds=3")
     with pytest.raises(InputError, match=r"'speeds=3' is no parameter"):
-        parameters_of("speeds=3")
+        typed_parameters("speeds=3")
 
 
 # ------------------------------------------------------------------------------------- the command

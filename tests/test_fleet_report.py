@@ -17,9 +17,8 @@ from command import Shell
 pytest.importorskip("sqlalchemy")
 
 from analysis.fleet.analyses import ANALYSES, computation_of
-from analysis.fleet.naming import Cause, Explanation
 from analysis.fleet.trains import FleetTrains
-from analysis.fleet.unlike import Finding, UnlikeTrains
+from analysis.fleet.unlike import Cause, Explanation, Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
 from analysis.reports.fleet import (
     FleetFacts,

@@ -21,8 +21,7 @@ from analysis.control.follow import (
     follow,
     following_line,
 )
-from analysis.control.observer import Observer
-from analysis.control.odometry import MARGIN, Odometry
+from analysis.control.odometry import MARGIN, Observer, Odometry
 from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from analysis.control.route import (

@@ -20,7 +20,7 @@ from trainlog.formats.samples import sample
 from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
 from trainlog.mcap import read_log, write_log
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv
+from trainlog.simulation.sensors import write_recorder_csv, write_ublox_csv
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 
 PROFILE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"

@@ -20,7 +20,7 @@ from trainlog.ingest.receiver import Fixes
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.simulation.recorders import write_ublox_csv
+from trainlog.simulation.sensors import write_ublox_csv
 from trainlog.trip import Trip
 
 METRES_PER_DEGREE = 111_177.0

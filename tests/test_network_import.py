@@ -19,7 +19,7 @@ from refusals import refused
 from rich.console import Console
 
 import trainlog
-from analysis.network.export import export_network
+from analysis.network.edges import export_network
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.imports import ImportOptions, import_file, networks_in

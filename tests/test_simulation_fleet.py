@@ -199,7 +199,7 @@ def test_any_trip_alone_is_the_same_as_in_the_fleet(tmp_path: Path) -> None:
     one = write_trip(alone, 4, tmp_path / "alone")
     place = Path(alone.train_of(4).name) / f"{one.name}.mcap"
     assert (tmp_path / "alone" / place).read_bytes() == (tmp_path / "all" / place).read_bytes()
-    code = code_version_of("trainlog.simulation.fleet_logs")
+    code = code_version_of("trainlog.simulation.fleet")
     stated = json.loads((tmp_path / "all" / "fleet.json").read_text("utf-8"))
     assert (stated["software"], stated["code"]) == (f"trainlog {trainlog.__version__}", [code])
     # What was lost is made again, and nothing else; by other code than the rest, which is stated.

@@ -24,8 +24,7 @@ from trainlog.simulation import (
     simulate,
 )
 from trainlog.simulation.rail import base_map
-from trainlog.simulation.recorders import OVERFLOW, write_recorder_csv, write_ublox_csv
-from trainlog.simulation.sensors import Sensors
+from trainlog.simulation.sensors import OVERFLOW, Sensors, write_recorder_csv, write_ublox_csv
 from trainlog.topics import TOPICS, column_field
 from trainlog.trip import Trip
 

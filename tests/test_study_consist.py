@@ -12,8 +12,7 @@ from simulated_line import level_line, steps
 
 from analysis.charts import draw_charts
 from analysis.studies.in_train_forces import simulation as study
-from analysis.studies.in_train_forces.figures import forces_tables, run_charts
-from analysis.studies.in_train_forces.run import consist_trip
+from analysis.studies.in_train_forces.run import consist_trip, forces_tables, run_charts
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError

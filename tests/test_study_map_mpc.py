@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
-from analysis.studies.hauck_2023.figures import (
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
+from analysis.studies.hauck_2023.run import (
     counted_on,
     days_charts,
     days_table,
@@ -20,7 +21,6 @@ from analysis.studies.hauck_2023.figures import (
     study_charts,
     tracking_table,
 )
-from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.scenarios import Days, day_by_day, least_lateness, replanned
 from analysis.studies.hauck_2023.simulation import trip_of
 from analysis.studies.report import StudyReport

@@ -10,7 +10,7 @@ from refusals import refused
 from test_study_tables import check, on_page, tables
 
 from analysis.studies.amirhosseini_2024 import simulation as study
-from analysis.studies.amirhosseini_2024.figures import (
+from analysis.studies.amirhosseini_2024.run import (
     claims_table,
     coefficients_table,
     effort_sway,
@@ -18,8 +18,8 @@ from analysis.studies.amirhosseini_2024.figures import (
     errors_table,
     settling,
     study_charts,
+    trip_of,
 )
-from analysis.studies.amirhosseini_2024.run import trip_of
 from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
 from analysis.studies.report import StudyReport, as_markdown
 from trainlog.cli import terminal

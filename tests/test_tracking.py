@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.linalg import expm, solve_discrete_are
 
-from analysis.control.qp import SOFTNESS, solve, terminal_weight
+from analysis.control.prediction import SOFTNESS, solve, terminal_weight
 from analysis.studies.hauck_2023 import model
 from analysis.studies.hauck_2023.controller import (
     SOONER,

@@ -137,8 +137,11 @@ if TYPE_CHECKING:
     )
     from trainlog.resampling import joined as joined, resampled as resampled
     from trainlog.simulation.consist import ConsistPlant as ConsistPlant
-    from trainlog.simulation.fleet import Fleet as Fleet, draw_fleet as draw_fleet
-    from trainlog.simulation.fleet_logs import write_fleet as write_fleet
+    from trainlog.simulation.fleet import (
+        Fleet as Fleet,
+        draw_fleet as draw_fleet,
+        write_fleet as write_fleet,
+    )
     from trainlog.simulation.network import draw_network as draw_network
     from trainlog.simulation.rail import Change, Rail as Rail
     from trainlog.simulation.recording import simulate as simulate

@@ -31,7 +31,7 @@ from analysis.control.multi_motor import (
     predicted,
     tracking_plan,
 )
-from analysis.control.qp import UNBOUNDED, QPSubproblem, solve
+from analysis.control.prediction import UNBOUNDED, QPSubproblem, solve
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import CreepCurve

@@ -21,10 +21,16 @@ from numpy.typing import ArrayLike
 from analysis.adhesion.axles import protection_onsets
 from analysis.comparison.driven import driven_trip
 from analysis.control import prediction as prediction
-from analysis.control.observer import Observer
-from analysis.control.odometry import MARGIN, Odometry
-from analysis.control.prediction import TICK, TrainEstimate, Weights, pace_to_arrive, sampled
-from analysis.control.qp import QPSubproblem, solve
+from analysis.control.odometry import MARGIN, Observer, Odometry
+from analysis.control.prediction import (
+    TICK,
+    QPSubproblem,
+    TrainEstimate,
+    Weights,
+    pace_to_arrive,
+    sampled,
+    solve,
+)
 from analysis.control.route import (
     Margin,
     dynamic_braking,

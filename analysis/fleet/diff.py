@@ -11,42 +11,26 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from scipy.special import stdtr
 
+from analysis.adhesion.condition_map import empty_map_of
+from analysis.adhesion.map_difference import q_values
 from analysis.fleet.analyses import ANALYSES, analyses_named, code_of, computation_of
-from analysis.fleet.diff_estimates import (
-    UNITS,
-    aligned,
-    by_definition,
-    estimates,
-    other_bytes,
-    texts,
-    trips_of,
-)
-from analysis.fleet.diff_judgement import (
-    CLASSES,
-    MEANS,
-    MOVED,
-    RATE,
-    REACH,
-    WITHOUT_BAND,
-    classes_of,
-    judged,
-    mean_shifts,
-    moved_rows,
-)
-from analysis.fleet.diff_map import PLACES, moved_places
+from analysis.fleet.maps import evidence_of_row
 from analysis.fleet.update import EVIDENCE
-from trainlog.arrays import FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.catalogue import Computation
+from trainlog.condition import estimated
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.formats.summaries import COVARIANCE, PARAMETERS, covariances_of, parameters_of
 from trainlog.presentation import (
     NUMBER,
     Column,
@@ -57,10 +41,431 @@ from trainlog.presentation import (
     with_band,
 )
 from trainlog.progress import note
-from trainlog.units import JOULES_PER_KWH
+from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.evidence import DailyEvidence
+from trainlog.spans import runs_of
+from trainlog.units import DAY, JOULES_PER_KWH, KMH, NANOSECONDS
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
+
+
+SPEEDS = (40.0, 80.0, 120.0)
+"""At which curves of running resistance are compared [km/h]."""
+
+_ABOUT = ("trip", "train", "kind", "line", "start", "edge", "layer", "direction")
+_SKIPPED = {
+    *("key", "sha256", "identity", "software", "message", "entry", "evidence", "gradients"),
+    *("main_layer", "steps", "bin_length", "edge_length", "asked_lowest", "asked_highest"),
+    *("weight", "weighted_log"),
+}
+"""Columns that state of which trip a row is, what made it and what it was asked for; bulk that is
+compared by place; and sums of which the mean is compared."""
+
+_BULK = ("evidence", "gradients")
+"""Columns of which the bytes are compared."""
+
+
+@dataclass(frozen=True)
+class Values:
+    """An estimate on one side.
+
+    Attributes
+    ----------
+    value, std : FloatArray
+        Of each row; a standard deviation of NaN: none.
+    counted : bool
+        A count, or a correlation, which states no band: its standard deviation is that of chance.
+    """
+
+    value: FloatArray
+    std: FloatArray
+    counted: bool = False
+
+    @property
+    def stated(self) -> BoolArray:
+        """The rows that state a band of their own."""
+        return (self.std > 0.0) & (not self.counted)
+
+
+def by_definition(left: pd.DataFrame, right: pd.DataFrame) -> tuple[str, ...]:
+    """What the parameters of two sides change by definition; blanked in both tables.
+
+    Bins of two lengths are no estimate that moved, and a curve can be compared as far as both
+    sides asked for it.
+    """
+    found = []
+    if {"bin_length", "bins"} <= set(left) & set(right):
+        other = _differ(left["bin_length"], right["bin_length"])
+        if other.any():
+            found.append("number of bins")
+            for table in (left, right):
+                table["bins"] = table["bins"].astype(np.float64).mask(other)
+    if "asked_highest" in left and "asked_highest" in right:
+        if _differ(left["asked_highest"], right["asked_highest"]).any():
+            found.append("speeds that the curve was asked for")
+        both = np.fmin(left["asked_highest"], right["asked_highest"])
+        left["asked_highest"] = right["asked_highest"] = both
+    return tuple(found)
+
+
+def _differ(one: pd.Series, other: pd.Series) -> BoolArray:
+    values = (one.to_numpy(np.float64), other.to_numpy(np.float64))
+    return np.asarray(np.isfinite(values[0] - values[1]) & (values[0] != values[1]))
+
+
+def other_bytes(left: pd.DataFrame, right: pd.DataFrame) -> BoolArray:
+    """Rows whose evidence or packed columns differ in any byte."""
+    found = np.zeros(len(left), dtype=np.bool_)
+    for name in _BULK:
+        if name in left and name in right:
+            both = left[name].notna() & right[name].notna()
+            found |= (both & (left[name] != right[name])).to_numpy(bool)
+    return found
+
+
+def aligned(one: pd.DataFrame, other: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The rows that both sides have, in the same order; those of one side with nothing beside."""
+    ids = [name for name in ("key", "trip", "edge", "layer") if name in one and name in other]
+    pieces = []
+    for table in (one, other):
+        number: Any = table.groupby(ids, sort=False).cumcount() if len(table) else []
+        pieces.append(table.assign(_number=number).set_index([*ids, "_number"]))
+    every = pieces[0].index.union(pieces[1].index)
+    left, right = (piece.reindex(every).reset_index() for piece in pieces)
+    for column in _ABOUT:
+        if column in left and column in right and column not in ids:
+            left[column] = left[column].where(left[column].notna(), right[column])
+    return left, right
+
+
+def trips_of(table: pd.DataFrame) -> pd.DataFrame:
+    """Of which trip, train and place each row is."""
+    edge = table["edge"] if "edge" in table else table.get("line", pd.Series(dtype=object))
+    layer = table.get("layer")
+    place = edge if layer is None else edge + ", " + layer
+    empty = pd.Series([None] * len(table), dtype=object)
+    names = ("key", "trip", "train", "kind", "line", "start")
+    return pd.DataFrame({name: table.get(name, empty) for name in names} | {"place": place})
+
+
+def texts(left: pd.DataFrame, right: pd.DataFrame) -> list[str]:
+    """The columns that hold texts on both sides, but for those that say of which trip a row is."""
+    skipped = _SKIPPED | set(_ABOUT)
+    return [
+        str(name)
+        for name in left
+        if name in right
+        and name not in skipped
+        and left[name].map(lambda each: isinstance(each, str)).any()
+    ]
+
+
+UNITS = {f"resistance at {speed:.0f} km/h": "N" for speed in SPEEDS}
+
+
+def estimates(table: pd.DataFrame, counts: Collection[str] = ()) -> dict[str, Values]:
+    """The estimates of a table, with their standard deviations.
+
+    Parameters
+    ----------
+    table : DataFrame
+    counts : collection of str
+        Columns that hold counts: of one of n the chance is that of Poisson, the root of n.
+    """
+    found: dict[str, Values] = {}
+    nothing = np.full(len(table), np.nan)
+    bands = {*COVARIANCE, *(name for name in table if str(name).startswith("survey_"))}
+    for name in table:
+        if name in _SKIPPED or name in _ABOUT or name in bands or name == "_number":
+            continue
+        column = table[name]
+        if pd.api.types.is_numeric_dtype(column):
+            if str(name).endswith(("_std", "_stds")):
+                continue
+            value = column.to_numpy(np.float64)
+            if name in _INSTANTS and "start" in table:
+                # From the trip's start on: of an instant one per cent would be years.
+                value = _INSTANTS[str(name)](value, pd.to_datetime(table["start"]).astype("int64"))
+            std = table[f"{name}_std"].to_numpy(np.float64) if f"{name}_std" in table else nothing
+            if f"covariance_{name}_{name}" in table:
+                std = np.sqrt(table[f"covariance_{name}_{name}"].to_numpy(np.float64))
+            counted = name in counts and not np.isfinite(std).any()
+            if counted:
+                std = np.sqrt(np.fmax(value, 1.0))
+            found[str(name)] = Values(value, std, counted)
+        elif str(name).endswith("s") and f"{str(name)[:-1]}_stds" in table:
+            found |= _listed(str(name)[:-1], column, table[f"{str(name)[:-1]}_stds"])
+    if {"residual_correlation", "windows"} <= set(found):
+        # Of n uncorrelated residuals it scatters by the root of 1/n (Bartlett, 1946).
+        chance = np.sqrt(1.0 / np.fmax(found["windows"].value, 1.0))
+        found["residual_correlation"] = Values(found["residual_correlation"].value, chance, True)
+    return found | _curves(table) | _adhesion(table)
+
+
+_INSTANTS: dict[str, Callable[[FloatArray, pd.Series], FloatArray]] = {
+    "entered": lambda value, start: np.asarray((value - start) / NANOSECONDS),
+    "first_day": lambda value, start: np.where(value >= 0.0, value - start // DAY, np.nan),
+    "last_day": lambda value, start: np.where(value >= 0.0, value - start // DAY, np.nan),
+}
+"""Columns of instants, and how they are counted from the start of the trip (-1: no day)."""
+
+
+def _adhesion(table: pd.DataFrame) -> dict[str, Values]:
+    """The mean of the maximum adhesion over a row's onsets, by their inverse variances."""
+    if not {"weight", "weighted_log"} <= set(table):
+        return {}
+    weight = table["weight"].to_numpy(np.float64)
+    weight = np.where(weight > 0.0, weight, np.nan)
+    mean = np.exp(table["weighted_log"].to_numpy(np.float64) / weight)
+    return {"maximum adhesion": Values(mean, mean / np.sqrt(weight))}
+
+
+def _listed(name: str, values: pd.Series, stds: pd.Series) -> dict[str, Values]:
+    """Columns of lists, an estimate a place in the list."""
+    sizes = [len(each) if isinstance(each, np.ndarray | list | tuple) else 0 for each in values]
+    table, bands = (np.full((len(sizes), max(sizes, default=0)), np.nan) for _ in range(2))
+    for row, size in enumerate(sizes):
+        if size:
+            table[row, :size] = values.iloc[row]
+            given = stds.iloc[row]
+            bands[row, : min(size, len(given))] = given[:size]
+    return {
+        f"{name} {number + 1}": Values(table[:, number], bands[:, number])
+        for number in range(table.shape[1])
+    }
+
+
+def _curves(table: pd.DataFrame) -> dict[str, Values]:
+    """Running resistance at a few speeds, as far as a trip's curve was asked for."""
+    if not {*PARAMETERS, *COVARIANCE, "asked_highest"} <= set(table):
+        return {}
+    found = {}
+    values, variances = parameters_of(table)[:, :3], covariances_of(table)[:, :3, :3]
+    for speed in SPEEDS:
+        basis = (speed / KMH) ** np.arange(3)
+        asked = table["asked_highest"].to_numpy(np.float64) >= speed / KMH - 1e-6
+        std = np.sqrt(np.maximum(variances @ basis @ basis, 0.0))
+        value = np.where(asked, values @ basis, np.nan)
+        found[f"resistance at {speed:.0f} km/h"] = Values(value, std)
+    return found
+
+
+REACH = 1.96
+"""Standard deviations of a band to one side."""
+
+ROUNDING, ROUNDING_OF_BAND = 1e-6, 1e-3
+"""Share of a value, and of its standard deviation, that rounding moves on other machines."""
+
+WITHOUT_BAND = 0.01
+"""Share of a value, or of the root mean square over all trips where that is more, that counts as
+the band of a figure that is no count and has none of its own."""
+
+RATE = 0.05
+"""False discovery rate among the means over several trips."""
+
+LEAST_TRIPS = 3
+"""Of which a mean is judged."""
+
+CLASSES = ("same", "rounding", "within", "beyond")
+"""Of a difference: the same to the bit, within rounding, within the band, beyond the band."""
+
+MOVED = (
+    "analysis", "estimate", "unit", "key", "trip", "train", "kind", "place", "start",
+    "first", "second", "std", "bands", "banded",
+)  # fmt: skip
+MEANS = (
+    "analysis", "estimate", "unit", "of", "name", "trips", "moved", "value", "value_std",
+    "shift", "shift_std", "bands", "p", "q", "systematic", "beyond",
+)  # fmt: skip
+
+
+def classes_of(mine: Values, its: Values) -> tuple[IntArray, FloatArray]:
+    """Of each row the class of its difference, and the half width of its band."""
+    a, b = mine.value, its.value
+    difference = np.abs(b - a)
+    std = np.fmin(np.where(mine.std > 0.0, mine.std, np.nan), its.std)
+    std = np.where(std > 0.0, std, np.where(mine.std > 0.0, mine.std, np.nan))
+    finite = a[np.isfinite(a)]
+    typical = float(np.sqrt(np.mean(np.square(finite)))) if finite.size else 0.0
+    size = np.fmax(np.abs(a), np.abs(b))
+    rounding = ROUNDING * np.fmax(size, 1e-3 * typical) + ROUNDING_OF_BAND * np.nan_to_num(std)
+    band = np.where(np.isfinite(std), REACH * std, WITHOUT_BAND * np.fmax(size, typical))
+    found = np.full(a.size, CLASSES.index("beyond"))  # given by one side alone
+    found[difference <= band] = CLASSES.index("within")
+    found[difference <= rounding] = CLASSES.index("rounding")
+    # A band that changed alone is no move of its estimate, but not the same either.
+    equal = (a == b) | (np.isnan(a) & np.isnan(b))
+    alike = (mine.std == its.std) | (np.isnan(mine.std) & np.isnan(its.std))
+    found[equal] = CLASSES.index("within")
+    near = np.abs(its.std - mine.std) <= 2.0 * ROUNDING_OF_BAND * mine.std
+    found[equal & near] = CLASSES.index("rounding")
+    found[equal & alike] = CLASSES.index("same")
+    return found, band
+
+
+def moved_rows(
+    name: str,
+    estimate: str,
+    unit: str,
+    about: pd.DataFrame,
+    mine: Values,
+    its: Values,
+    band: FloatArray,
+    rows: BoolArray,
+) -> pd.DataFrame:
+    """The rows of an estimate that moved beyond its band, by how many bands."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bands = np.abs(its.value - mine.value)[rows] / band[rows]
+    stated: dict[str, Any] = {
+        "first": mine.value[rows],
+        "second": its.value[rows],
+        "std": mine.std[rows],
+    }
+    stated |= {"bands": np.where(np.isnan(bands), np.inf, bands)}
+    stated |= {"banded": (mine.stated | its.stated)[rows]}
+    return about.assign(analysis=name, estimate=estimate, unit=unit, **stated)
+
+
+def mean_shifts(
+    about: pd.DataFrame,
+    estimate: str,
+    unit: str,
+    mine: Values,
+    its: Values,
+    classes: IntArray,
+) -> pd.DataFrame:
+    """The mean of a difference over all trips, over those of each train and of each place.
+
+    Weighted by the precision of the first side, where it states one; a count by its own chance
+    would weigh the small ones most, so that each counts alike. The standard error of the
+    shift is that of the differences' own scatter; that of the mean value the larger of what the
+    bands and the scatter of the values give.
+    """
+    both = np.isfinite(mine.value) & np.isfinite(its.value)
+    banded = both & np.isfinite(mine.std) & mine.stated
+    use = banded if banded.any() else both
+    a, d = mine.value[use], (its.value - mine.value)[use]
+    weight = mine.std[use] ** -2 if banded.any() else np.ones(a.size)
+    moved = (classes > CLASSES.index("rounding"))[use]
+    parts = []
+    for of, names in (
+        ("all trips", np.full(a.size, "all", dtype=object)),
+        ("train", about["train"].to_numpy(object)[use]),
+        ("place", about["place"].to_numpy(object)[use]),
+    ):
+        codes, labels = pd.factorize(names, sort=True)
+        if of != "all trips" and len(labels) < 2:
+            continue
+        kept = codes >= 0
+        sums = [
+            np.bincount(codes[kept], each[kept], len(labels))
+            for each in (np.ones(a.size), weight, weight * a, weight * d, moved * 1.0)
+        ]
+        count, total = sums[0], sums[1]
+        value, shift = sums[2] / total, sums[3] / total
+        scatter = [
+            np.bincount(codes[kept], (weight**2 * (each - mean[codes]) ** 2)[kept], len(labels))
+            for each, mean in ((a, value), (d, shift))
+        ]
+        spread = np.sqrt(count / np.maximum(count - 1, 1))
+        value_std, shift_std = (spread * np.sqrt(each) / total for each in scatter)
+        if banded.any():
+            value_std = np.fmax(value_std, np.sqrt(1.0 / total))
+        if mine.counted:
+            chance = np.bincount(codes[kept], (mine.std[use] ** 2)[kept], len(labels))
+            value_std = np.fmax(value_std, np.sqrt(chance) / total)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "estimate": estimate, "unit": unit, "of": of, "name": labels,
+                    "trips": count.astype(np.int64), "moved": sums[4].astype(np.int64),
+                    "value": value, "value_std": value_std, "shift": shift, "shift_std": shift_std,
+                }
+            )
+        )  # fmt: skip
+    return pd.concat(parts, ignore_index=True)
+
+
+def judged(means: pd.DataFrame) -> pd.DataFrame:
+    """Means with the probability of their shift by chance, and what follows."""
+    shift, std = (means[name].to_numpy(np.float64) for name in ("shift", "shift_std"))
+    freedom = np.maximum(means["trips"].to_numpy(np.float64) - 1.0, 1.0)
+    # A shift that is the same in all trips but for rounding has no scatter to be judged by.
+    std = np.fmax(std, ROUNDING * np.abs(means["value"].to_numpy(np.float64)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score = np.where(shift == 0.0, 0.0, np.abs(shift) / std)
+        bands = np.abs(shift) / (REACH * means["value_std"].to_numpy(np.float64))
+    judged = means["trips"].to_numpy() >= LEAST_TRIPS
+    p = np.where(judged, 2.0 * stdtr(freedom, -score), 1.0)
+    q = np.ones(p.size)
+    q[judged] = q_values(p[judged])
+    systematic = q <= RATE
+    bands = np.where(shift == 0.0, 0.0, bands)
+    found = means.assign(
+        bands=bands, p=p, q=q, systematic=systematic, beyond=systematic & (bands > 1.0)
+    )
+    order = found.sort_values(["beyond", "bands"], ascending=False, ignore_index=True)
+    return order[list(MEANS)]
+
+
+PLACES = ("place", "layer", "from_km", "to_km", "first", "second", "std_log", "bands")
+
+
+def moved_places(left: pd.DataFrame, right: pd.DataFrame) -> list[dict[str, Any]]:
+    """Stretches where the map of all trips together moved beyond its band."""
+    found = []
+    for (edge, layer), rows in left.groupby(["edge", "layer"], sort=True):
+        other = right.loc[rows.index]
+        if (rows["evidence"] == other["evidence"]).all():
+            continue
+        one, its = _layer(rows), _layer(other)
+        if one is None or its is None:
+            continue
+        (length, mine), (other_length, theirs) = one, its
+        middle = (np.arange(mine.log_mean.size) + 0.5) * length
+        nearest = np.clip((middle / other_length).astype(int), 0, theirs.log_mean.size - 1)
+        mean, std = theirs.log_mean[nearest], theirs.log_std[nearest]
+        both = mine.observed & theirs.observed[nearest]
+        with np.errstate(invalid="ignore"):
+            bands = np.abs(mean - mine.log_mean) / (REACH * np.fmin(mine.log_std, std))
+        # Bins of another length begin and end elsewhere.
+        alone = (mine.observed ^ theirs.observed[nearest]) & (length == other_length)
+        for begin, end in runs_of((both & (bands > 1.0)) | alone):
+            part = slice(begin, end)
+            sides = (
+                np.where(mine.observed, np.exp(mine.log_mean), np.nan)[part],
+                np.where(theirs.observed[nearest], np.exp(mean), np.nan)[part],
+            )
+            largest = bands[part][both[part]]
+            found.append(
+                {
+                    "place": edge, "layer": layer,
+                    "from_km": (middle[begin] - 0.5 * length) / 1e3,
+                    "to_km": (middle[end - 1] + 0.5 * length) / 1e3,
+                    "first": _mean(sides[0]), "second": _mean(sides[1]),
+                    "std_log": _mean(mine.log_std[part]),
+                    "bands": float(largest.max()) if largest.size else np.inf,
+                }
+            )  # fmt: skip
+    return found
+
+
+def _mean(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan
+
+
+def _layer(rows: pd.DataFrame) -> tuple[float, ConditionLayer] | None:
+    """The map's layer that the evidence of all rows gives, with the length of its bins [m]."""
+    given = rows[rows["evidence"].notna()]
+    if not len(given):
+        return None
+    edge, layer, length, bin_length = given.iloc[0][["edge", "layer", "edge_length", "bin_length"]]
+    total = DailyEvidence.total(evidence_of_row(each) for each in given["evidence"])
+    empty = empty_map_of(edge, float(length), float(bin_length))
+    made = estimated(replace(empty, layers={layer: ConditionLayer.unestimated(total)}))
+    return float(bin_length), made.layers[layer]
 
 
 MOST = 20
@@ -186,7 +591,7 @@ def version_of(name: str, catalogue: Catalogue) -> Version:
     """
     if name == PRESENT or "=" in name:
         own = {each: computation_of(analysis) for each, analysis in ANALYSES.items()}
-        for each, values in parameters_of(name if "=" in name else "").items():
+        for each, values in typed_parameters(name if "=" in name else "").items():
             own[each] = computation_of(ANALYSES[each].with_parameters(**values))
         return Version(name, own, present=True)
     every = catalogue.computations()
@@ -211,7 +616,7 @@ def version_of(name: str, catalogue: Catalogue) -> Version:
     return Version(name, latest, present=set(present.values()) == set(codes))
 
 
-def parameters_of(text: str) -> dict[str, dict[str, Any]]:
+def typed_parameters(text: str) -> dict[str, dict[str, Any]]:
     """Parameters of analyses, as they are typed.
 
     Raises
@@ -221,7 +626,7 @@ def parameters_of(text: str) -> dict[str, dict[str, Any]]:
 
     Examples
     --------
-    >>> parameters_of("adhesion.bin_length=50, resistance.speeds=[5, 40]")
+    >>> typed_parameters("adhesion.bin_length=50, resistance.speeds=[5, 40]")
     {'adhesion': {'bin_length': 50}, 'resistance': {'speeds': [5, 40]}}
     """
     found: dict[str, dict[str, Any]] = {}

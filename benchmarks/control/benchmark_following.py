@@ -22,7 +22,7 @@ from rich.table import Table
 
 from analysis.control.follow import Follower, run_of
 from analysis.control.odometry import MARGIN, Odometry
-from analysis.control.qp import QPSubproblem
+from analysis.control.prediction import QPSubproblem
 from analysis.control.route import Margin
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise

@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.qp import SOFTNESS, QPSubproblem, solve
+from analysis.control.prediction import SOFTNESS, QPSubproblem, solve
 from analysis.studies.hauck_2023.controller import PublishedController
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import Reference, reference

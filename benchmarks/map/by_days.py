@@ -20,8 +20,8 @@ import numpy as np
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.studies.hauck_2023 import scenarios as study
-from analysis.studies.hauck_2023.figures import days_table
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
+from analysis.studies.hauck_2023.run import days_table
 from analysis.studies.hauck_2023.scenarios import (
     LAYER,
     cautious_adhesion,

@@ -563,7 +563,7 @@ def _export_profile(sources: list[Path], output: Path) -> None:
 
 def _export_network(file: Path, output: Path) -> None:
     """Write a network for geographic programs."""
-    from analysis.network.export import export_network
+    from analysis.network.edges import export_network
 
     found = export_network(trainlog.read_network(file), output)
     console.print(

@@ -21,12 +21,10 @@ from trainlog.simulation.drivers import (
 )
 from trainlog.simulation.fleet import (
     Fleet as Fleet,
+    FleetLogs as FleetLogs,
     FleetScenario as FleetScenario,
     as_recorded as as_recorded,
     draw_fleet as draw_fleet,
-)
-from trainlog.simulation.fleet_logs import (
-    FleetLogs as FleetLogs,
     write_fleet as write_fleet,
     write_trip as write_trip,
 )

@@ -2,11 +2,248 @@
 
 from __future__ import annotations
 
-from analysis.studies.cunillera_2022 import figures, model as study
-from analysis.studies.cunillera_2022.figures import others_charts
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from analysis.charts import BLUE, GREEN, GREY, RED, Chart, Curve, Panel, Rule
+from analysis.studies.cunillera_2022 import model as study
+from analysis.studies.cunillera_2022.model import Instance, driven
 from analysis.studies.report import StudyReport
+from analysis.trajectory.discretisation import discretise
+from analysis.trajectory.instructions import Phase
 from trainlog.formats.railway import write_trajectory
-from trainlog.railway import Trajectory
+from trainlog.presentation import Columns, WordTable, new_table, word_table
+from trainlog.railway import Configuration, Trajectory
+from trainlog.units import KMH
+
+
+def configurations_table(instance: study.Instance) -> WordTable:
+    """The observed set, per unit mass as the paper has it.
+
+    Parameters
+    ----------
+    instance : Instance
+    """
+    of: Columns[Configuration] = {
+        "alpha": lambda each: each.name,
+        "r0 [mm/s²]": lambda each: f"{1e3 * each.resistance.r0 / each.inertia:.3f}",
+        "r1 [1e-4/s]": lambda each: f"{1e4 * each.resistance.r1 / each.inertia:.3f}",
+        "r2 [1e-5/m]": lambda each: f"{1e5 * each.resistance.r2 / each.inertia:.3f}",
+        "p_max [W/kg]": lambda each: f"{each.max_power / each.inertia:.3f}",
+    }
+    title = f"Configurations, unit mass ({instance.line.source}; spread chosen here)"
+    return word_table(title, study.configurations(), of)
+
+
+def price_table(
+    alone: Mapping[str, Trajectory], common: Trajectory, recourse: Trajectory
+) -> WordTable:
+    """What each configuration needs by itself, and what all together cost.
+
+    Parameters
+    ----------
+    alone : mapping of str to Trajectory
+        Of each configuration by itself.
+    common, recourse : Trajectory
+        Of all, with one braking effort and with a brake each.
+    """
+    rows = {
+        **{f"{name} alone": each for name, each in alone.items()},
+        "robust, common braking (the paper)": common,
+        "robust, recourse": recourse,
+    }
+
+    def over(own: Trajectory) -> Callable[[tuple[str, Trajectory]], str]:
+        return lambda row: f"{_per_mass(row[1]) / _per_mass(own) - 1.0:+.2%}"
+
+    of: Columns[tuple[str, Trajectory]] = {
+        "": lambda row: row[0],
+        "J/kg": lambda row: f"{_per_mass(row[1]):.2f}",
+        "at least": lambda row: f"{_per_mass(row[1], 'lower_bound'):.2f}",
+        "gap": lambda row: f"{row[1].certificate['gap']:.4%}",
+        **{f"over {name} alone": over(each) for name, each in alone.items()},
+        "arrivals [s]": lambda row: " / ".join(f"{time:.1f}" for time in row[1].times[:, -1]),
+        "end speeds [km/h]": lambda row: " / ".join(
+            f"{KMH * speed:.1f}" for speed in row[1].speeds[:, -1]
+        ),
+    }
+    title = f"Price of robustness: energy at the wheel rims in {common.running_time:.0f} s"
+    return word_table(title, rows.items(), of)
+
+
+def printed_table(instance: study.Instance, common: Trajectory) -> WordTable:
+    """Eqs. (2) to (8) as printed, integrated for every configuration under the common efforts.
+
+    Parameters
+    ----------
+    instance : Instance
+    common : Trajectory
+        With common braking.
+    """
+    chosen = common.configurations
+    found = study.driven(instance, common, chosen)
+    problem = discretise(instance.run(chosen, "common"), common.positions)
+    table = new_table("Eqs. (2)-(8) integrated as printed under u_f and u_b", "", "")
+    energies = ", ".join(f"{energy:.6f}" for energy in found.energy)
+    table.add_row("E(s_e), eq. (4): the same for all [J/kg]", energies)
+    for name, excess in study.as_printed(problem, common, found).items():
+        table.add_row(f"most over {name}", f"{excess:.1e}")
+    return table
+
+
+def phases_table(answers: Sequence[tuple[str, Trajectory]]) -> WordTable:
+    """The phases of section 3, and how far they are those of the switching function.
+
+    Parameters
+    ----------
+    answers : sequence of (str, Trajectory)
+        Under their names.
+    """
+
+    def spent(phase: Phase) -> Callable[[tuple[str, Trajectory]], str]:
+        def cell(row: tuple[str, Trajectory]) -> str:
+            found = study.phase_durations(row[1])
+            return f"{found[phase]:.0f}" if phase in found else "–"
+
+        return cell
+
+    of: Columns[tuple[str, Trajectory]] = {
+        "": lambda row: row[0],
+        **{phase.label: spent(phase) for phase in Phase},
+        "controls as the sum asks": lambda row: (
+            f"{min(row[1].certificate['agreement'].values()):.1%}"
+        ),
+        "phase by both the same": lambda row: f"{study.phases_agree(row[1]):.1%}",
+    }
+    title = "Section 3: phases by control, in seconds, and by the sum of lambda_v / v"
+    return word_table(title, answers, of)
+
+
+def cruise_table(answers: Sequence[tuple[str, Trajectory]]) -> WordTable:
+    """The multiplier of the time against its analytic value.
+
+    Parameters
+    ----------
+    answers : sequence of (str, Trajectory)
+        On level track, under their names.
+    """
+    of: Columns[tuple[str, study.Cruise]] = {
+        "": lambda row: row[0],
+        "cruising speed [km/h]": lambda row: f"{KMH * row[1].speed:.2f}",
+        "multiplier": lambda row: f"{row[1].price:.6f}",
+        "analytic": lambda row: f"{row[1].analytic:.6f}",
+        "apart": lambda row: f"{abs(row[1].price / row[1].analytic - 1.0):.1e}",
+    }
+    title = "Cruising on level track: lambda_t of the configuration that decides [J/(kg s)]"
+    return word_table(title, ((name, study.cruise(found)) for name, found in answers), of)
+
+
+def others_table(
+    instance: study.Instance,
+    nominal: Trajectory,
+    common: Trajectory,
+    chosen: Sequence[Configuration],
+) -> WordTable:
+    """The optimum for the nominal configuration, driven by the others; beside it the robust one.
+
+    Parameters
+    ----------
+    instance : Instance
+    nominal, common : Trajectory
+        For the nominal configuration alone, and for all.
+    chosen : sequence of Configuration
+        That drive.
+    """
+    own, braked, robust = (
+        study.driven(instance, nominal, chosen),
+        study.driven(instance, nominal, chosen, braking="recourse"),
+        study.driven(instance, common, chosen),
+    )
+    late = instance.running_time
+    of: Columns[int] = {
+        "driven by": lambda row: chosen[row].name,
+        "nominal: late [s]": lambda row: _late(own, row, late),
+        f"end speed, asked {KMH * instance.final_speed:.0f} [km/h]": lambda row: _end(own, row),
+        "nominal, brake its own: late [s]": lambda row: _late(braked, row, late),
+        "robust: late [s]": lambda row: _late(robust, row, late),
+        "end speed [km/h]": lambda row: _end(robust, row),
+    }
+    title = "Efforts that were optimal for the nominal configuration, and the robust ones"
+    return word_table(title, range(len(chosen)), of)
+
+
+def ends_table(ends: Sequence[tuple[float, float | None, Trajectory]]) -> WordTable:
+    """What a wider observed set costs, and how slow one brake for all can make it.
+
+    Parameters
+    ----------
+    ends : sequence of (float, float or None, Trajectory)
+        Spread of the running resistance, lowest common end speed [m/s], and the trajectory with
+        a brake each.
+    """
+    of: Columns[tuple[float, float | None, Trajectory]] = {
+        "spread": lambda row: f"±{row[0]:.0%}",
+        "lowest end speed, common braking": lambda row: (
+            "none in this time" if row[1] is None else f"{KMH * row[1]:.1f} km/h"
+        ),
+        "robust, recourse [J/kg]": lambda row: f"{_per_mass(row[2]):.2f}",
+    }
+    return word_table("Sets whose running resistance differs evenly", ends, of)
+
+
+def _per_mass(found: Trajectory, key: str = "energy") -> float:
+    """J/kg, the paper's unit mass; these configurations have one inertia."""
+    return float(found.certificate[key]) / found.configurations[0].inertia
+
+
+def _late(found: study.Driven, row: int, running_time: float) -> str:
+    if found.stands[row] < float("inf"):
+        return f"stands at km {found.stands[row] / 1e3:.3f}"
+    return f"{found.times[row, -1] - running_time:+.1f}"
+
+
+def _end(found: study.Driven, row: int) -> str:
+    return f"{KMH * found.speeds[row, -1]:.1f}"
+
+
+def others_charts(
+    instance: Instance, nominal: Trajectory, robust: Trajectory, chosen: Sequence[Configuration]
+) -> list[Chart]:
+    """How far each configuration falls behind under either trajectory's efforts.
+
+    Parameters
+    ----------
+    instance : Instance
+    nominal, robust : Trajectory
+        For the nominal configuration alone, and for all.
+    chosen : sequence of Configuration
+    """
+    charts = list[Chart]()
+    colours = dict(zip((each.name for each in chosen), (GREEN, BLUE, RED), strict=False))
+    for plan, what in ((nominal, "the nominal configuration alone"), (robust, "all")):
+        found = driven(instance, plan, chosen)
+        km = plan.positions / 1e3
+        # Behind the nominal configuration on its own optimum.
+        timetable = np.interp(plan.positions, nominal.positions, nominal.times[0])
+        late = [
+            Curve(name, km, times - timetable, colour)
+            for times, (name, colour) in zip(found.times, colours.items(), strict=False)
+        ]
+        speeds = [
+            Curve("", km, KMH * speed, colour)
+            for speed, colour in zip(found.speeds, colours.values(), strict=False)
+        ]
+        limit = [KMH * instance.final_speed]
+        speeds.append(Curve("at most", km[-1:], limit, GREY, "points", width=3.0, mark="v"))
+        title = f"Optimal for {what}: behind the timetable"
+        rules = [Rule(0.0, GREY, dash="--")]
+        charts += [
+            Chart("km", [Panel("s", late, 1.2, title, rules=rules)], width=0.7),
+            Chart("km", [Panel("km/h", speeds, 1.2, "the last kilometre", limits=(0.0, 100.0))],
+                  span=(km[-1] - 1.0, km[-1] + 0.05), beside=True, width=0.3),
+        ]  # fmt: skip
+    return charts
 
 
 def main(report: StudyReport, cells: int) -> None:
@@ -37,11 +274,11 @@ def main(report: StudyReport, cells: int) -> None:
     report.draw({"nominal-driven-by-others.png": others_charts(level, nominal, common, chosen)})
     on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
     report.show(
-        figures.configurations_table(level),
-        figures.price_table(alone, common, recourse),
-        figures.printed_table(level, common),
-        figures.phases_table(list(answers.items())),
-        figures.cruise_table(on_level),
-        figures.others_table(level, nominal, common, chosen),
-        figures.ends_table(ends),
+        configurations_table(level),
+        price_table(alone, common, recourse),
+        printed_table(level, common),
+        phases_table(list(answers.items())),
+        cruise_table(on_level),
+        others_table(level, nominal, common, chosen),
+        ends_table(ends),
     )

@@ -15,8 +15,14 @@ import numpy as np
 from scipy.linalg import expm
 
 from analysis.control.follow import Follower
-from analysis.control.prediction import AHEAD
-from analysis.control.qp import QPSubproblem, solve, speed_rows, terminal_weight, tracking_cost
+from analysis.control.prediction import (
+    AHEAD,
+    QPSubproblem,
+    solve,
+    speed_rows,
+    terminal_weight,
+    tracking_cost,
+)
 from analysis.studies.hauck_2023.model import (
     NOMINAL_MASS,
     TOP_SPEED,
