@@ -32,7 +32,6 @@ from trainlog.formats.railway import (
     read_parameters,
     read_trajectory,
 )
-from trainlog.formats.samples import names, sample
 from trainlog.formats.summaries import SUFFIX, covariances_of
 from trainlog.presentation import (
     FORCE,
@@ -79,34 +78,22 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
     """
     found = read_parameters(path)
     kept = path.with_suffix(SUFFIX)
-    given = {"the logs": list(logs), kept.name: [kept] * kept.exists()}
-    doubts = list[Part]()
-    fits = None
-    for name, files in given.items():
-        if files and fits is None:
-            made = _fitted_again(found, files)
-            if isinstance(made, Fits):
-                fits = made
-            else:
-                doubts.append(Warned(made.format(name, path.name)))
-    if fits is not None:
-        doubts = []
-    if fits is None:
-        without = [] if doubts else [
+    name, files = ("the logs", list(logs)) if logs else (kept.name, [kept] * kept.exists())
+    fits = _fitted_again(found, files) if files else None
+    if not isinstance(fits, Fits):
+        doubt: Part = (
             f"{kept.name} is not beside it and no logs are given: what each trip showed, and which"
             " were refused, is not known here."
-        ]  # fmt: skip
-        return [
-            Section(
-                "Running resistance",
-                [*doubts, found if found.configurations else "The set is empty.", *without],
-            )
-        ]
+            if fits is None
+            else Warned(fits.format(name, path.name))
+        )
+        shown = found if found.configurations else "The set is empty."
+        return [Section("Running resistance", [shown, doubt])]
     residuals: list[Part] = [*residual_charts(fits.trips)]
     residuals = residuals or ["Residuals are shown where the logs are given."]
     return [
         _fit_summary(fits),
-        Section("Running resistance", [*doubts, fits]),
+        Section("Running resistance", [fits]),
         Section("Trips of the fit", [_trips_table(fits), *residuals], folded=True),
         Section("Observed set", found.shown(), folded=True),
     ]
@@ -267,8 +254,8 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
     sections = [Section("Trajectory", parts)]
     if course is None:
         parts.append(
-            Warned(f"The file does not hold line '{trajectory.line}', as an earlier version wrote"
-                   " it: without --line its limits, gradients and stations are not shown.")
+            Warned(f"The file does not hold line '{trajectory.line}': without --line its limits,"
+                   " gradients and stations are not shown.")
         )  # fmt: skip
     if course is not None and course.assumed:
         parts.append(Warned(f"Assumed of the line: {course.summary()['assumed']}."))
@@ -283,36 +270,26 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
 
 
 def line_of_trajectory(trajectory: Trajectory, given: Path | None) -> Line | None:
-    """The line of a trajectory in the direction of travel: as given, or as it was planned on.
+    """The line of a trajectory in the direction of travel: as given, or as the file holds it.
 
-    None where the file does not hold it, as earlier versions wrote it, and no sample has its name.
+    None where the file does not hold it, as those of other programs may not.
 
     Raises
     ------
     InputError
         If the one that is given is another line, or ends before the trajectory does.
     """
-    last = float(trajectory.positions[-1])
     if given is None:
-        kept = line_of_plan(trajectory)
-        if kept is not None:
-            return kept
-        found = [read_line(sample(each)) for each in names() if each.endswith(".line.json")]
-        lines = [
-            each for each in found if each.name == trajectory.line and each.length >= last - 1.0
-        ]
-        if not lines:
-            return None
-    else:
-        lines = [read_line(given)]
-        if lines[0].name != trajectory.line or lines[0].length < last - 1.0:
-            raise InputError(
-                f"is line '{lines[0].name}' of {lines[0].length / 1e3:.3f} km; the trajectory is of"
-                f" '{trajectory.line}' to km {last / 1e3:.3f}",
-                file=given,
-                remedy="give the line that it was planned on",
-            )
-    return lines[0].travelled(trajectory.direction)
+        return line_of_plan(trajectory)
+    line, last = read_line(given), float(trajectory.positions[-1])
+    if line.name != trajectory.line or line.length < last - 1.0:
+        raise InputError(
+            f"is line '{line.name}' of {line.length / 1e3:.3f} km; the trajectory is of"
+            f" '{trajectory.line}' to km {last / 1e3:.3f}",
+            file=given,
+            remedy="give the line that it was planned on",
+        )
+    return line.travelled(trajectory.direction)
 
 
 def certificate_words(trajectory: Trajectory) -> list[str]:

@@ -55,7 +55,7 @@ class _In(Number):
     times: float = 1.0
     over: float = 1.0
 
-    def read(self, found: Any, kind: Any) -> float:
+    def read(self, found: Any, kind: Any = float) -> float:
         """The number in SI."""
         return super().read(found, kind) * self.times / self.over
 
