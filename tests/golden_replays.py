@@ -78,11 +78,11 @@ def reported(result: EstimatorResult) -> dict[str, ArrayLike]:
 def least_squares(trip: Trip) -> Figures:
     """Forces that resist, reset in part where the gradient changes."""
     ready, train = prepared(trip), train_of(trip)
-    recording, use = ready.recording, ready.recording.usable
+    use = ready.usable
     inertia = train.mass + train.rotating_mass
-    acceleration = np.gradient(ready.speed, recording.time)
-    force = recording.effort - inertia * acceleration - train.mass * recording.track
-    rows = np.column_stack([np.ones(force.size), ready.speed, ready.speed**2])
+    acceleration = np.gradient(ready.smooth, ready.time)
+    force = ready.effort - inertia * acceleration - train.mass * ready.track
+    rows = np.column_stack([np.ones(force.size), ready.smooth, ready.smooth**2])
     estimator = RecursiveLeastSquares(
         [1e4, 300.0, 10.0], forgetting=0.9999, random_walk_std=[1.0, 1e-3, 1e-5]
     )

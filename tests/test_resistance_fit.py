@@ -186,7 +186,7 @@ def test_wheels_that_roll_have_the_rotating_momentum_of_the_train() -> None:
     columns |= {f"wheel_effort_{axle}": np.zeros(speed.size) for axle in range(1, 5)}
     axles = made.with_topic(frame_of(TRAIN_AXLES, speed.index, columns))
     for one in (made, axles):
-        momentum = prepare(view_of(one)).recording.rotating_momentum
+        momentum = prepare(view_of(one)).rotating_momentum
         np.testing.assert_allclose(momentum, TRAIN.rotating_mass * speed, rtol=1e-9)
 
 
@@ -300,11 +300,11 @@ def test_unrecorded_brakes_are_masked_by_their_demand_or_by_deceleration() -> No
     stated = changed(unknown, "/train/controls", braking_effort_demand=braking)
     by_demand = prepare(view_of(stated))
     hard = braking.to_numpy() > 5000.0
-    assert not by_demand.recording.usable[hard].any()
+    assert not by_demand.usable[hard].any()
     assert in_band(fit_trip(stated), RESISTANCE)
     by_deceleration = prepare(view_of(unknown))
     harder = braking.to_numpy() > 0.3 * 142e3
-    assert not by_deceleration.recording.usable[harder].any()
+    assert not by_deceleration.usable[harder].any()
 
 
 def test_gaps_slip_and_friction_braking_are_masked() -> None:
@@ -318,22 +318,22 @@ def test_gaps_slip_and_friction_braking_are_masked() -> None:
         assert "units" in frame.attrs
     masked = prepare(view_of(gappy))
     assert masked.masked["gap"] > 0.0
-    assert not masked.recording.usable[3000:3010].any()
-    windows = build_windows(masked.recording)
-    before, after = masked.recording.time[2999], masked.recording.time[3000]
+    assert not masked.usable[3000:3010].any()
+    windows = build_windows(masked)
+    before, after = masked.time[2999], masked.time[3000]
     assert not np.any((windows.start < after) & (windows.end > before))
     friction = np.zeros(len(controls))
     friction[5000:5100] = 20e3
     braked = prepare(view_of(changed(made, "/train/controls", pneumatic_braking_effort=friction)))
-    assert not braked.recording.usable[4990:5110].any()
-    assert braked.recording.usable[5130]
+    assert not braked.usable[4990:5110].any()
+    assert braked.usable[5130]
     wheels = np.tile(state["speed"].to_numpy()[:, None], (1, 4))
     wheels[7000:7100, 2] += 6.0
     axles = frame_of(TRAIN_AXLES, state.index, {"wheel_speed": wheels})
     slipping = prepare(view_of(made.with_topic(axles)))
     assert slipping.masked["slip"] == pytest.approx(10.0, abs=1.0)
-    assert not slipping.recording.usable[6995:7105].any()
-    assert slipping.recording.usable[7130]
+    assert not slipping.usable[6995:7105].any()
+    assert slipping.usable[7130]
 
 
 def test_power_limit_is_read_off_where_it_was_reached() -> None:
@@ -593,7 +593,7 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
 
     def left(trip: Trip) -> tuple[float, float]:
         """Change of the sum of slips in a window [m/s], RMS, and time that is used [s]."""
-        windows = build_windows(prepare(view_of(trip)).recording)
+        windows = build_windows(prepare(view_of(trip)))
         change = np.interp(windows.end, time, slip) - np.interp(windows.start, time, slip)
         return float(np.sqrt(np.mean(change**2))), float(windows.duration.sum())
 

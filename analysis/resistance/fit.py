@@ -19,7 +19,7 @@ from analysis.resistance.curve import (
 )
 from analysis.resistance.noise import Expected
 from analysis.resistance.passport import gain_words, passport, with_calibrated_efforts
-from analysis.resistance.power import limited_samples, power_limit
+from analysis.resistance.power import power_limit
 from analysis.resistance.recording import (
     Prepared,
     Reason,
@@ -133,7 +133,7 @@ class TunnelResistance:
         """Of a trip; None if it ran through no tunnel."""
         if regression.tunnels is None:
             return None
-        section = view.line.tunnel_cross_section(prepared.position[prepared.recording.usable])
+        section = view.line.tunnel_cross_section(prepared.position[prepared.usable])
         ends = np.array([section[section > 0.0].min(), section.max()])
         low, high = tunnel_coefficient(view.train, ends).tolist()
         stated = bool(view.train.tunnel_resistance)
@@ -409,7 +409,7 @@ def fit_trip(
     prepared = prepare(view, corrected)
     origin = prepared.index[0]
     asked = _asked(speeds, line, train)
-    windows, timeline = build_windows(prepared.recording), prepared.timeline
+    windows, timeline = build_windows(prepared), prepared.timeline
     _check_windows(name, windows, prepared)
     mass, mass_std = mass_prior(train)
     estimated = known.effort_delay.source == "estimated"
@@ -434,8 +434,7 @@ def fit_trip(
     merged = used.merged()
     ends = np.searchsorted(used.end, merged.end)
     residual = regression.residual
-    samples = limited_samples(corrected, prepared)
-    limit = power_limit(samples, train, float(np.hypot(scale.std, gain_std)))
+    limit = power_limit(corrected, prepared, train, float(np.hypot(scale.std, gain_std)))
     return TripFit(
         trip=name,
         train=train.name,

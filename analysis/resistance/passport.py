@@ -452,7 +452,7 @@ class _Motion:
         """Windows with the efforts shifted by a delay [s]."""
         prepared = prepare(self._view, with_effort_delay(sound(self._view), delay))
         self._slipped = bool(prepared.masks["slip"].any())
-        windows = build_windows(prepared.recording, self._width)
+        windows = build_windows(prepared, self._width)
         if windows.count < LEAST_WINDOWS:
             raise NotIdentifiableError(
                 f"only {counted(windows.count, 'second')} can be used: the rest is standstill,"

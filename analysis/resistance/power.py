@@ -47,23 +47,6 @@ WEAKEST = 0.5
 """Share of the train's stated power below which another limit (adhesion, a fault) is at work."""
 
 
-@dataclass(frozen=True, eq=False)
-class LimitedSamples:
-    """Samples at which more effort was asked for than was given; (n,) arrays.
-
-    Attributes
-    ----------
-    power : array [W]
-    speed : array [m/s]
-    step : float [s]
-        Between two samples.
-    """
-
-    power: FloatArray
-    speed: FloatArray
-    step: float
-
-
 @dataclass(frozen=True, slots=True)
 class PowerLimit:
     """Largest traction power at the wheel rims and its standard deviation [W], seen for [s]."""
@@ -73,25 +56,36 @@ class PowerLimit:
     time: float
 
 
-def limited_samples(trip: Trip, prepared: Prepared) -> LimitedSamples:
-    """Where more effort was asked for than was given.
+def power_limit(
+    trip: Trip, prepared: Prepared, train: Train, scale_std: float
+) -> PowerLimit | None:
+    """Traction power at the wheel rims where the train was at its limit.
 
-    Efforts are averaged; wheels that slip and transients are left out. The wheels' own speed
-    counts where it is recorded: it is the motors that are limited. Where no effort demand is
-    recorded, a full lever asks for more than is given; what the effort of adhesion or of the motors
-    limits then is left out by `power_limit`, as its power is not the same at all speeds.
+    More effort was asked for there than was given. Efforts are averaged; wheels that slip and
+    transients are left out. The wheels' own speed counts where it is recorded: it is the motors
+    that are limited. Where no effort demand is recorded, a full lever asks for more than is given;
+    what the effort of adhesion or of the motors limits then is left out, as its power is not the
+    same at all speeds.
 
     Parameters
     ----------
     trip : Trip
+        Its efforts in time and size.
     prepared : Prepared
+    train : Train
+    scale_std : float
+        Standard deviation of the speed scale; the power has the same on top.
+
+    Returns
+    -------
+    PowerLimit or None
+        None if the train was not at its power limit for `SHORTEST` at least.
     """
-    controls = trip["/train/controls"]
-    index, recording = prepared.index, prepared.recording
-    step = float(np.median(np.diff(recording.time)))
+    controls, index = trip["/train/controls"], prepared.index
+    step = float(np.median(np.diff(prepared.time)))
     width = max(1, round(AVERAGED / step))
     power = _moving_average(_power(trip, index, prepared), width)
-    limited = recording.usable & (recording.speed > LOWEST_SPEED) & np.isfinite(power)
+    limited = prepared.usable & (prepared.speed > LOWEST_SPEED) & np.isfinite(power)
     if controls["tractive_effort_demand"].notna().any():
         demand, effort = (
             _moving_average(interpolated(controls, name, index), width)
@@ -102,27 +96,9 @@ def limited_samples(trip: Trip, prepared: Prepared) -> LimitedSamples:
         limited &= interpolated(controls, "lever", index) >= FULL_LEVER
     # A limit that lasts: true for the whole averaging time around the sample.
     limited &= _moving_average(limited.astype(np.float64), width) > 0.999
-    return LimitedSamples(power[limited], recording.speed[limited], step)
-
-
-def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> PowerLimit | None:
-    """Traction power at the wheel rims where the train was at its limit.
-
-    Parameters
-    ----------
-    samples : LimitedSamples
-    train : Train
-    scale_std : float
-        Standard deviation of the speed scale; the power has the same on top.
-
-    Returns
-    -------
-    PowerLimit or None
-        None if the train was not at its power limit for `SHORTEST` at least.
-    """
-    power, speed, step = samples.power, samples.speed, samples.step
+    power, speed = power[limited], prepared.speed[limited]
     if train.traction_curve is not None:
-        power, speed = _equivalent_power(samples, train, train.traction_curve.without_rise)
+        power, speed = _equivalent_power(power, speed, train, train.traction_curve.without_rise)
     if power.size * step < SHORTEST:
         return None
     plateau = power > (1.0 - PLATEAU) * float(np.quantile(power, 0.98))
@@ -145,15 +121,14 @@ def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> Powe
 
 
 def _equivalent_power(
-    samples: LimitedSamples, train: Train, curve: EffortCurve
+    power: FloatArray, speed: FloatArray, train: Train, curve: EffortCurve
 ) -> tuple[FloatArray, FloatArray]:
     """Power [W] of a train whose curve gives the effort of each sample, and the speeds [m/s].
 
     The curve of a train with a share of the power has each effort at that share of its speed. Where
     effort hardly falls with the speed it says nothing of the power, and is left out.
     """
-    pulled = samples.power > 0.0
-    power, speed = samples.power[pulled], samples.speed[pulled]
+    power, speed = power[power > 0.0], speed[power > 0.0]
     effort = power / speed
     reached = curve.speed_at(effort)
     known = (reached > 0.0) & (-curve.slope(reached) * reached >= STEEP * effort)
@@ -175,7 +150,7 @@ def _power(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared) -> np.ndarra
         if products and np.isfinite(np.sum(products, axis=0)).any():
             return np.asarray(np.sum(products, axis=0) / prepared.scale.factor)
     effort = interpolated(trip["/train/controls"], "tractive_effort", index)
-    return np.asarray(effort * prepared.recording.speed)
+    return np.asarray(effort * prepared.speed)
 
 
 def _moving_average(values: np.ndarray, width: int) -> np.ndarray:

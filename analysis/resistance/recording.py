@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -238,16 +238,19 @@ class Recording:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class Prepared(Recording):
     """A trip made ready for the regression.
 
     Attributes
     ----------
-    recording : Recording
     index : (n,) DatetimeIndex
     scale : SpeedScale
-    speed, position : (n,) array [m/s], [m]
-        Smoothed, and as recorded.
+    smooth, acceleration : (n,) array [m/s], [m/s²]
+        Of the smoothed speed.
+    position : (n,) array [m]
+        As recorded, 0 where it is not.
+    wheels : (n, axles) array [m/s]
+        Speeds of the powered wheels that are recorded.
     masks : dict of str to (n,) bool array
         What is masked, by reason; reasons may overlap.
     slip_unseen : bool
@@ -257,55 +260,35 @@ class Prepared:
     wind_recorded : bool
     """
 
-    recording: Recording
     index: pd.DatetimeIndex
     scale: SpeedScale
-    speed: FloatArray
+    smooth: FloatArray
+    acceleration: FloatArray
     position: FloatArray
+    wheels: FloatArray
     masks: dict[str, BoolArray]
-    slip_unseen: bool = False
-    slip: str = "slip"
-    wind_recorded: bool = False
+    slip_unseen: bool
+    slip: str
+    wind_recorded: bool
 
     @property
     def masked(self) -> dict[str, float]:
         """Time masked [s], by reason."""
-        step = np.gradient(self.recording.time)
+        step = np.gradient(self.time)
         return {reason: float(np.sum(step[mask])) for reason, mask in self.masks.items()}
 
     @property
     def duration(self) -> float:
         """Of the recording [s]."""
-        return float(np.sum(np.gradient(self.recording.time)))
+        return float(np.sum(np.gradient(self.time)))
 
     @property
     def timeline(self) -> Timeline:
         """The trip at a glance."""
-        time = self.recording.time
+        time = self.time
         first = np.flatnonzero(np.diff(np.floor(time), prepend=-np.inf) > 0)
         masks = {reason: np.logical_or.reduceat(mask, first) for reason, mask in self.masks.items()}
-        return Timeline(time[first], self.speed[first], self.position[first], masks, self.slip)
-
-
-@dataclass(frozen=True, eq=False)
-class _Course:
-    """What of a trip does not depend on its efforts; arrays as of `Recording` and `Prepared`."""
-
-    index: pd.DatetimeIndex
-    time: FloatArray
-    scale: SpeedScale
-    speed: FloatArray
-    position: FloatArray
-    smooth: FloatArray
-    acceleration: FloatArray
-    wheels: FloatArray
-    slipping: BoolArray
-    tunnel: FloatArray
-    track: FloatArray
-    track_slope: FloatArray
-    section: IntArray
-    nearest_edge: IntArray
-    wind: FloatArray | None
+        return Timeline(time[first], self.smooth[first], self.position[first], masks, self.slip)
 
 
 def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
@@ -328,53 +311,31 @@ def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
     """
     trip = sound(view) if corrected is None else corrected
     of, train, controls = view.once(_course), view.train, trip["/train/controls"]
-    index, time = of.index, of.time
     traction, dynamic, pneumatic = (
-        interpolated(controls, name, index)
+        interpolated(controls, name, of.index)
         for name in ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
     )
-    place = np.nan_to_num(of.position)
+    gap = _gaps(of.time, [trip["/train/state"], controls], of.index[0]) | ~np.isfinite(traction)
+    braked = _braking(controls, of.index, dynamic, pneumatic, of.acceleration + of.track, train)
+    traction, dynamic = np.nan_to_num(traction), np.nan_to_num(dynamic)
+    protected = _protected(of.time, traction - dynamic, of.wheels.shape[1], train)
     masks = {
-        "gap": _gaps(time, [trip["/train/state"], controls], index[0])
-        | ~np.isfinite(of.speed + of.position + traction),
-        "standstill": ~(of.smooth >= LOWEST_SPEED),
-        "braking": _braking(controls, index, dynamic, pneumatic, of.acceleration + of.track, train),
-        "slip": of.slipping
-        | _protected(time, traction - np.nan_to_num(dynamic), of.wheels.shape[1], train),
+        "gap": of.masks["gap"] | gap,
+        "standstill": of.masks["standstill"],
+        "braking": braked,
+        "slip": of.masks["slip"] | protected,
     }
-    bad = widened(time, np.logical_or.reduce(list(masks.values())))
-    speed, traction, dynamic = (np.nan_to_num(a) for a in (of.speed, traction, dynamic))
-    recording = Recording(
-        time=time,
-        speed=speed,
-        curve=basis(speed, 0.0 if of.wind is None else of.wind),
-        effort=traction - dynamic - np.nan_to_num(pneumatic) - of.tunnel * speed**2,
-        tunnel=of.tunnel * speed**2,
+    return replace(
+        of,
+        effort=traction - dynamic - np.nan_to_num(pneumatic) - of.tunnel,
         braking=dynamic,
-        rotating_momentum=_rotating_momentum(train, speed, of.wheels),
-        track=of.track,
-        track_slope=of.track_slope,
-        section=of.section,
-        nearest_edge=of.nearest_edge,
-        usable=~bad,
-    )
-    shown = "slip" if of.wheels.shape[1] else EFFORT_DIPS
-    if 0 < of.wheels.shape[1] < train.axles.count:
-        shown = f"slip or {EFFORT_DIPS}"
-    return Prepared(
-        recording,
-        index,
-        of.scale,
-        of.smooth,
-        place,
-        masks,
-        _slip_unseen(time, of.wheels.shape[1], train),
-        shown,
-        of.wind is not None,
+        masks=masks,
+        usable=~widened(of.time, np.logical_or.reduce(list(masks.values()))),
     )
 
 
-def _course(view: TripView) -> _Course:
+def _course(view: TripView) -> Prepared:
+    """What of a trip does not depend on its efforts."""
     trip, line, train = sound(view), view.line, view.train
     state = trip["/train/state"]
     index, time = pd.DatetimeIndex(state.index), seconds(state)
@@ -384,29 +345,42 @@ def _course(view: TripView) -> _Course:
             place=f"topic /train/state, row {int(np.argmax(np.diff(time) <= 0.0)) + 1}",
             remedy="ingest the recording again; that repairs it",
         )
-    measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
     scale = scale_of(view)
-    speed = measured / scale.factor
-    smooth, acceleration = _smoothed(time, speed)
+    measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
+    smooth, acceleration = _smoothed(time, measured / scale.factor)
     wheels = _wheel_speeds(trip, index) / scale.factor
-    place = np.nan_to_num(position)
+    speed, place = np.nan_to_num(measured / scale.factor), np.nan_to_num(position)
     section, nearest = gradient_pieces(line, place)
-    return _Course(
-        index,
-        time,
-        scale,
-        speed,
-        position,
-        smooth,
-        acceleration,
-        wheels,
-        _slipping(time, wheels, smooth),
-        tunnel_coefficient(train, line.tunnel_cross_section(place)),
-        line.track_acceleration(place, train.strip_length),
-        track_slope(line, place, train.strip_length),
-        section,
-        nearest,
-        recorded_head_wind(trip, index),
+    wind = recorded_head_wind(trip, index)
+    count = wheels.shape[1]
+    slip = "slip" if count else EFFORT_DIPS
+    return Prepared(
+        time=time,
+        speed=speed,
+        curve=basis(speed, 0.0 if wind is None else wind),
+        effort=np.zeros(time.size),
+        braking=np.zeros(time.size),
+        rotating_momentum=_rotating_momentum(train, speed, wheels),
+        tunnel=tunnel_coefficient(train, line.tunnel_cross_section(place)) * speed**2,
+        track=line.track_acceleration(place, train.strip_length),
+        track_slope=track_slope(line, place, train.strip_length),
+        section=section,
+        nearest_edge=nearest,
+        usable=np.ones(time.size, dtype=np.bool_),
+        index=index,
+        scale=scale,
+        smooth=smooth,
+        acceleration=acceleration,
+        position=place,
+        wheels=wheels,
+        masks={
+            "gap": ~np.isfinite(measured + position),
+            "standstill": ~(smooth >= LOWEST_SPEED),
+            "slip": _slipping(time, wheels, smooth),
+        },
+        slip_unseen=_slip_unseen(time, count, train),
+        slip=f"slip or {EFFORT_DIPS}" if 0 < count < train.axles.count else slip,
+        wind_recorded=wind is not None,
     )
 
 

@@ -211,7 +211,7 @@ def _differenced(trip: Drawn, study: Study) -> FloatArray:
 
 def _ordinary(trip: Trip) -> FloatArray:
     """Ordinary least squares on windows of ten seconds."""
-    windows = build_windows(prepare(view_of(trip)).recording).merged()
+    windows = build_windows(prepare(view_of(trip))).merged()
     size = np.linalg.norm(windows.x, axis=0)
     theta = np.linalg.lstsq(windows.x / size, windows.y, rcond=None)[0] / size
     return np.asarray(theta[1:] / theta[0])
