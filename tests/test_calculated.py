@@ -80,10 +80,10 @@ def test_the_true_model_calculates_the_true_work_and_time() -> None:
     found = calculate(driven(), sure, wind_std=3.0)
     assert found.outside == []
     assert found.total("calculated_work") == pytest.approx(true_work(driven()), rel=0.01)
-    assert 1.96 * found.total_std("work_std") < 0.3 * true_work(driven())
+    assert 1.96 * found.total("work_std") < 0.3 * true_work(driven())
     calm = calculate(driven(), sure, wind_std=0.0)
     assert calm.outside == []
-    assert calm.total_std("time_std") < 0.6 * found.total_std("time_std")
+    assert calm.total("time_std") < 0.6 * found.total("time_std")
 
 
 def wrong_file(name: str) -> Train:
@@ -122,7 +122,7 @@ def test_a_wind_that_is_not_recorded_is_no_error_of_the_file() -> None:
 
 def test_a_recorded_wind_makes_bands_narrower_and_times_truer() -> None:
     unknown, known = against_the_file(False), against_the_file(True)
-    assert known.total_std("time_std") < 0.6 * unknown.total_std("time_std")
+    assert known.total("time_std") < 0.6 * unknown.total("time_std")
     off = [abs(each.total("calculated_time") - each.total("time")) for each in (unknown, known)]
     assert off[1] < 0.4 * off[0]
     fits = [fit_trip(windy(recorded)).resistance for recorded in (False, True)]
@@ -174,7 +174,7 @@ def test_without_a_recorded_load_a_mass_is_not_named_and_the_band_is_wide() -> N
     known = calculate(driven(), TRAIN)
     assert unknown.diagnosis.wrong == ()
     assert unknown.outside == []
-    assert unknown.total_std("work_std") > 1.05 * known.total_std("work_std")
+    assert unknown.total("work_std") > 1.05 * known.total("work_std")
 
 
 def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_truth() -> None:
@@ -182,11 +182,11 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
         k: v for k, v in driven().topics.items() if k not in ("/train/controls", "/train/axles")
     }
     found = calculate(replace(driven(), topics=topics), TRAIN, wind_std=3.0)
-    assert not found.efforts
+    assert not found.inputs.efforts
     assert found.table["work"].isna().all()
     energy = true_work(driven())
     off = found.total("calculated_work") - energy
-    assert abs(off) < 1.96 * found.total_std("work_std") < 0.2 * energy
+    assert abs(off) < 1.96 * found.total("work_std") < 0.2 * energy
     assert found.diagnosis.not_judged
     assert "not judged" in found._repr_html_()
     assert len(figure_of(found.charts()).axes) == 3

@@ -208,7 +208,7 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
 
 def test_a_drive_given_twice_is_judged_once() -> None:
     found = calculated(simulated())
-    assert judged_together([found, replace(found, trip="copy")]).judged_trips == 1
+    assert judged_together([found, replace(found, notes=("copy",))]).judged_trips == 1
     assert "1 given twice, counted once" in together_words([found, found], found.diagnosis)
 
 

@@ -33,6 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -80,6 +81,9 @@ from trainlog.railway.resistance import TERMS, basis
 from trainlog.spans import runs_of
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, JOULES_PER_KWH, NANOSECONDS
+
+FIT = "fit"
+"""Name of a model that was fitted; else it is that of a train's file."""
 
 SURE = 0.999
 """Probability with which a difference of the curve must not be chance."""
@@ -158,50 +162,7 @@ class Diagnosis:
         return "; ".join(each.words for each in self.wrong)
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What a trip shows of a model.
-
-    Attributes
-    ----------
-    model : ForceModel
-    of_file : bool
-        The model is the train's file, whose coefficients have no covariance of their own.
-    wind_std : float [m/s]
-        Of the head wind as far as it is not recorded.
-    gain : Quantity
-        Of the efforts, as the passport finds it with the train's mass.
-    load : float or None [kg]
-        As recorded.
-    fit : TripFit or None
-        Of the trip by itself.
-    reason : str
-        Why there is none, if so.
-    """
-
-    model: ForceModel
-    of_file: bool
-    wind_std: float
-    gain: Quantity
-    load: float | None
-    fit: TripFit | None
-    reason: str = ""
-
-    @staticmethod
-    def of(
-        trip: Trip, model: ForceModel, gain: Quantity, wind_std: float, *, of_file: bool
-    ) -> Evidence:
-        """What a trip shows that carries the train of the model."""
-        load = recorded_load(trip, model.train)
-        found = Evidence(model, of_file, wind_std, gain, None if load is None else load.value, None)
-        try:
-            # A curve that is known roughly still contradicts one that is far off.
-            return replace(found, fit=fit_trip(trip, largest_std=np.inf))
-        except TrainlogError as error:
-            return replace(found, reason=str(error).partition(";")[0])
-
-
-def diagnosed(evidence: Sequence[Evidence]) -> Diagnosis:
+def diagnosed(evidence: Sequence[Inputs]) -> Diagnosis:
     """What trips contradict of a model.
 
     Raises
@@ -215,15 +176,15 @@ def diagnosed(evidence: Sequence[Evidence]) -> Diagnosis:
             remedy="give those of one train",
         )
     train = evidence[0].model.train
-    heavy = wrong_mass(train, [(each.load, each.gain) for each in evidence])
-    wrong = () if heavy is None else (heavy,)
-    fitted = [each for each in evidence if each.fit is not None]
+    heavy = wrong_mass(train, [(each.load, each.shown_gain) for each in evidence])
+    fitted = [(each, each.fit) for each in evidence if isinstance(each.fit, TripFit)]
     if not fitted:
-        return Diagnosis(wrong, "" if wrong else evidence[0].reason, len(evidence))
+        wrong = () if heavy is None else (heavy,)
+        return Diagnosis(wrong, "" if wrong else str(evidence[0].fit), len(evidence))
     # A wrong mass makes the gain, and with it all forces, wrong by its factor.
     coefficient = _wrong_coefficient(fitted, 1.0 if heavy is None else heavy.factor)
-    wrong = wrong if coefficient is None else (*wrong, coefficient)
-    return Diagnosis(wrong, "", len(fitted))
+    found = tuple(each for each in (heavy, coefficient) if each is not None)
+    return Diagnosis(found, "", len(fitted))
 
 
 def wrong_mass(train: Train, weighed: Sequence[tuple[float | None, Quantity]]) -> Wrong | None:
@@ -253,19 +214,19 @@ def wrong_mass(train: Train, weighed: Sequence[tuple[float | None, Quantity]]) -
     return Wrong("mass", factor, factor * std, ("recorded efforts",))
 
 
-def _wrong_coefficient(fitted: Sequence[Evidence], factor: float) -> Wrong | None:
+def _wrong_coefficient(fitted: Sequence[tuple[Inputs, TripFit]], factor: float) -> Wrong | None:
     """The coefficient that trips contradict, their efforts and curves over a factor."""
-    model = fitted[0].model
+    model = fitted[0][0].model
     own = model.resistance.coefficients
-    fits = [each.fit for each in fitted if each.fit is not None]
+    fits = [fit for _, fit in fitted]
     betas = np.array([fit.beta for fit in fits]) / factor
     single = np.array([fit.own_covariance for fit in fits]) / factor**2
-    if fitted[0].of_file:
+    if model.name != FIT:
         rough = _mean(betas, single)[0]
         # Of the coefficients as they may be: those of a wrong file are too large or too small.
         size = np.minimum(own, np.maximum(rough, 0.1 * own))
         single = single + TRIP_SPREAD**2 * np.outer(size, size)
-        for row, each in enumerate(fitted):
+        for row, (each, _) in enumerate(fitted):
             single[row, 1, 1] += (2.0 * size[2] * each.wind_std) ** 2
             single[row, 0, 0] += 2.0 * (size[2] * each.wind_std**2) ** 2
         common = np.diag((OWN_SPREAD * size) ** 2)
@@ -387,6 +348,29 @@ class Inputs:
         """Of the train, its rotating masses included [kg]."""
         return self.mass.value + self.model.train.rotating_mass
 
+    @property
+    def load(self) -> float | None:
+        """As recorded [kg]."""
+        load = recorded_load(self.trip, self.model.train)
+        return None if load is None else load.value
+
+    @property
+    def slope(self) -> tuple[float, float]:
+        """Standard deviation of the gradients, and the length [m] over which they err alike."""
+        survey = self.driven.line.survey
+        if survey is None:
+            return GRADIENT_STD, GRADIENT_LENGTH
+        return survey.gradient_std, survey.correlation_length or GRADIENT_LENGTH
+
+    @cached_property
+    def fit(self) -> TripFit | str:
+        """Of the trip by itself; or why there is none."""
+        try:
+            # A curve that is known roughly still contradicts one that is far off.
+            return fit_trip(self.trip, largest_std=np.inf)
+        except TrainlogError as error:
+            return str(error).partition(";")[0]
+
 
 def inputs_of(view: TripView, model: ParameterSet | Train, wind_std: float | None) -> Inputs:
     """The trip and the model as they are compared; errors as `calculate`."""
@@ -438,7 +422,7 @@ def _forces(
     if isinstance(model, ParameterSet):
         model.check_train(train.name)
         common, covariance = resistance_of(model, wind_std)
-        return ForceModel("fit", train, trip.line, common, covariance)
+        return ForceModel(FIT, train, trip.line, common, covariance)
     own = model.resistance
     return ForceModel("train's file", model, trip.line, own, trip_spread(own, wind_std))
 
@@ -587,52 +571,26 @@ def _unknown(trip: DrivenTrip, nodes: FloatArray) -> tuple[BoolArray, BoolArray]
     return lacks, speedless
 
 
-@dataclass(frozen=True, slots=True)
-class _Variant:
-    """What one quantity that is not known would change by a standard deviation."""
+def steps_of(inputs: Inputs) -> FloatArray:
+    """The model as it is, and one standard deviation of each thing off that is not known of it.
 
-    resistance: RunningResistance
-    mass: float
-    gain: float = 1.0
-    slope: float = 0.0
-    start: float = 0.0
-
-    def mirrored(self, own: _Variant) -> _Variant:
-        """As far to the other side of the model as it is."""
-        resistance = 2.0 * own.resistance.coefficients - self.resistance.coefficients
-        return _Variant(
-            RunningResistance.of(resistance),
-            2.0 * own.mass - self.mass,
-            2.0 - self.gain,
-            -self.slope,
-            -self.start,
-        )
-
-
-def variants_of(inputs: Inputs) -> list[_Variant]:
-    """The model as it is, and with one standard deviation of each thing that is not known.
-
-    First all to one side, then all to the other.
+    Coefficients of the resistance, mass [kg], gain, gradient and speed at a section's start [m/s],
+    a row each: first all to one side, then all to the other.
     """
-    model, mass = inputs.model, inputs.mass.value
-    own = _Variant(model.resistance, mass)
-    gain_std = inputs.gain.std / inputs.gain.value if np.isfinite(inputs.gain.std) else 0.06
-    found = [own]
-    found += [replace(own, resistance=each.resistance) for each in model.varied()]
-    found += [replace(own, mass=mass + inputs.mass.std), replace(own, gain=1.0 + gain_std)]
-    survey = inputs.driven.line.survey
-    slope = GRADIENT_STD if survey is None else survey.gradient_std
-    found += [replace(own, slope=slope), replace(own, start=SPEED_STD)]
-    return found + [each.mirrored(own) for each in found[1:]]
+    model, mass, gain = inputs.model, inputs.mass, inputs.gain
+    gain_std = gain.std / gain.value if np.isfinite(gain.std) else UNCALIBRATED.std
+    own = np.append(model.resistance.coefficients, [mass.value, 1.0, 0.0, 0.0])
+    curve, off = len(TERMS), np.zeros((own.size, own.size))
+    off[:curve, :curve] = model.principal_axes
+    off[curve:, curve:] = np.diag([mass.std, gain_std, inputs.slope[0], SPEED_STD])
+    return own + np.vstack([np.zeros(own.size), off, -off])
 
 
-def predicted(
-    inputs: Inputs, cells: Cells, variants: Sequence[_Variant]
-) -> tuple[pd.DataFrame, FloatArray, FloatArray]:
+def predicted(inputs: Inputs, cells: Cells) -> tuple[pd.DataFrame, FloatArray, FloatArray]:
     """Times and works by section with their bands, and the calculated speeds with theirs."""
-    count = len(cells.names)
-    works = np.array([_work(inputs, cells, each, count) for each in variants])
-    times, speeds = zip(*(_driven(inputs, cells, each, count) for each in variants), strict=True)
+    count, steps = len(cells.names), steps_of(inputs)
+    works = np.array([_work(inputs, cells, each, count) for each in steps])
+    times, speeds = zip(*(_driven(inputs, cells, each, count) for each in steps), strict=True)
     fast = np.zeros(cells.step.size, dtype=np.bool_)
     for begin, end in cells.runs():
         fast[begin:end] = True
@@ -684,81 +642,64 @@ def _spread(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(sides.max(axis=0) ** 2, axis=0)))
 
 
-def _slope_length(inputs: Inputs) -> float:
-    survey = inputs.driven.line.survey
-    length = None if survey is None else survey.correlation_length
-    return GRADIENT_LENGTH if length is None else length
-
-
-def _work(inputs: Inputs, cells: Cells, variant: _Variant, count: int) -> FloatArray:
-    """Tractive work [J] that the recorded motion of each section needs."""
-    inertia = variant.mass + inputs.model.train.rotating_mass
+def _work(inputs: Inputs, cells: Cells, at: FloatArray, count: int) -> FloatArray:
+    """Tractive work [J] that the recorded motion of each section needs; `at` as of `steps_of`."""
+    mass, gain, slope, start = at[-4:].tolist()
+    inertia = mass + inputs.model.train.rotating_mass
     kinetic = 0.5 * inertia * np.diff(cells.speed**2)
-    resisting = cells.resisting(variant.resistance) * cells.step
-    needed = kinetic + resisting + variant.mass * cells.track
+    resisting = cells.resisting(RunningResistance.of(at[:-4])) * cells.step
+    needed = kinetic + resisting + mass * cells.track
     if inputs.efforts:
-        needed = needed + cells.braking * (2.0 - variant.gain)
         # What is not known of the gain is not known of the measured work, too.
-        needed = needed - cells.work * (variant.gain - 1.0)
-        found = np.bincount(cells.section, needed, count)
+        needed = needed + cells.braking * (2.0 - gain) - cells.work * (gain - 1.0)
     else:
-        found = np.bincount(cells.section, np.maximum(needed, 0.0), count)
-    length = np.diff(cells.edges)
-    uneven = np.sqrt(_slope_length(inputs) * length)
+        needed = np.maximum(needed, 0.0)
+    found = np.bincount(cells.section, needed, count)
+    uneven = np.sqrt(inputs.slope[1] * np.diff(cells.edges))
     top = np.sqrt(np.array([cells.squared[cells.section == row].max() for row in range(count)]))
-    return np.asarray(
-        found
-        + variant.slope * GRAVITY * variant.mass * uneven
-        + variant.start * inertia * top
-        + 2.0 * inputs.scale_std * (variant.start > 0.0) * np.abs(found)
-    )
+    found += slope * GRAVITY * mass * uneven + start * inertia * top
+    return np.asarray(found + 2.0 * inputs.scale_std * (start > 0.0) * np.abs(found))
 
 
 def _driven(
-    inputs: Inputs, cells: Cells, variant: _Variant, count: int
+    inputs: Inputs, cells: Cells, at: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """Time of each section [s] and speed at the nodes [m/s] with the recorded efforts."""
-    speed = cells.speed.copy()
-    times = np.zeros(count)
-    inertia = variant.mass + inputs.model.train.rotating_mass
-    force = (cells.work - cells.braking) / cells.step / variant.gain
-    uneven = np.sqrt(_slope_length(inputs))
+    mass, gain, slope, start = at[-4:].tolist()
+    speed, times = cells.speed.copy(), np.zeros(count)
+    inertia = mass + inputs.model.train.rotating_mass
+    constant, linear, quadratic = RunningResistance.of(at[:-4]).parabola
+    force = (cells.work - cells.braking) / cells.step / gain
+    force = force - mass * cells.track / cells.step - constant - quadratic * cells.wind**2
+    through, air = linear + 2.0 * quadratic * cells.wind, quadratic + cells.tunnels
     for begin, end in cells.runs():
-        part = slice(begin, end)
-        step = cells.step[part]
+        part, step = slice(begin, end), cells.step[begin:end]
         ran = np.cumsum(step)
-        push = force[part] - variant.mass * cells.track[part] / step
-        lost = variant.slope * GRAVITY * variant.mass * uneven * np.sqrt(ran) / ran
-        first = (cells.speed[begin] + variant.start) ** 2
-        wind, (constant, linear, quadratic) = cells.wind[part], variant.resistance.parabola
-        air = _Air(linear + 2.0 * quadratic * wind, quadratic + cells.tunnels[part])
-        still = constant + quadratic * wind**2
-        found = _speeds(first, push - lost - still, step, air, inertia)
+        lost = slope * GRAVITY * mass * np.sqrt(inputs.slope[1] * ran) / ran
+        first = (cells.speed[begin] + start) ** 2
+        found = _speeds(first, force[part] - lost, step, through[part], air[part], inertia)
         speed[begin + 1 : end + 1] = found[1:]
         times[cells.section[begin]] += float(np.sum(2.0 * step / (found[1:] + found[:-1])))
     return times, speed
 
 
-@dataclass(frozen=True, slots=True)
-class _Air:
-    """Linear and quadratic term of the running resistance in each cell."""
-
-    linear: FloatArray
-    quadratic: FloatArray
-
-
 def _speeds(
-    first: float, push: FloatArray, step: FloatArray, air: _Air, inertia: float
+    first: float,
+    push: FloatArray,
+    step: FloatArray,
+    linear: FloatArray,
+    quadratic: FloatArray,
+    inertia: float,
 ) -> FloatArray:
     """Speeds [m/s] at the nodes of a run; `push` is what does not depend on speed [N].
 
     The quadratic term decays exponentially in position, exactly; the linear one is iterated.
     """
-    decay = np.concatenate(([0.0], np.cumsum(2.0 * air.quadratic / inertia * step)))
+    decay = np.concatenate(([0.0], np.cumsum(2.0 * quadratic / inertia * step)))
     growth = np.exp(np.minimum(0.5 * (decay[1:] + decay[:-1]), 500.0))
     speed = np.full(step.size, np.sqrt(first))
     for _ in range(8):
-        drive = 2.0 / inertia * (push - air.linear * speed) * step
+        drive = 2.0 / inertia * (push - linear * speed) * step
         squared = np.exp(-decay) * (first + np.concatenate(([0.0], np.cumsum(drive * growth))))
         nodes = np.sqrt(np.maximum(squared, (0.5 * SLOWEST) ** 2))
         speed = 0.5 * (nodes[1:] + nodes[:-1])
@@ -787,12 +728,9 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
     expected = inputs.inertia * kinetic + resisting + inputs.mass.value * cells.track
     residual = summed(net - expected)
     mass_std = inputs.mass.std
-    if model.name == "fit":
-        variances, axes = np.linalg.eigh(model.covariance)
-        root = axes * np.sqrt(np.maximum(variances, 0.0))
-    else:
-        own = model.resistance
-        root = np.diag(FILE_TRUST * own.coefficients)
+    root = model.principal_axes.T
+    if model.name != FIT:
+        root = np.diag(FILE_TRUST * model.resistance.coefficients)
         mass_std = max(mass_std, FILE_MASS * inputs.mass.value)
     powers = np.stack([summed(step * column) for column in basis(speed).T], axis=1)
     gain_std = inputs.gain.std / inputs.gain.value
@@ -856,7 +794,6 @@ class Calculation(Presented):
 
     Attributes
     ----------
-    trip, model : str
     table : DataFrame
         By section, SI units: ``first``, ``last`` [m]; ``time`` (in motion), ``calculated_time``,
         ``time_std`` [s]: up to `SLOWEST` and in gaps of the recording the recorded time counts;
@@ -873,22 +810,13 @@ class Calculation(Presented):
         Root mean square of the residual work in a window.
     diagnosis : Diagnosis
         What of the model is wrong, as far as the trip shows it.
-    evidence : Evidence
+    inputs : Inputs
         On which that rests; for `judged_together`.
-    wind_std : float [m/s]
-        Of the head wind, as far as it is not recorded, that the bands assume.
-    wind_recorded : bool
-    efforts : bool
-        Whether efforts are recorded; without, there is a calculated energy alone.
     notes : tuple of str
-    line : Line or None
-        As travelled: its kilometres are shown.
     """
 
     charts_by: ClassVar[str] = "analysis.comparison.plot:calculation_charts"
 
-    trip: str
-    model: str
     table: pd.DataFrame
     position: FloatArray
     speed: FloatArray
@@ -897,12 +825,23 @@ class Calculation(Presented):
     explained: dict[str, float]
     residual: float
     diagnosis: Diagnosis
-    evidence: Evidence
-    wind_std: float
-    wind_recorded: bool = False
-    efforts: bool = True
+    inputs: Inputs
     notes: tuple[str, ...] = ()
-    line: Line | None = None
+
+    @property
+    def trip(self) -> str:
+        """Name of the trip."""
+        return self.inputs.driven.name
+
+    @property
+    def model(self) -> str:
+        """Where the resistance is from."""
+        return self.inputs.model.name
+
+    @property
+    def line(self) -> Line:
+        """As travelled: its kilometres are shown."""
+        return self.inputs.driven.line
 
     @property
     def title(self) -> str:
@@ -918,8 +857,8 @@ class Calculation(Presented):
             "verdict": self.words,
             "explained": self.explained,
             "residual_rms_J": self.residual,
-            "wind_recorded": self.wind_recorded,
-            "wind_std_m_s": self.wind_std,
+            "wind_recorded": self.inputs.windy,
+            "wind_std_m_s": self.inputs.wind_std,
             **asdict(self.diagnosis),
         }
 
@@ -938,7 +877,7 @@ class Calculation(Presented):
         )
         for name, share in self.explained.items():
             explained.add_row(name, f"{share:.0%}")
-        return [sections, *([explained] if self.efforts else [])]
+        return [sections, *([explained] if self.inputs.efforts else [])]
 
     def sentences(self) -> list[str]:
         """What the model does not determine, and what the trip contradicts."""
@@ -957,10 +896,11 @@ class Calculation(Presented):
     def summary(self) -> dict[str, str]:
         """Work and time, calculated and measured."""
         rows = {}
-        total, std = self.total("calculated_work"), self.total_std("work_std")
+        # What a trip has in common errs alike in all sections.
+        total, std = self.total("calculated_work"), self.total("work_std")
         rows["tractive work"] = f"{total / JOULES_PER_KWH:.1f} ± {1.96 * std / JOULES_PER_KWH:.1f}"
         rows["tractive work"] += " kWh calculated"
-        if self.efforts:
+        if self.inputs.efforts:
             rows["tractive work"] += f", {self.total('work') / JOULES_PER_KWH:.1f} kWh measured"
             sure = self.table[self.table["time_determined"]]
             times = float(sure["calculated_time"].sum()), float(sure["time"].sum())
@@ -1003,21 +943,17 @@ class Calculation(Presented):
     @property
     def wind_words(self) -> str:
         """What the bands assume of the wind, in words."""
-        known = "recorded" if self.wind_recorded else "not recorded"
-        return f"head wind {known}, ± {1.96 * self.wind_std:.1f} m/s assumed"
+        known = "recorded" if self.inputs.windy else "not recorded"
+        return f"head wind {known}, ± {1.96 * self.inputs.wind_std:.1f} m/s assumed"
 
     def total(self, column: str) -> float:
         """Sum of a column of the table."""
         return float(self.table[column].sum())
 
-    def total_std(self, column: str) -> float:
-        """Standard deviation of the sum: what a trip has in common errs alike in all sections."""
-        return float(self.table[column].sum())
-
     @property
     def outside(self) -> list[str]:
         """Sections whose measured time or work lies outside of the 95 % band."""
-        if not self.efforts:
+        if not self.inputs.efforts:
             return []
         table = self.table
         times = (table["time"] - table["calculated_time"]).abs() > 1.96 * table["time_std"]
@@ -1082,17 +1018,9 @@ def calculate(
         )
     inputs = inputs_of(view, model, wind_std)
     cells = Cells.of(inputs)
-    variants = variants_of(inputs)
-    table, speeds, spread = predicted(inputs, cells, variants)
-    efforts = inputs.efforts
-    explained, residual = explained_by(inputs, cells) if efforts else ({}, 0.0)
-    of_file = isinstance(model, Train)
-    evidence = Evidence.of(
-        inputs.trip, inputs.model, inputs.shown_gain, inputs.wind_std, of_file=of_file
-    )
+    table, speeds, spread = predicted(inputs, cells)
+    explained, residual = explained_by(inputs, cells) if inputs.efforts else ({}, 0.0)
     return Calculation(
-        trip=inputs.driven.name,
-        model=inputs.model.name,
         table=table,
         position=cells.nodes,
         speed=np.where(cells.fast & ~cells.inside_gap, cells.speed, np.nan),
@@ -1100,13 +1028,9 @@ def calculate(
         speed_std=np.where(cells.fast, spread, np.nan),
         explained=explained,
         residual=residual,
-        diagnosis=diagnosed([evidence]),
-        evidence=evidence,
-        wind_std=inputs.wind_std,
-        wind_recorded=inputs.windy,
-        efforts=efforts,
+        diagnosis=diagnosed([inputs]),
+        inputs=inputs,
         notes=(*inputs.driven.notes, *_notes(inputs, cells)),
-        line=inputs.driven.line,
     )
 
 
@@ -1132,7 +1056,7 @@ def judged_together(found: Sequence[Calculation]) -> Diagnosis:
     InputError
         If there is none, or they are of different trains.
     """
-    return diagnosed([each.evidence for each in distinct(found)])
+    return diagnosed([each.inputs for each in distinct(found)])
 
 
 def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:

@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 
 from analysis.comparison.driven import DrivenTrip
-from analysis.resistance.curve import HEAD_WIND, curve_std
+from analysis.resistance.curve import HEAD_WIND
 from trainlog.arrays import FloatArray
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 
@@ -84,18 +83,18 @@ class ForceModel:
         common, covariance = resistance_of(model)
         return ForceModel("fit", trip.train, trip.line, common, covariance)
 
-    def resistance_std(self, speed: ArrayLike) -> FloatArray:
-        """Standard deviation of the running resistance [N] at each speed [m/s]."""
-        return curve_std(self.covariance, speed)
+    @property
+    def principal_axes(self) -> FloatArray:
+        """Changes of the coefficients by a standard deviation of each principal axis, in rows."""
+        variances, axes = np.linalg.eigh(self.covariance)
+        return np.asarray((axes * np.sqrt(np.maximum(variances, 0.0))).T)
 
     def varied(self) -> list[ForceModel]:
         """Models one standard deviation off, along each principal axis of the covariance."""
         own = self.resistance.coefficients
-        variances, axes = np.linalg.eigh(self.covariance)
         return [
-            replace(self, resistance=RunningResistance.of(own + np.sqrt(variance) * axis))
-            for variance, axis in zip(variances, axes.T, strict=True)
-            if variance > 0.0
+            replace(self, resistance=RunningResistance.of(own + axis))
+            for axis in self.principal_axes
         ]
 
     def force_without_inertia(

@@ -156,7 +156,7 @@ def calculation_charts(found: Calculation) -> list[Chart]:
     place = found.position / 1e3
     speeds = [Curve("measured", place, KMH * found.speed, INK, width=1.4)]
     off = list[Curve]()
-    if found.efforts:
+    if found.inputs.efforts:
         middle, reach = KMH * found.calculated_speed, 1.96 * KMH * found.speed_std
         label = "calculated with the recorded efforts"
         low, high, less = middle - reach, middle + reach, KMH * found.speed
@@ -180,7 +180,7 @@ def calculation_charts(found: Calculation) -> list[Chart]:
     )
     ends = expected - 1.96 * std, expected + 1.96 * std
     bars = [Curve("calculated, 95 % band", rows + 0.18, expected, ORANGE, "bars", width=0.34)]
-    if found.efforts:
+    if found.inputs.efforts:
         bars.insert(0, Curve("measured", rows - 0.18, measured, GREY, "bars", width=0.34))
     bars.append(Curve("", rows + 0.18, expected, INK, "points", *ends, width=0.5))
     top = 1.3 * float(np.nanmax(np.append(ends[1], measured)))
