@@ -375,7 +375,7 @@ def _result(
         residual_std=float(np.sqrt(residual @ residual / max(residual.size - theta.size, 1))),
         scale=motion.scale,
         source=motion.source,
-        points=_points(windows, regression, theta),
+        points=regression.points(windows),
     )
 
 
@@ -396,21 +396,6 @@ def _misjudged(
     moved = covariance @ rows[:, :terms].T @ rows[:, terms:] / regression.cluster_factor
     doubt = np.array([1.0 - segment.probability for segment in segments])
     return np.asarray((moved * doubt * SPACING**2) @ moved.T)
-
-
-def _points(windows: Windows, regression: WindowFit, theta: FloatArray) -> WindowPoints:
-    """The windows that were used, joined, and the outliers one by one."""
-    joined, left_out = windows.select(regression.kept).merged(), windows.select(~regression.kept)
-    parts = (joined, left_out)
-    duration = np.concatenate([part.duration for part in parts])
-    x = np.concatenate([part.x for part in parts])
-    y = np.concatenate([part.y for part in parts])
-    return WindowPoints(
-        speed=np.concatenate([part.mean_speed for part in parts]),
-        value=(theta[0] * x[:, 0] - y) / duration,
-        std=np.sqrt(2.0) * regression.noise.speed / duration,
-        used=np.repeat([True, False], [part.count for part in parts]),
-    )
 
 
 def _acceleration_form(regression: WindowFit) -> tuple[FloatArray, FloatArray]:

@@ -101,49 +101,40 @@ def summarised(
     return ordered(frame_of(COLUMNS, rows))
 
 
+AS_THEY_ARE = (
+    "trip", "train", "gradients", "identity", "freedom", "rotating_mass", "train_power",
+    "max_power", "max_power_std", "condition", "cluster_factor", "residual_std",
+    "residual_correlation",
+)  # fmt: skip
+"""What of a fit is in its summary under the same name."""
+
+
 def _row(fit: TripFit) -> dict[str, object]:
     upper = fit.covariance[np.triu_indices(len(fit.covariance))].tolist()
     survey = fit.own_survey[np.triu_indices(len(fit.own_survey))].tolist()
-    number: dict[str, float | None] = {
-        "freedom": fit.freedom,
-        "rotating_mass": fit.rotating_mass,
-        "train_power": fit.train_power,
+    row: dict[str, object] = {
+        **{name: getattr(fit, name) for name in AS_THEY_ARE},
+        **dict(zip(PARAMETERS, [*fit.beta.tolist(), fit.mass], strict=True)),
+        **dict(zip(COVARIANCE, upper, strict=True)),
+        **dict(zip(SURVEY, survey, strict=True)),
         "asked_lowest": fit.asked[0],
         "asked_highest": fit.asked[1],
         "speed_lowest": fit.speed_range[0],
         "speed_highest": fit.speed_range[1],
-        "condition": fit.condition,
         "windows": fit.windows["used"],
         "outliers": fit.windows["outlier"],
-        "delay": fit.nuisance["delay"],
-        "brake_scale": fit.nuisance["brake_scale"],
-        "cluster_factor": fit.cluster_factor,
-        "residual_std": fit.residual_std,
-        "residual_correlation": fit.residual_correlation,
         "speed_scale": fit.scale.factor,
         "speed_scale_std": fit.scale.std,
-    }
-    if fit.passport is not None:
-        number["effort_gain"] = fit.passport.effort_gain.value
-        if fit.passport.effort_gain.source == "assumed":
-            number["assumed_gain_std"] = fit.gain_std
-    if fit.max_power is not None:
-        number |= {"max_power": fit.max_power, "max_power_std": fit.max_power_std}
-    return {
-        "trip": fit.trip,
-        "train": fit.train,
-        "refused": "",
-        "message": "",
         "speed_scale_source": fit.scale.source,
-        "gradients": fit.gradients,
-        "identity": fit.identity,
-        **dict(zip(PARAMETERS, [*fit.beta.tolist(), fit.mass], strict=True)),
-        **dict(zip(COVARIANCE, upper, strict=True)),
-        **dict(zip(SURVEY, survey, strict=True)),
-        **number,
+        **fit.nuisance,
         **{f"noise_{cause}": size for cause, size in fit.noise.items()},
         **{f"masked_{reason}": time for reason, time in fit.masked.items()},
     }
+    if fit.passport is not None:
+        row["effort_gain"] = fit.passport.effort_gain.value
+        if fit.passport.effort_gain.source == "assumed":
+            row["assumed_gain_std"] = fit.gain_std
+    return row
 
 
 def shared_variance(weights: FloatArray, survey: FloatArray, line: IntArray) -> FloatArray:

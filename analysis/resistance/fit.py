@@ -466,7 +466,7 @@ def fit_trip(
         ),
         windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
         masked=prepared.masked,
-        points=_points(merged, windows.select(~regression.kept), regression),
+        points=regression.points(windows, float(regression.beta[-1])),
         residuals=Residuals(
             time=used.end,
             position=np.interp(used.end, timeline.time, timeline.position),
@@ -746,17 +746,3 @@ def _check_curve(
             f" by {known} (standard deviation; at most {100.0 * largest_std:.0f} % is accepted)",
             timeline=timeline,
         )
-
-
-def _points(used: Windows, outliers: Windows, regression: WindowFit) -> WindowPoints:
-    mass, sizes = regression.beta[-1], regression.noise
-    parts = []
-    for windows in (used, outliers):
-        impulse = windows.x[:, 0] + regression.delay * windows.effort_change
-        impulse = impulse + (regression.brake_scale - 1.0) * windows.braking
-        variance = 2.0 * sizes.speed**2 + sizes.effort**2 * windows.effort_square / mass**2
-        resistance = (impulse - mass * windows.y) / windows.duration
-        std = mass * np.sqrt(variance) / windows.duration
-        parts.append(np.stack([windows.mean_speed, resistance, std]))
-    speed, resistance, std = np.hstack(parts)
-    return WindowPoints(speed, resistance, std, np.arange(speed.size) < used.count)

@@ -39,7 +39,7 @@ from analysis.resistance.noise import (
     estimate_noise,
     shares,
 )
-from analysis.resistance.windows import Windows
+from analysis.resistance.windows import WindowPoints, Windows
 from estimators.regression import Cut, Free, regress
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import BoolArray, FloatArray, IntArray
@@ -254,6 +254,23 @@ class WindowFit:
     condition: float
     stretches: tuple[Stretch, ...] = ()
     tunnels: tuple[float, float] | None = None
+
+    def points(self, windows: Windows, unit: float = 1.0) -> WindowPoints:
+        """The windows as points of the curve over the mass, times a unit.
+
+        Those that were used are joined, outliers stand one by one.
+        """
+        mass, parts = self.beta[-1], []
+        joined = windows.select(self.kept).merged()
+        for part in (joined, windows.select(~self.kept)):
+            impulse = part.x[:, 0] + self.delay * part.effort_change
+            impulse = impulse + (self.brake_scale - 1.0) * part.braking
+            value = (impulse / mass - part.y) / part.duration
+            effort = self.noise.effort**2 * part.effort_square / mass**2
+            std = np.sqrt(2.0 * self.noise.speed**2 + effort) / part.duration
+            parts.append(np.stack([part.mean_speed, unit * value, unit * std]))
+        speed, value, std = np.hstack(parts)
+        return WindowPoints(speed, value, std, np.arange(speed.size) < joined.count)
 
 
 class White:
