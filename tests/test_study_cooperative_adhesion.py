@@ -25,7 +25,6 @@ from analysis.control.rail_estimate import RailEstimator, rail_ahead
 from analysis.estimates import with_estimates
 from analysis.studies.report import StudyReport, as_markdown
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.controller import STEEP, driven
 from analysis.studies.zhao_2025.run import (
     gain_table,
     knowledge_table,
@@ -35,6 +34,7 @@ from analysis.studies.zhao_2025.run import (
     torque_table,
     trip_of,
 )
+from analysis.studies.zhao_2025.simulation import STEEP, driven
 from trainlog.cli import terminal
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log

@@ -26,15 +26,16 @@ from analysis.charts import (
 )
 from analysis.studies.report import START, StudyReport, study_trip
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.controller import RAIL_SOURCES, by_knowledge
 from analysis.studies.zhao_2025.simulation import (
     CASES,
     DURATION,
+    RAIL_SOURCES,
     RESTORED,
     WET_SPAN,
     Case,
     Preset,
     Run,
+    by_knowledge,
 )
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import train_to_bytes
