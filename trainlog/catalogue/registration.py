@@ -21,6 +21,7 @@ from trainlog.catalogue.database import Database, files, results, trip_edges, tr
 from trainlog.catalogue.querying import conditions
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.formats.files import logs_below
 from trainlog.identity import Known, TripIdentity, same_drives
 from trainlog.presentation import Column, Presented, WordTable, new_table
 from trainlog.processes import in_processes
@@ -479,7 +480,7 @@ def batches(entries: Iterable[FileEntry]) -> Iterator[list[FileEntry]]:
         yield batch
 
 
-def logs_below(paths: Iterable[str | Path]) -> list[str]:
+def logs_named(paths: Iterable[str | Path]) -> list[str]:
     """The logs named and those in folders, however deep, each once.
 
     Raises
@@ -489,25 +490,16 @@ def logs_below(paths: Iterable[str | Path]) -> list[str]:
     """
     found: dict[str, None] = {}
     for path in paths:
-        given = os.path.abspath(Path(path).expanduser())  # noqa: PTH100
-        if not Path(given).exists():
+        given = Path(os.path.abspath(Path(path).expanduser()))  # noqa: PTH100
+        if not given.exists():
             raise InputError("does not exist", file=path, remedy="check the path")
-        for each in _below(given) if Path(given).is_dir() else (given,):
-            found[each] = None
+        found |= dict.fromkeys(map(str, logs_below(given) if given.is_dir() else [given]))
     if not found:
         raise InputError(
             "no log (*.mcap) was found",
             remedy="name logs or folders, or make logs of recordings with 'trainlog ingest'",
         )
     return list(found)
-
-
-def _below(folder: str) -> Iterator[str]:
-    for place, folders, names in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        for name in sorted(names):
-            if name.endswith(".mcap") and not name.startswith("."):
-                yield str(Path(place) / name)
 
 
 # --------------------------------------------------------------------- registered, and compared
@@ -623,7 +615,7 @@ class Files(Database):
         >>> first, again
         (Added: 2 new trips, Added: 0 new trips, 2 unchanged)
         """
-        found = logs_below([paths] if isinstance(paths, str | Path) else list(paths))
+        found = logs_named([paths] if isinstance(paths, str | Path) else list(paths))
         outcomes: list[FileOutcome] = []
 
         def state(done: Iterable[FileOutcome]) -> None:

@@ -80,9 +80,9 @@ def fleet_add(
         Folder for the results of a new catalogue in PostgreSQL.
     """
     from trainlog.catalogue import open_catalogue
-    from trainlog.catalogue.registration import logs_below
+    from trainlog.catalogue.registration import logs_named
 
-    logs_below(paths)  # a path that does not exist is named before a catalogue is made
+    logs_named(paths)  # a path that does not exist is named before a catalogue is made
     done = Counter[str]()
 
     def report(outcome: FileOutcome, number: int, total: int) -> None:

@@ -106,7 +106,7 @@ def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
     try:
         temporary.touch(exist_ok=False)
     except OSError as error:
-        _refuse_writing(path, error)
+        raise writing_error(path, error) from error
     try:
         yield temporary
         if sync:
@@ -118,7 +118,7 @@ def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
         # An error about another file, such as an input, is passed on as it is.
         about = {None, str(temporary), str(target)}
         if error.errno in _REMEDIES and error.filename in about:
-            _refuse_writing(path, error)
+            raise writing_error(path, error) from error
         raise
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -164,7 +164,7 @@ def atomic_folder(path: str | Path, marker: str) -> Iterator[Path]:
     try:
         temporary.mkdir()
     except OSError as error:
-        _refuse_writing(path, error)
+        raise writing_error(path, error) from error
     try:
         yield temporary
         for file in temporary.rglob("*"):
@@ -176,7 +176,7 @@ def atomic_folder(path: str | Path, marker: str) -> Iterator[Path]:
         _note(path)
     except OSError as error:
         if error.errno in _REMEDIES and str(error.filename or temporary).startswith(str(temporary)):
-            _refuse_writing(path, error)
+            raise writing_error(path, error) from error
         raise
     finally:
         if older.exists() and not target.exists():
@@ -260,6 +260,14 @@ def _is_workbook(start: bytes) -> bool:
     )
 
 
+def logs_below(folder: Path) -> list[Path]:
+    """The logs of a folder and the folders in it, however deep; hidden ones are passed over."""
+    every = (log for log in folder.rglob("*.mcap") if log.is_file())
+    return sorted(
+        log for log in every if not any(s.startswith(".") for s in log.relative_to(folder).parts)
+    )
+
+
 def logs_of(path: Path) -> list[Path]:
     """The logs of a folder in order of name; a file stands for itself.
 
@@ -270,12 +278,7 @@ def logs_of(path: Path) -> list[Path]:
     InputError
         If the folder holds no log.
     """
-    found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    if not found:
-        below = (log for log in path.rglob("*.mcap") if log.is_file())
-        found = sorted(
-            log for log in below if not any(s.startswith(".") for s in log.relative_to(path).parts)
-        )
+    found = (sorted(path.glob("*.mcap")) or logs_below(path)) if path.is_dir() else [path]
     if not found:
         raise InputError(
             "the folder holds no logs (*.mcap)",
@@ -510,10 +513,6 @@ def _flush_to_disk(path: Path) -> None:
         os.fsync(stream.fileno())
 
 
-def _refuse_writing(path: str | Path, error: OSError) -> NoReturn:
-    raise writing_error(path, error) from error
-
-
 def writing_error(path: str | Path, error: OSError) -> InputError:
     """The error that states why a file cannot be written, and what to do about it."""
     reason = (error.strerror or str(error)).lower()
@@ -605,11 +604,7 @@ HEAD = 65_536
 
 def head_of(path: Path) -> bytes:
     """What a file begins with; InputError if it is empty or cannot be read."""
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(HEAD)
-    except OSError as error:
-        refuse_reading(path, error)
+    head = beginning(path, HEAD)
     if not head:
         raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
     return head
@@ -646,7 +641,7 @@ _MCAP = b"\x89MCAP"
 _FORMAT = re.compile(rb"""["']?format["']?\s*[:=]\s*["'](trainlog/[a-z_-]{1,40})["']""")
 
 
-def beginning(path: Path) -> bytes:
+def beginning(path: Path, most: int = LOOKED_AT) -> bytes:
     """The first bytes of a file, by which it is recognised.
 
     Raises
@@ -656,7 +651,7 @@ def beginning(path: Path) -> bytes:
     """
     try:
         with path.open("rb") as file:
-            return file.read(LOOKED_AT)
+            return file.read(most)
     except OSError as error:
         refuse_reading(path, error)
 
@@ -735,10 +730,8 @@ def refuse_map(path: Path, remedy: str) -> None:
     ------
     InputError
     """
-    if path.is_file():
-        with path.open("rb") as file:
-            if is_map(file.read(LOOKED_AT)):
-                raise InputError("is a track-condition map", file=path, remedy=remedy)
+    if path.is_file() and is_map(beginning(path)):
+        raise InputError("is a track-condition map", file=path, remedy=remedy)
 
 
 def mistaken_map(start: bytes) -> tuple[str, str]:

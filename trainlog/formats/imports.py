@@ -132,17 +132,17 @@ def with_curves(
     [180000.0, 150000.0]
     """
     changes: dict[str, Any] = {}
-    for curve, held, way in (
-        (traction, "traction_curve", ("max_tractive_effort", "max_traction_power")),
+    for curve, held, effort, power in (
+        (traction, "traction_curve", "max_tractive_effort", "max_traction_power"),
         (
             braking,
             "dynamic_braking_curve",
-            ("max_dynamic_braking_effort", "max_dynamic_braking_power"),
+            "max_dynamic_braking_effort",
+            "max_dynamic_braking_power",
         ),
     ):
         if curve is not None:
-            most = float(curve.efforts.max()), curve.peak_power
-            changes |= {held: curve} | dict(zip(way, most, strict=True))
+            changes |= {held: curve, effort: float(curve.efforts.max()), power: curve.peak_power}
     assumed = tuple(name for name in train.assumed if name not in changes)
     return replace(train, assumed=assumed, **changes)
 

@@ -335,17 +335,16 @@ def _check(frame: pd.DataFrame, path: str | Path) -> None:
                 place=f"column {column.name}",
                 remedy="fit the logs again",
             )
-    accepted = (frame["refused"] == "").to_numpy()
     numbers = frame[list(_ALWAYS)].to_numpy(np.float64)
-    bad = accepted & ~np.all(np.isfinite(numbers), axis=1)
-    bad |= accepted & ~(frame["mass"] > 0.0).to_numpy()
     covariance = covariances_of(frame)
     # Scaled to ones on the diagonal, so that units do not matter.
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.sqrt(np.einsum("kii->ki", covariance))
         scaled = covariance / (size[:, :, None] * size[:, None, :])
-        minors = [np.linalg.det(scaled[:, :n, :n]) for n in (2, 3)]
-        bad |= accepted & ~((size > 0.0).all(axis=1) & (minors[0] > 0.0) & (minors[1] > 0.0))
+        right = np.isfinite(numbers).all(axis=1) & (frame["mass"] > 0.0) & (size > 0.0).all(axis=1)
+        for minor in (2, 3):
+            right &= np.linalg.det(scaled[:, :minor, :minor]) > 0.0
+    bad = ((frame["refused"] == "") & ~right).to_numpy()
     if bad.any():
         row = int(np.argmax(bad))
         raise InputError(

@@ -442,38 +442,35 @@ class AdhesionPoints:
         if self.speeds is not None:
             object.__setattr__(self, "speeds", np.asarray(self.speeds, dtype=np.float64))
             arrays.append(self.speeds)
-        if self.slips.ndim != 1 or any(each.shape != self.slips.shape for each in arrays):
-            raise InputError(
-                "points of adhesion: need pairs of slip and adhesion",
-                remedy="give one adhesion per slip",
-            )
-        if not all(np.all(np.isfinite(each)) for each in arrays):
-            raise InputError(
-                "points of adhesion: a value is not a finite number",
-                remedy="remove pairs that are not numbers",
-            )
-        if not np.all(self.slips > 0.0):
-            raise InputError(
-                "points of adhesion: a slip is not positive",
-                remedy="give the sizes of slip and adhesion, for braking, too",
-            )
-        if self.speeds is not None and not np.all(self.speeds > 0.0):
-            raise InputError(
-                "points of adhesion: a train speed is not positive",
-                remedy="give speeds above 0 m/s",
-            )
-        if not np.all(np.abs(self.adhesions) < GREATEST_ADHESION):
-            raise InputError(
-                f"points of adhesion: an adhesion is not below {GREATEST_ADHESION:g}",
-                remedy="state its unit in the header, such as 'adhesion [%]'",
-            )
-        largest = {"creepage": 2.0, "slip speed": 50.0}[self.variable]
-        if np.any(self.slips > largest):
-            of = "2 (200 %)" if self.variable == "creepage" else "50 m/s"
-            raise InputError(
-                f"points of adhesion: a {self.variable} is beyond {of}",
-                remedy="state its unit in the header, such as 'creepage [%]'",
-            )
+        slips, speeds = self.slips, np.ones(1) if self.speeds is None else self.speeds
+        paired = slips.ndim == 1 and all(each.shape == slips.shape for each in arrays)
+        known = all(np.all(np.isfinite(each)) for each in arrays)
+        largest, of = {"creepage": (2.0, "2 (200 %)"), "slip speed": (50.0, "50 m/s")}[
+            self.variable
+        ]
+        unit = "state its unit in the header, such as"
+        for right, problem, remedy in (
+            (paired, "need pairs of slip and adhesion", "give one adhesion per slip"),
+            (known, "a value is not a finite number", "remove pairs that are not numbers"),
+            (
+                np.all(slips > 0.0),
+                "a slip is not positive",
+                "give the sizes of slip and adhesion, for braking, too",
+            ),
+            (np.all(speeds > 0.0), "a train speed is not positive", "give speeds above 0 m/s"),
+            (
+                np.all(np.abs(self.adhesions) < GREATEST_ADHESION),
+                f"an adhesion is not below {GREATEST_ADHESION:g}",
+                f"{unit} 'adhesion [%]'",
+            ),
+            (
+                np.all(slips <= largest),
+                f"a {self.variable} is beyond {of}",
+                f"{unit} 'creepage [%]'",
+            ),
+        ):
+            if not right:
+                raise InputError(f"points of adhesion: {problem}", remedy=remedy)
 
     def table(self) -> AdhesionTable:
         """The points themselves as a characteristic.

@@ -249,40 +249,28 @@ class Trajectory(Declared):
     def problems(self) -> Iterator[InputError]:
         """What no train can do."""
         q, n = len(self.configurations), self.positions.size - 1
-        expected = {
-            "speeds": (q, n + 1),
-            "times": (q, n + 1),
-            "tractive_effort": (n,),
-            "tractive_effort_fall": (n,),
-            "braking_effort": (q, n),
-        }
-        for name, shape in expected.items():
+        shapes = {"speeds": (q, n + 1), "times": (q, n + 1), "tractive_effort": (n,)}
+        shapes |= {"tractive_effort_fall": (n,), "braking_effort": (q, n)}
+        for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 yield InputError(
                     f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}",
                     remedy="give one value per position",
                 )
                 return
-        falling = np.flatnonzero(np.diff(self.positions) <= 0.0)
-        if falling.size or self.positions.size < 2:
-            row = int(falling[0]) + 1 if falling.size else 0
-            yield InputError(
-                "positions must increase",
-                place=f"positions.values[{row}]",
-                remedy="give at least two",
-            )
+        row = np.append(np.flatnonzero(np.diff(self.positions) <= 0.0) + 1, 0)[0]
+        if row or n < 1:
+            place = f"positions.values[{row}]"
+            yield InputError("positions must increase", place=place, remedy="give at least two")
         for name in ("tractive_effort", "braking_effort", "speeds"):
             if np.any(getattr(self, name) < -_ROUNDING):
-                yield InputError(
-                    "must not be negative", place=f"{name}.values", remedy="correct it"
-                )
-        steep = np.flatnonzero(
-            0.5 * np.abs(self.tractive_effort_fall) > self.tractive_effort + _ROUNDING
-        )
-        if steep.size:
+                place = f"{name}.values"
+                yield InputError("must not be negative", place=place, remedy="correct it")
+        fall = 0.5 * np.abs(self.tractive_effort_fall)
+        for cell in np.flatnonzero(fall > self.tractive_effort + _ROUNDING)[:1]:
             yield InputError(
                 "the tractive effort must not fall below zero within a cell",
-                place=f"tractive_effort_fall.values[{steep[0]}]",
+                place=f"tractive_effort_fall.values[{cell}]",
                 remedy="correct it",
             )
 
