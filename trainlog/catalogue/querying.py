@@ -17,7 +17,6 @@ from trainlog.catalogue.database import (
     columns_of,
     files,
     log_of_trip,
-    on_line,
     trip_edges,
     trips,
 )
@@ -46,37 +45,37 @@ COLUMNS = [each.name for each in TRIP_COLUMNS]
 _ESTIMATED = "; what the analysis passport estimated is asked by 'trainlog fleet query'"
 
 
-def conditions(
+def expression_of(
     where: str | None = None,
     train: str | None = None,
     line: str | None = None,
     start: Any = None,
     end: Any = None,
-    zone: str | None = None,
-) -> list[sa.ColumnElement[bool]]:
-    """What limits the trips that count; parameters as of `Trips.query`."""
-    found = [trips.c.standing == "counts"]
-    if where is not None:
-        from trainlog.catalogue.where import condition_of
+) -> str | None:
+    """The expression that limits trips as these do; None if nothing does.
 
-        found.append(condition_of(where, zone))
-    if train is not None:
-        found.append(trips.c.train == train)
-    if line is not None:
-        few = any(each is not None for each in (train, start, end))
-        found.append(on_line(trips.c.line == line, trip_edges.c.edge == line, few))
-    first = None if start is None else times_of(start, zone)[0]
-    last = None if end is None else times_of(end, zone)[1]
-    if first is not None and last is not None and first > last:
-        raise InputError(
-            f"the time from {start} to {end} ends before it begins",
-            remedy="give the earlier time first",
-        )
-    if first is not None:
-        found.append(trips.c.start >= first)
-    if last is not None:
-        found.append(trips.c.start <= last)
-    return found
+    Examples
+    --------
+    >>> expression_of("weather = 'wet'", train="O'Brien")
+    "(weather = 'wet') and (train = 'O''Brien')"
+    """
+    limits = (("train =", train), ("line =", line), ("start >=", start), ("start <=", end))
+    texts = [] if where is None else [where]
+    for asked, value in limits:
+        if value is not None:
+            quoted = str(value).replace("'", "''")
+            texts.append(f"{asked} '{quoted}'")
+    if len(texts) < 2:
+        return texts[0] if texts else None
+    return " and ".join(f"({each})" for each in texts)
+
+
+def conditions(where: str | None = None, zone: str | None = None) -> list[sa.ColumnElement[bool]]:
+    """What limits the trips that count, of which an expression chooses some."""
+    from trainlog.catalogue.where import condition_of
+
+    counts = trips.c.standing == "counts"
+    return [counts] if where is None else [counts, condition_of(where, zone)]
 
 
 def _frame(rows: Sequence[Any], names: Sequence[str]) -> pd.DataFrame:
@@ -190,7 +189,13 @@ class Trips(Database):
                 )
         path = log_of_trip()
         asked = sa.select(*(path if name == "path" else trips.c[name] for name in names))
-        asked = asked.where(*conditions(where, train, line, start, end, zone))
+        both = start is not None and end is not None
+        if both and times_of(start, zone)[0] > times_of(end, zone)[1]:
+            raise InputError(
+                f"the time from {start} to {end} ends before it begins",
+                remedy="give the earlier time first",
+            )
+        asked = asked.where(*conditions(expression_of(where, train, line, start, end), zone))
         with self.reading() as connection:
             rows = connection.execute(asked.order_by(trips.c.start, trips.c.key)).all()
         return _frame(rows, names)
@@ -213,10 +218,8 @@ class Trips(Database):
         """
         from trainlog.catalogue.where import asked_by
 
-        asked = [] if where is None else asked_by(where)
-        asked += [(n, v) for n, v in (("train", train), ("line", line)) if v is not None]
-        found = []
-        for column, value in dict.fromkeys(asked):
+        found, expression = [], expression_of(where, train, line)
+        for column, value in dict.fromkeys(() if expression is None else asked_by(expression)):
             keys = column in ("labels", "passport")
             values = _keys(self, column) if keys else _values(self, column)
             if value in values:

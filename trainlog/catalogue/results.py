@@ -273,11 +273,8 @@ def _check(table: pa.Table, outcomes: Sequence[ResultOutcome]) -> None:
 
 def recorded(database: Database, of: Computation | str, where: str | None = None) -> pd.DataFrame:
     """The trips of a computation that have rows, with the file that holds them."""
-    about = (trips.c.key, *(trips.c[name] for name in JOINED), result_files.c.name)
     with database.reading() as connection:
-        asked = trips_with_results(computation_id(connection, of), where, *about)
-        asked = asked.join(result_files, result_files.c.id == results.c.file)
-        return pd.DataFrame(columns_of(connection.execute(asked).all(), [KEY, *JOINED, "name"]))
+        return _held(connection, computation_id(connection, of), *conditions(where))
 
 
 def analyses_recorded(connection: sa.Connection) -> list[str]:
@@ -319,18 +316,20 @@ def _by_state(
     return found
 
 
-def _held(connection: sa.Connection, computation: int) -> pd.DataFrame:
+def _held(
+    connection: sa.Connection, computation: int, *limits: sa.ColumnElement[bool]
+) -> pd.DataFrame:
     """The trips of a computation that have rows, with the files that hold these."""
+    about = (trips.c.key, trips.c.sha256, trips.c.id, results.c.file, result_files.c.name)
     asked = (
-        sa.select(trips.c.key, trips.c.sha256, trips.c.id, results.c.file, result_files.c.name)
+        sa.select(*about, *(trips.c[name] for name in JOINED))
         .select_from(results)
         .join(trips, trips.c.id == results.c.trip)
         .join(result_files, result_files.c.id == results.c.file)
-        .where(results.c.computation == computation)
+        .where(results.c.computation == computation, *limits)
     )
-    rows = connection.execute(asked).all()
-    found = pd.DataFrame(columns_of(rows, [KEY, "sha256", "trip", "file", "name"]))
-    return found.sort_values([KEY, "sha256"], kind="stable", ignore_index=True)
+    names = [KEY, "sha256", "trip", "file", "name", *JOINED]
+    return pd.DataFrame(columns_of(connection.execute(asked).all(), names))
 
 
 def _put(
@@ -341,9 +340,8 @@ def _put(
     None if another process changed what was read.
     """
     with database.writing() as connection:
-        now = _held(connection, computation)
-        now = now[now["trip"].isin(once["trip"])]
-        if now["file"].tolist() != once["file"].tolist() or not path.is_file():
+        now = _held(connection, computation).set_index("trip")["file"]
+        if now.reindex(once["trip"]).tolist() != once["file"].tolist() or not path.is_file():
             return None
         file = file_id(connection, computation, path.name, rows)
         for part in parts(once["trip"].tolist()):
@@ -708,7 +706,7 @@ class Computed(Database):
                 files_held = sa.select(sa.func.count()).where(result_files.c.computation == number)
                 if connection.execute(files_held).scalar_one() < 2:
                     return 0
-                rows = _held(connection, number)
+                rows = _held(connection, number).sort_values([KEY, "sha256"], kind="stable")
             # Of a trip whose log changed there are rows of both contents, each with its file.
             once = rows[~rows.duplicated(KEY)]
             if once["file"].nunique() < 2:
