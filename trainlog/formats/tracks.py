@@ -15,11 +15,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import CurvatureProfile, Line, LineReference, Station, StepProfile, Tunnel
 from trainlog.railway.line import Geometry, composed
-from trainlog.railway.network import AT_END, Edge, Network, Node, NodeKind, assumed_on, unused
+from trainlog.railway.network import (
+    AT_END,
+    Edge,
+    Network,
+    Node,
+    NodeKind,
+    assumed_on,
+    connected,
+    unused,
+)
 from trainlog.units import KMH
 
 ASSUMED_LIMIT = 80.0 / KMH
@@ -487,17 +496,11 @@ class TrackGraph:
                 assumed = tuple(each for each in part.assumed if each != "tunnel_cross_sections")
                 part = replace(part, assumed=assumed)
             self.tracks[name] = part
-            if part.geometry is not None:
-                for at_end, index in ((False, 0), (True, -1)):
-                    place = float(part.geometry.positions[index])
-                    if abs(place - (part.length if at_end else 0.0)) <= AT_END:
-                        self.corners.setdefault(
-                            TrackEnd(name, at_end),
-                            (
-                                float(part.geometry.latitudes[index]),
-                                float(part.geometry.longitudes[index]),
-                            ),
-                        )
+            course = part.geometry
+            for at_end, index, end in ((False, 0, 0.0), (True, -1, part.length)):
+                if course is not None and abs(course.positions[index] - end) <= AT_END:
+                    corner = float(course.latitudes[index]), float(course.longitudes[index])
+                    self.corners.setdefault(TrackEnd(name, at_end), corner)
 
     def whole(
         self,
@@ -542,21 +545,22 @@ class TrackGraph:
             if len(others) == 1 and near[next(iter(others))] == {end}
         }
         chains = list(self._chains(through))
-        edges, at = list[Edge](), dict[TrackEnd, str]()
+        at = {
+            end: joined_name([each.track for each in chain])
+            for chain in chains
+            for end in (chain[0], chain[-1].other)
+        }
+        meeting = [(end, each) for end in at for each in near[end] if each in at]
+        node_of = self._names([sorted(group) for group in connected(at, meeting)])
+        edges = []
         for chain in chains:
-            first, last = chain[0], chain[-1].other
-            lines = [self.tracks[end.track] for end in chain]
+            name = at[chain[0]]
             lines = [
-                line.reversed() if end.at_end else line
-                for end, line in zip(chain, lines, strict=True)
+                self.tracks[end.track].reversed() if end.at_end else self.tracks[end.track]
+                for end in chain
             ]
-            line = joined(lines, joined_name([end.track for end in chain]), self.source)
-            edges.append(Edge(line.name, line, str(first), str(last)))
-            at[first] = at[last] = line.name
-        groups = self._groups(near, at)
-        node_of = self._names(groups)
-        ends = {str(end): name for end, name in node_of.items()}
-        edges = [replace(each, start=ends[each.start], end=ends[each.end]) for each in edges]
+            ends = node_of[chain[0]], node_of[chain[-1].other]
+            edges.append(Edge(name, joined(lines, name, self.source), *ends))
         turns: dict[str, set[tuple[str, str]]] = {}
         for end, name in node_of.items():
             pairs = {tuple(sorted((at[end], at[other]))) for other in near[end] if other in at}
@@ -592,17 +596,6 @@ class TrackGraph:
                 del left[end.track]
             yield chain
 
-    def _groups(
-        self, near: dict[TrackEnd, set[TrackEnd]], at: dict[TrackEnd, str]
-    ) -> list[list[TrackEnd]]:
-        """Ends of edges that meet, the ends of tracks inside edges left out."""
-        index = {end: number for number, end in enumerate(at)}
-        pairs = [(index[end], index[each]) for end in at for each in near[end] if each in index]
-        groups: dict[int, list[TrackEnd]] = {}
-        for end, number in zip(at, _parts_of(len(index), pairs).tolist(), strict=True):
-            groups.setdefault(number, []).append(end)
-        return [sorted(group) for group in groups.values()]
-
     def _names(self, groups: list[list[TrackEnd]]) -> dict[TrackEnd, str]:
         """The name of the node at each end of an edge, each name once.
 
@@ -629,14 +622,9 @@ class TrackGraph:
         node_of: dict[TrackEnd, str],
     ) -> Iterator[Network]:
         """A network of each part that is connected."""
-        index: dict[str, int] = {}
-        for edge in edges:
-            for name in (edge.start, edge.end):
-                index.setdefault(name, len(index))
-        part = _parts_of(len(index), [(index[edge.start], index[edge.end]) for edge in edges])
-        own: list[list[Edge]] = [[] for _ in range(int(part.max()) + 1)]
-        for edge in edges:
-            own[part[index[edge.start]]].append(edge)
+        ends = [(edge.start, edge.end) for edge in edges]
+        groups = connected(dict.fromkeys(name for pair in ends for name in pair), ends)
+        own = [[edge for edge in edges if edge.start in group] for group in map(set, groups)]
         own.sort(key=lambda found: -sum(edge.line.length for edge in found))
         places: dict[str, list[tuple[float, float]]] = {}
         for end, name in node_of.items():
@@ -659,16 +647,6 @@ class TrackGraph:
             return Node(name, kind)
         latitude, longitude = np.mean(places, axis=0).round(9).tolist()
         return Node(name, kind, latitude, longitude)
-
-
-def _parts_of(count: int, pairs: Sequence[tuple[int, int]]) -> IntArray:
-    """The part of a graph that each of so many nodes belongs to, in the order of the first."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends = np.reshape(pairs, (-1, 2)).astype(np.int64).T
-    graph = coo_array((np.ones(len(pairs)), tuple(ends)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def joined_name(names: Sequence[str]) -> str:

@@ -8,7 +8,7 @@ the line as it is travelled, composed of stretches of edges: an ordinary `Line` 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from networkx import DiGraph
 
 Part = TypeVar("Part")
+Key = TypeVar("Key")
 
 NodeKind = Literal["station", "junction"]
 
@@ -318,16 +319,9 @@ class Network(Declared):
 
     def _unconnected(self, where: str) -> Iterator[InputError]:
         """Parts of the network that no edge joins to the largest."""
-        part = {node.name: {node.name} for node in self.nodes}
-        for edge in self.edges:
-            fewer, more = sorted((part[edge.start], part[edge.end]), key=len)
-            if fewer is not more:
-                more |= fewer
-                part |= dict.fromkeys(fewer, more)
-        groups: dict[int, list[str]] = {}
-        for node in self.nodes:
-            groups.setdefault(id(part[node.name]), []).append(node.name)
-        for names in sorted(groups.values(), key=len)[:-1]:
+        ends = [(edge.start, edge.end) for edge in self.edges]
+        groups = connected([node.name for node in self.nodes], ends)
+        for names in sorted(groups, key=len)[:-1]:
             shown = ", ".join(f"'{name}'" for name in names[:3])
             yield InputError(
                 f"{where}: {shown}{', ...' * (len(names) > 3)}"
@@ -773,6 +767,26 @@ def assumed_on(edges: Sequence[Edge]) -> str:
     """
     length = sum(edge.line.length for edge in edges) / 1e3
     return f"on all or a part of {counted(len(edges), 'edge')}, {length:.3f} km long together"
+
+
+def connected(nodes: Iterable[Key], pairs: Iterable[tuple[Key, Key]]) -> list[list[Key]]:
+    """The parts of a graph that pairs of its nodes connect, in the order of the nodes.
+
+    Examples
+    --------
+    >>> connected("abcd", [("a", "c"), ("d", "c")])
+    [['a', 'c', 'd'], ['b']]
+    """
+    part = {node: [node] for node in nodes}
+    for ends in pairs:
+        fewer, more = sorted((part[end] for end in ends), key=len)
+        if fewer is not more:
+            more += fewer
+            part |= dict.fromkeys(fewer, more)
+    groups: dict[int, list[Key]] = {}
+    for node, own in part.items():
+        groups.setdefault(id(own), []).append(node)
+    return list(groups.values())
 
 
 def _nearest(name: str, known: Any, otherwise: str) -> str:
