@@ -269,8 +269,12 @@ def test_where_the_map_was_not_observed_it_still_states_what_is_likely() -> None
     unseen = replace(track, layers={"wet": replace(layer, observed=~layer.observed)})
     place = np.array([500.0, 5_000.0])
     assert np.all(np.isinf(unseen.lower_bound("wet", place)))
-    np.testing.assert_allclose(unseen.likely("wet", place, 1.0), 0.2 * np.exp(-0.1))
-    np.testing.assert_allclose(track.likely("wet", place), track.lower_bound("wet", place))
+    np.testing.assert_allclose(
+        unseen.lower_bound("wet", place, 1.0, likely=True), 0.2 * np.exp(-0.1)
+    )
+    np.testing.assert_allclose(
+        track.lower_bound("wet", place, likely=True), track.lower_bound("wet", place)
+    )
 
 
 def test_a_driver_who_takes_less_risk_pulls_and_brakes_less() -> None:

@@ -160,7 +160,9 @@ def traction_charts(
         layer = layer or trip.metadata.get("weather", "dry")
         observed = condition.layers[layer].observed
         likely, low, high = (
-            np.where(observed, condition.likely(layer, condition.centres, each), np.nan)
+            np.where(
+                observed, condition.lower_bound(layer, condition.centres, each, likely=True), np.nan
+            )
             for each in (0.0, 1.0, -1.0)
         )
         at = condition.centres / 1e3

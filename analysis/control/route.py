@@ -292,7 +292,9 @@ def _adhesion(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray
     own = run.line.length - positions if run.direction == "reverse" else positions
     known = run.adhesion_at(positions)
     likely, pulling = (
-        run.condition_map.likely(run.layer, own, sigmas, risk=run.risk, time=run.time)
+        run.condition_map.lower_bound(
+            run.layer, own, sigmas, risk=run.risk, time=run.time, likely=True
+        )
         for sigmas in (UNSEEN_SIGMAS, PULLING_SIGMAS)
     )
     return pulling, np.where(np.isfinite(known), known, likely)

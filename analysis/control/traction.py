@@ -160,8 +160,11 @@ class CooperativeTraction:
         if condition is not None:
             # Once for the whole line: a decision has a millisecond.
             places = condition.centres
-            mean = np.log(condition.likely(layer, places, 0.0))
-            self._mean, self._std = mean, mean - np.log(condition.likely(layer, places, 1.0))
+            mean, low = (
+                np.log(condition.lower_bound(layer, places, sigmas, likely=True))
+                for sigmas in (0.0, 1.0)
+            )
+            self._mean, self._std = mean, mean - low
         self._ahead = self._tuning.period * (np.arange(self._tuning.horizon) + 0.5)
         self._direction = 0.0
 

@@ -346,22 +346,6 @@ class ConditionModel:
         )
 
 
-def check_risk(risk: float) -> float:
-    """A risk, if it can be one.
-
-    Raises
-    ------
-    InputError
-        If it is not between 0 and 1.
-    """
-    if not 0.0 < risk < 1.0:
-        raise InputError(
-            f"a risk must be between 0 and 1, not {risk:g}",
-            remedy="give 0.05 for one trip in twenty that finds less adhesion at a place",
-        )
-    return risk
-
-
 def _above(probability: FloatArray) -> FloatArray:
     """Probability of each level or a higher one; (n, k) array."""
     return np.asarray(np.cumsum(probability[:, ::-1], axis=1)[:, ::-1])
@@ -644,6 +628,7 @@ class TrackConditionMap(Presented):
         *,
         risk: float | None = None,
         time: Timestamp | None = None,
+        likely: bool = False,
     ) -> FloatArray:
         """Cautious maximum adhesion at each position: the estimate less `sigmas` deviations.
 
@@ -662,6 +647,12 @@ class TrackConditionMap(Presented):
         time : Timestamp, optional
             Of the run: what is expected then; default: the lasting condition, or with a risk what
             is expected right after the last evidence.
+        likely : bool
+            Whether, where the layer was not observed, what its own places and its neighbours make
+            likely holds, with the larger deviation of that. It is an expectation, right for a
+            driver or controller that sees the train slip and eases off, not to be shown as data.
+            What a plan rests on must not be guessed: `analysis.adhesion.demonstrated` takes there
+            only what a trip bore without slip, or an assumption that is called one.
 
         Raises
         ------
@@ -679,39 +670,13 @@ class TrackConditionMap(Presented):
         >>> bool(np.all(track.lower_bound("wet", seen, risk=0.5) > track.lower_bound("wet", seen)))
         True
         """
-        index = self.bin_of(position)
-        cautious, observed = self._cautious(layer, sigmas, risk, time)
-        return np.asarray(np.where(observed[index], cautious[index], np.inf))
-
-    def _cautious(
-        self, layer: str, sigmas: float, risk: float | None, time: Timestamp | None
-    ) -> tuple[FloatArray, BoolArray]:
-        """Cautious maximum adhesion of each bin, and whether it was observed."""
         chosen = self.layer(layer)
-        if risk is None and time is None:
-            return chosen.cautious(sigmas), chosen.observed
-        expected = chosen.expected(time)
-        if risk is None:
-            return expected.cautious(sigmas), expected.observed
-        return expected.quantile(check_risk(risk)), expected.observed
-
-    def likely(
-        self,
-        layer: str,
-        position: ArrayLike,
-        sigmas: float = 2.0,
-        *,
-        risk: float | None = None,
-        time: Timestamp | None = None,
-    ) -> FloatArray:
-        """Cautious maximum adhesion at each position, also where the layer was not observed.
-
-        There it is what the layer's own places and its neighbours make likely, with the larger
-        deviation of that: good enough to drive with care, not to be shown as data.
-
-        It is an expectation, right for a driver or controller that sees the train slip and eases
-        off, and it never says that nothing limits. What a plan rests on must not be guessed:
-        `analysis.adhesion.demonstrated` takes there only what a trip bore without slip, or an
-        assumption that is called one. Arguments and errors are those of `lower_bound`.
-        """
-        return self._cautious(layer, sigmas, risk, time)[0][self.bin_of(position)]
+        known = chosen if risk is None and time is None else chosen.expected(time)
+        if risk is not None and not 0.0 < risk < 1.0:
+            raise InputError(
+                f"a risk must be between 0 and 1, not {risk:g}",
+                remedy="give 0.05 for one trip in twenty that finds less adhesion at a place",
+            )
+        cautious = known.cautious(sigmas) if risk is None else known.quantile(risk)
+        index = self.bin_of(position)
+        return np.asarray(np.where(known.observed[index] | likely, cautious[index], np.inf))
