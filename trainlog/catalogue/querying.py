@@ -78,33 +78,18 @@ def conditions(where: str | None = None, zone: str | None = None) -> list[sa.Col
     return [counts] if where is None else [counts, condition_of(where, zone)]
 
 
-def _frame(rows: Sequence[Any], names: Sequence[str]) -> pd.DataFrame:
-    """A frame of trips, its times as time stamps."""
-    kinds = {each.name: each.kind for each in TRIP_COLUMNS}
-    made = {
-        name: _series(values, kinds.get(name, "text"))
-        for name, values in columns_of(rows, names).items()
-    }
-    frame = pd.DataFrame(made)
-    frame.attrs["units"] = {
-        each.name: each.unit for each in TRIP_COLUMNS if each.name in made and each.kind == "number"
-    }
+def _frame(rows: Sequence[Any], kinds: Mapping[str, str]) -> pd.DataFrame:
+    """A frame of rows whose columns are of these kinds; times become time stamps."""
+    frame = pd.DataFrame(columns_of(rows, list(kinds)), dtype=object)
+    for name, kind in kinds.items():
+        if kind == "time":
+            frame[name] = pd.to_datetime(frame[name].astype("Int64"), unit="ns", utc=True)
+        elif kind in _NUMBERS:
+            frame[name] = frame[name].astype(_NUMBERS[kind])
     return frame
 
 
-def _series(values: Sequence[Any], kind: str) -> pd.Series:
-    """A column of a frame of trips."""
-    if kind == "time":
-        nothing = np.iinfo(np.int64).min
-        stamps = np.array([nothing if each is None else each for each in values], np.int64)
-        return pd.Series(pd.DatetimeIndex(stamps.view("datetime64[ns]"), tz="UTC"))
-    if kind == "number":
-        return pd.Series(np.array(values, np.float64))
-    if kind == "count":
-        return pd.Series(np.array(values, np.int64))
-    held = np.empty(len(values), object)
-    held[:] = values
-    return pd.Series(held, dtype=object)
+_NUMBERS: dict[str, Any] = {"number": np.float64, "count": np.int64}
 
 
 def _keys(database: Database, column: str) -> list[str]:
@@ -198,7 +183,14 @@ class Trips(Database):
         asked = asked.where(*conditions(expression_of(where, train, line, start, end), zone))
         with self.reading() as connection:
             rows = connection.execute(asked.order_by(trips.c.start, trips.c.key)).all()
-        return _frame(rows, names)
+        kinds = {each.name: each.kind for each in TRIP_COLUMNS}
+        frame = _frame(rows, {name: kinds.get(name, "text") for name in names})
+        frame.attrs["units"] = {
+            each.name: each.unit
+            for each in TRIP_COLUMNS
+            if each.name in names and each.kind == "number"
+        }
+        return frame
 
     def unmatched(
         self, where: str | None = None, train: str | None = None, line: str | None = None
@@ -426,13 +418,11 @@ class Trips(Database):
         asked = asked.where(trips.c.standing == "counts").group_by(*columns.values())
         with self.reading() as connection:
             rows = connection.execute(asked).all()
-        frame = pd.DataFrame(columns_of(rows, [*columns, *sums]))
-        for name in {"first", "last"} & set(frame):
-            frame[name] = pd.to_datetime(frame[name].astype("Int64"), unit="ns", utc=True)
-        for name in {"distance", "duration"} & set(frame):
-            frame[name] = frame[name].astype("float64")
-        for name in {"damaged", "forward", "reverse"} & set(frame):
-            frame[name] = frame[name].astype("int64")
+        kinds = dict.fromkeys(columns, "text") | dict.fromkeys(sums, "count")
+        kinds |= {name: "time" for name in ("first", "last") if name in sums}
+        kinds |= {name: "number" for name in ("distance", "duration") if name in sums}
+        kinds |= {"kind": "text"} if "kind" in kinds else {}
+        frame = _frame(rows, kinds)
         if by == "day":
             days = pd.to_datetime(frame["day"].astype("Int64") * _DAY, unit="ns", utc=True)
             frame["day"] = days.dt.strftime("%Y-%m-%d").astype(object)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import sha256_of
-from trainlog.formats.railway import line_from_bytes
+from trainlog.formats.railway import travelled_line
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.contents import Contents, MisplacedError, check_data_section, contents_used
 from trainlog.mcap.reader import (
@@ -173,7 +172,9 @@ def _entry(trip: Trip, span: tuple[float, float] | None, contents: Contents) -> 
     start = min(chunk.start for chunk in filled)
     end = max(chunk.end for chunk in filled)
     data = trip.attachments.get(LINE_ATTACHMENT)
-    line = None if data is None else _line(data, known.get("direction") == "reverse")
+    line = None
+    with suppress(TrainlogError):
+        line = None if data is None else travelled_line(data, known.get("direction") == "reverse")
     identity = identity_of(trip)
     km = _km(line, span)
     values = {
@@ -207,15 +208,6 @@ def _entry(trip: Trip, span: tuple[float, float] | None, contents: Contents) -> 
     return LogEntry(values, _edges(values, line, span), identity)
 
 
-@lru_cache(maxsize=64)
-def _line(data: bytes, backwards: bool) -> Line | None:
-    """A line from its file, as travelled, if it can be read; trips of a fleet share their lines."""
-    with suppress(TrainlogError):
-        line = line_from_bytes(data)
-        return line.reversed() if backwards else line
-    return None
-
-
 def _km(line: Line | None, span: tuple[float, float] | None) -> tuple[float | None, float | None]:
     """The kilometres of a stretch [m], increasing."""
     if span is None:
@@ -230,22 +222,22 @@ def _edges(
     values: Mapping[str, Any], line: Line | None, span: tuple[float, float] | None
 ) -> tuple[tuple[str, float | None, float | None, str], ...]:
     """The lines that a trip ran over: those of its route, as far as it drove, or its line."""
-    legs = getattr(line, "legs", ())
-    found = []
-    for leg in legs:
-        first, last = leg.position, leg.position + leg.length
-        if span is not None:
-            first, last = max(first, span[0]), min(last, span[1])
-            if last <= first:
-                continue
-        along = (leg.edge_end - leg.edge_start) / leg.length
-        ends = [(leg.edge_start + along * (at - leg.position)) / 1e3 for at in (first, last)]
-        direction = "forward" if along > 0.0 else "reverse"
-        found.append((str(leg.edge), min(ends), max(ends), direction))
-    if not legs and values["line"]:
-        name, direction = str(values["line"]), str(values["direction"] or "forward")
-        found.append((name, values["km_from"], values["km_to"], direction))
-    return tuple(found)
+    if line is not None and line.legs:
+        parts = [each if span is None else each.between(*span) for each in line.legs]
+        return tuple(
+            (
+                leg.edge,
+                min(leg.edge_start, leg.edge_end) / 1e3,
+                max(leg.edge_start, leg.edge_end) / 1e3,
+                "forward" if leg.forward else "reverse",
+            )
+            for leg in parts
+            if leg is not None
+        )
+    if not values["line"]:
+        return ()
+    direction = str(values["direction"] or "forward")
+    return ((str(values["line"]), values["km_from"], values["km_to"], direction),)
 
 
 def _passport(trip: Trip) -> dict[str, float]:

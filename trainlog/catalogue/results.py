@@ -545,19 +545,13 @@ class Computed(Database):
             name = write_table(folder, table)
         with self.writing() as connection:
             number = made_computation(connection, of)
+            there = sa.exists().where(results.c.computation == number, results.c.trip == trips.c.id)
+            asked = sa.select(trips.c.sha256, trips.c.id).where(~there)
             ids: dict[str, int] = {}
             for part in parts(sorted({each.sha256 for each in outcomes})):
-                asked = sa.select(trips.c.sha256, trips.c.id).where(trips.c.sha256.in_(part))
-                ids |= {row.sha256: row.id for row in connection.execute(asked)}
-            known: set[int] = set()
-            for part in parts(sorted(ids.values())):
-                there = sa.select(results.c.trip).where(
-                    results.c.computation == number, results.c.trip.in_(part)
-                )
-                known |= set(connection.execute(there).scalars())
-            new = [
-                each for each in outcomes if each.sha256 in ids and ids[each.sha256] not in known
-            ]
+                rows_left = connection.execute(asked.where(trips.c.sha256.in_(part)))
+                ids |= {row.sha256: row.id for row in rows_left}
+            new = [each for each in outcomes if each.sha256 in ids]
             if not new:
                 return 0
             file = None

@@ -562,7 +562,7 @@ MAX_LOAD_SHARE = 0.25
 WEIGHING_SHARE, WEIGHING_OFFSET = 0.03, 0.02
 """Standard deviation of a recorded load: this share of the load, and this share of the largest."""
 
-KEPT = 4
+KEPT = 64
 """Lines and trains that are kept, so that the analyses of a trip read its attachments once."""
 
 
