@@ -72,8 +72,7 @@ def unpack_joined(
 ) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
     """Facts of each, and their arrays, one behind the other: faster than one by one.
 
-    Arrays of more than one dimension must be of one piece of data alone. One whose numbers are all
-    the same may be a view of that number, which cannot be written to.
+    Arrays of more than one dimension must be of one piece of data alone.
 
     Raises
     ------
@@ -128,8 +127,6 @@ def _joined(parts: Sequence[_Part], kind: np.dtype[Any]) -> NDArray[Any]:
             continue
         sizes = [part[2] for part in run]
         if how == "one":
-            if len(run) == len(parts) > 1 and np.all(values == values[0]):
-                return np.broadcast_to(values.astype(kind)[0], sum(sizes))
             there = [size for size in sizes if size]
             found.append(values.astype(kind).repeat(there))
             continue

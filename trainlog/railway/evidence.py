@@ -21,9 +21,6 @@ from trainlog.errors import InputError
 
 _KEYS = ("day", "bin")
 _USED_KEYS = ("used_day", "used_bin", "used_level")
-_DENSE = 4
-"""Rows are added up by counting where their keys span at most so many times their number."""
-
 _SUMS = ("trips", "events", "weight", "weighted_log", "weighted_square", "common")
 
 
@@ -277,41 +274,17 @@ def _added(
     places = [_places(piece, keys, sizes) for piece in given]
     if _are_increasing(places):
         return {name: _joined(given, name) for name in (*keys, *columns)}
-    one = places[0] if len(places) == 1 else np.concatenate(places)
-    low = int(one.min())
-    span = int(one.max()) - low + 1
-    if span <= _DENSE * one.size:
-        # Many pieces of few days: counting is several times faster than sorting.
-        one -= low
-        rows = np.bincount(one, minlength=span)
-        there = np.flatnonzero(rows > 0)
-        found: dict[str, Any] = {}
-        for name in columns:
-            values = _joined(given, name)
-            alike = bool(np.all(values == values[0]))
-            sums = rows[there] * values[0] if alike else np.bincount(one, values, span)[there]
-            found[name] = sums.astype(np.float64, copy=False)
-        rest = there.astype(np.int64) + low
-        for name, size in zip(keys[:0:-1], sizes[::-1], strict=True):
-            # Several times faster than `divmod`.
-            before = rest // size
-            found[name] = rest - before * size
-            rest = before
-        return found | {keys[0]: rest}
-    parts = {name: _joined(given, name) for name in columns}
+    one = np.concatenate(places)
     order = np.argsort(one, kind="stable")
     starts = np.flatnonzero(np.diff(one[order], prepend=one[order[0]] - 1))
     return {name: _joined(given, name)[order][starts] for name in keys} | {
-        name: np.add.reduceat(parts[name][order], starts) for name in columns
+        name: np.add.reduceat(_joined(given, name)[order], starts) for name in columns
     }
 
 
 def _joined(pieces: list[DailyEvidence], name: str) -> NDArray[Any]:
-    """A column of all pieces; one that may be written to."""
-    columns: list[NDArray[Any]] = [getattr(piece, name) for piece in pieces]
-    if len(columns) == 1 and columns[0].flags.writeable:
-        return columns[0]
-    return np.concatenate(columns)
+    """A column of all pieces."""
+    return np.concatenate([getattr(piece, name) for piece in pieces])
 
 
 def _are_increasing(places: Iterable[IntArray]) -> bool:
@@ -326,14 +299,7 @@ def _are_increasing(places: Iterable[IntArray]) -> bool:
 
 def _places(piece: DailyEvidence, keys: tuple[str, ...], sizes: tuple[int, ...]) -> IntArray:
     """One number for the keys of each row, in their order."""
-    first = getattr(piece, keys[0])
-    # A view of one number is multiplied once.
-    found: IntArray = (first[:1] if first.strides == (0,) else first).astype(np.int64)
+    found: IntArray = getattr(piece, keys[0])
     for name, size in zip(keys[1:], sizes, strict=True):
-        found *= size
-        other: IntArray = getattr(piece, name)
-        if found.size < other.size:
-            found = found + other
-        else:
-            found += other
+        found = found * size + getattr(piece, name)
     return found
