@@ -297,22 +297,14 @@ def _joined(folder: Path, rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _by_state(
-    connection: sa.Connection, *only: sa.ColumnElement[bool]
+    connection: sa.Connection, *limits: sa.ColumnElement[bool]
 ) -> dict[int, dict[str, int]]:
-    """How many trips that count each computation has in each state.
-
-    All of them but those that do not count: these are few, and trips are not read one by one.
-    """
+    """How many trips each computation has in each state."""
     by = (results.c.computation, results.c.state)
-    every = sa.select(*by, sa.func.count()).where(*only).group_by(*by)
-    apart = every.join(trips, trips.c.id == results.c.trip).where(
-        sa.text("trips.standing <> 'counts'")
-    )
+    asked = sa.select(*by, sa.func.count()).join(trips, trips.c.id == results.c.trip)
     found: dict[int, dict[str, int]] = {}
-    for asked, sign in ((every, 1), (apart, -1)):
-        for computation, state, count in connection.execute(asked):
-            counts = found.setdefault(computation, dict.fromkeys(STATES, 0))
-            counts[state] += sign * int(count)
+    for computation, state, count in connection.execute(asked.where(*limits).group_by(*by)):
+        found.setdefault(computation, dict.fromkeys(STATES, 0))[state] = int(count)
     return found
 
 
@@ -431,16 +423,11 @@ class Computed(Database):
 
         Parameters are those of `pending`.
         """
-        count = sa.func.count()
         with self.reading() as connection:
             number = computation_id(connection, of)
-            if where is None:
-                found = _by_state(connection, results.c.computation == number).get(number, {})
-            else:
-                asked = trips_with_results(number, where, results.c.state, count)
-                rows = connection.execute(asked.group_by(results.c.state))
-                found = {str(row[0]): int(row[1]) for row in rows}
-            left = sa.select(count).select_from(trips).where(*_unmade(number, where))
+            own = results.c.computation == number
+            found = _by_state(connection, own, *conditions(where)).get(number, {})
+            left = sa.select(sa.func.count()).select_from(trips).where(*_unmade(number, where))
             pending = int(connection.execute(left).scalar_one())
         return {state: found.get(state, 0) for state in STATES} | {"pending": pending}
 
@@ -616,7 +603,7 @@ class Computed(Database):
         with self.reading() as connection:
             asked = sa.select(computations).order_by(computations.c.last.desc())
             rows = connection.execute(asked).mappings().all()
-            counts = _by_state(connection)
+            counts = _by_state(connection, *conditions())
         found = [
             {
                 "analysis": row["analysis"],

@@ -6,8 +6,6 @@ import json
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from itertools import groupby
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -23,11 +21,8 @@ _EXACT = 2.0**53
 
 _KINDS = {"i": np.int64, "u": np.int64, "f": np.float64, "b": np.bool_}
 _LENGTH = struct.Struct("<I")
-_WIDTH = {form: np.dtype(form).itemsize for form in (*_WHOLE, "<f8")}
 _Kept = tuple[str, str, NDArray[Any]]
-_Part = tuple[str, str, int, bytes]
-"""How the numbers of an array are kept, how many there are, and their bytes."""
-_KEPT_ALIKE = itemgetter(0, 1)
+"""How the numbers of an array are kept, and these."""
 
 
 def pack(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -63,16 +58,28 @@ def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     ValueError
         If the data are none that `pack` made.
     """
-    facts, arrays = unpack_joined([data])
-    return facts[0], arrays
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        (length,) = _LENGTH.unpack_from(data)
+        start = _LENGTH.size + length
+        content = json.loads(data[_LENGTH.size : start])
+        for name, kind, shape, form, how in content["arrays"]:
+            size = math.prod(shape)
+            kept = np.frombuffer(data, form, min(size, 1) if how == "one" else size, start)
+            start += kept.nbytes
+            values = kept.astype(_KINDS[kind])
+            if how == "one":
+                values = np.repeat(values, size)
+            arrays[name] = (np.cumsum(values) if how == "steps" else values).reshape(shape)
+        return content["facts"], arrays
+    except (KeyError, TypeError, struct.error) as error:
+        raise ValueError(str(error)) from error
 
 
 def unpack_joined(
     many: Sequence[bytes],
 ) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
-    """Facts of each, and their arrays, one behind the other: faster than one by one.
-
-    Arrays of more than one dimension must be of one piece of data alone.
+    """Facts of each, and their arrays, one behind the other.
 
     Raises
     ------
@@ -86,59 +93,10 @@ def unpack_joined(
     >>> facts[1], arrays["bin"]
     ({'trip': 1}, array([ 0,  1,  7,  8, 14, 15]))
     """
-    facts: list[dict[str, Any]] = []
-    columns: dict[tuple[str, str], list[_Part]] = {}
-    shapes: dict[str, list[int]] = {}
-    found: dict[str, NDArray[Any]] = {}
-    try:
-        for data in many:
-            (length,) = _LENGTH.unpack_from(data)
-            start = _LENGTH.size + length
-            content = json.loads(data[_LENGTH.size : start])
-            facts.append(content["facts"])
-            for name, kind, shape, form, how in content["arrays"]:
-                shapes[name] = shape
-                size = shape[0] if len(shape) == 1 else math.prod(shape)
-                kept = min(size, 1) if how == "one" else size
-                end = start + _WIDTH[form] * kept
-                columns.setdefault((name, kind), []).append((form, how, size, data[start:end]))
-                start = end
-            if start > len(data):
-                raise ValueError("its end is missing")
-        for (name, kind), parts in columns.items():
-            if len(parts) != len(many):
-                raise ValueError(f"some lack '{name}'")
-            found[name] = _joined(parts, np.dtype(_KINDS[kind]))
-            if len(many) == 1:
-                found[name] = found[name].reshape(shapes[name])
-    except (KeyError, TypeError, struct.error) as error:
-        raise ValueError(str(error)) from error
-    return facts, found
-
-
-def _joined(parts: Sequence[_Part], kind: np.dtype[Any]) -> NDArray[Any]:
-    """The numbers of all parts; those that follow each other and are kept alike at once."""
-    found = []
-    for (form, how), alike in groupby(parts, key=_KEPT_ALIKE):
-        run = list(alike)
-        values: NDArray[Any] = np.frombuffer(b"".join([part[3] for part in run]), form)
-        if how == "all":
-            found.append(values.astype(kind))
-            continue
-        sizes = [part[2] for part in run]
-        if how == "one":
-            there = [size for size in sizes if size]
-            found.append(values.astype(kind).repeat(there))
-            continue
-        values = values.astype(kind)
-        if len(run) > 1:
-            # The sum begins anew with each part: its first step takes back those before it.
-            starts = np.cumsum([0, *sizes[:-1]])[np.array(sizes) > 0]
-            ends = np.add.reduceat(values, starts) if starts.size else values
-            values[starts[1:]] -= ends[:-1]
-        np.cumsum(values, out=values)
-        found.append(values)
-    return found[0] if len(found) == 1 else np.concatenate(found)
+    facts, arrays = zip(*map(unpack, many), strict=True)
+    if any(each.keys() != arrays[0].keys() for each in arrays):
+        raise ValueError("their arrays differ")
+    return list(facts), {n: np.concatenate([each[n] for each in arrays]) for n in arrays[0]}
 
 
 def _least(array: NDArray[Any]) -> _Kept:
