@@ -67,7 +67,7 @@ def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             size = math.prod(shape)
             kept = np.frombuffer(data, form, min(size, 1) if how == "one" else size, start)
             start += kept.nbytes
-            values = kept.astype(_KINDS[kind])
+            values: NDArray[Any] = kept.astype(_KINDS[kind])
             if how == "one":
                 values = np.repeat(values, size)
             arrays[name] = (np.cumsum(values) if how == "steps" else values).reshape(shape)
