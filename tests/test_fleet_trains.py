@@ -456,3 +456,11 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     other = replace(computation, code="other")
     monkeypatch.setattr(analyses, "computation_of", lambda _: other)
     assert [path.suffix for path in chosen_summaries("all", str(tmp_path))] == [".mcap"] * 2
+
+
+def test_a_recorder_that_rounds_is_judged_without_a_scatter_of_its_own() -> None:
+    rows = drawn_fleet(pool("flirt"), 7, trains=2, trips=20)
+    rows["speed_noise"] = np.where(rows["train"] == "flirt-01", 0.02, 0.05)
+    found = fleet_trains(rows)
+    assert found.unlike.findings == ()
+    assert found.unlike.series["flirt"]["speed noise"].std.min() > 0.01

@@ -367,6 +367,9 @@ NEIGHBOURS = 10
 """Trips of the same train, before, whose median a trip is compared with to see how trips differ."""
 
 
+ALIKE = 1e-6
+"""Scatter of trips, over the expected one, below which it is that of rounding."""
+
 CHI_SQUARE_QUARTILE = 0.1015
 """A quarter of squares of one degree of freedom are below it."""
 
@@ -376,7 +379,8 @@ def _tail(deviation: FloatArray, train: IntArray) -> tuple[float, float]:
     frame = pd.Series(deviation).groupby(train)
     before = frame.transform(lambda each: each.shift(1).rolling(NEIGHBOURS, min_periods=4).median())
     apart = (pd.Series(deviation) - before).dropna().to_numpy()
-    if apart.size < 3 * NEIGHBOURS:
+    # Values that are alike, as of a recorder that rounds, do not show how far others may be.
+    if apart.size < 3 * NEIGHBOURS or robust_std(apart) < ALIKE:
         return TAIL, 1.2
     best = (-np.inf, TAIL, 1.0)
     for tail in TAILS:
