@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,10 +24,10 @@ from trainlog.declaration import (
     Must,
     check_plausible,
 )
-from trainlog.display import cell_of, counted, text_of_cell
+from trainlog.display import counted, text_of_cell
 from trainlog.errors import InputError
 from trainlog.formats.declared import built
-from trainlog.formats.files import check_written, read_bytes, write_bytes
+from trainlog.formats.files import check_written, csv_bytes, read_bytes, write_bytes
 from trainlog.formats.tracks import Account, Limit, LimitChoice, Stretch, TrackData, curvature_of
 from trainlog.railway import Line, Station
 from trainlog.railway.forecast import AdhesionForecast
@@ -205,11 +204,8 @@ def write_headed(
     path: str | Path, columns: Sequence[Column], rows: Iterable[Sequence[Any]]
 ) -> None:
     """Write a table, whole or not at all; NaN becomes an empty cell."""
-    text = io.StringIO(newline="")
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(f"{each.name} [{each.unit}]" if each.unit else each.name for each in columns)
-    table.writerows(["" if cell != cell else cell_of(cell) for cell in row] for row in rows)
-    write_bytes(path, text.getvalue().encode())
+    heads = [f"{each.name} [{each.unit}]" if each.unit else each.name for each in columns]
+    write_bytes(path, csv_bytes(pd.DataFrame(rows, columns=heads, dtype=object)))
 
 
 def read_headed(path: str | Path, expected: str) -> HeadedTable:

@@ -675,19 +675,7 @@ def joined(lines: Sequence[Line], name: str, source: str) -> Line:
         return replace(lines[0], name=name, source=source)
     begins = accumulate((line.length for line in lines), initial=0.0)
     placed = list(zip(begins, lines, strict=False))
-    stations = [
-        Station(each.name, begin + each.position)
-        for begin, line in placed
-        for each in line.stations
-    ]
-    once = [
-        each
-        for number, each in enumerate(stations)
-        if not number
-        or (each.name, round(each.position, 3))
-        != (stations[number - 1].name, round(stations[number - 1].position, 3))
-    ]
-    return replace(composed(name, placed, once), source=source)
+    return replace(composed(name, placed), source=source)
 
 
 def _station_at(end: TrackEnd, tracks: dict[str, Line]) -> str:

@@ -44,6 +44,9 @@ TINY = 1e-6
 """Pieces that are shorter [m] do not come of a cut: positions are rounded to less."""
 
 
+AT_JOINT = 1.0
+"""Stations of one name that lie so near [m] where lines meet are one."""
+
 POSITION = Column("position", "m", "m")
 """The first column of tables along a line."""
 
@@ -1251,7 +1254,7 @@ def _implausible_chainage(values: Mapping[str, Any], length: float) -> Iterator[
 def composed(
     name: str,
     placed: Sequence[tuple[float, Line]],
-    stations: Sequence[Station],
+    stations: Sequence[Station] | None = None,
     legs: Sequence[Leg] = (),
 ) -> Line:
     """Lines that follow each other, in this order, as one.
@@ -1265,8 +1268,8 @@ def composed(
     name : str
     placed : sequence of (float, Line)
         The parts, each with the position [m] at which it begins.
-    stations : sequence of Station
-        On the whole.
+    stations : sequence of Station, optional
+        On the whole; default: those of the parts. Where parts meet, each stands once.
     legs : sequence of Leg
         Of a route: the edges that the parts are.
 
@@ -1280,8 +1283,8 @@ def composed(
     >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> parts = [(0.0, line.section(0.0, 4e3)), (4e3, line.section(4e3, line.length))]
-    >>> both = composed("again", parts, line.stations)
-    >>> both.length, bool(both.gradient(20e3) == line.gradient(20e3))
+    >>> both = composed("again", parts)
+    >>> both.length, both.stations == line.stations
     (29556.1, True)
     """
     parts = [part for _, part in placed]
@@ -1307,12 +1310,22 @@ def composed(
     if "reference" in joined:
         names = dict.fromkeys(part.reference.name for part in parts if part.reference is not None)
         joined["reference"] = replace(joined["reference"], name=" + ".join(names))
+    if stations is None:
+        every = [(at, each) for at, part in placed for each in part.stations]
+        stations = [replace(each, position=at + each.position) for at, each in every]
+    once = [
+        each
+        for number, each in enumerate(stations)
+        if not number
+        or each.name != stations[number - 1].name
+        or each.position - stations[number - 1].position > AT_JOINT
+    ]
     courses = [(at, part.geometry) for at, part in placed if part.geometry is not None]
     first, *others = (part.braking_parameters.items() for part in parts)
     return Line(
         name=name,
         length=placed[-1][0] + parts[-1].length,
-        stations=tuple(stations),
+        stations=tuple(once),
         tunnels=tuple(
             replace(each, position=at + each.position)
             for at, part in placed

@@ -738,12 +738,7 @@ class Route(Presented):
             if all(abs(each[0] - at) > AT_END for each in found):
                 found.append((at, name))
         found.sort(key=lambda each: each[0])
-        once = [
-            each
-            for before, each in pairwise([(-np.inf, ""), *found])
-            if not (each[1] == before[1] and each[0] - before[0] <= AT_END)
-        ]
-        return tuple(Station(name, min(max(at, 0.0), self.length)) for at, name in once)
+        return tuple(Station(name, min(max(at, 0.0), self.length)) for at, name in found)
 
     def _joints(self) -> Iterator[tuple[float, str, NodeKind]]:
         """Position [m], name and kind of the nodes that the route passes."""
