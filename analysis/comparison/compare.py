@@ -33,13 +33,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from analysis.comparison.causes import CAUSES, GAINED
 from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, Normalised, normalised_energy
 from analysis.comparison.groups import line_energy
 from analysis.view import Given, each_given
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, TrainlogError
 from trainlog.presentation import (
@@ -378,37 +379,6 @@ ROUNDING = 1e-9
 """Seconds that are none."""
 
 
-@dataclass(frozen=True, slots=True)
-class Loss:
-    """Time lost against the reference by one cause in one section or at one station.
-
-    Attributes
-    ----------
-    seconds : float [s]
-        Negative where time was gained.
-    cause : str
-        One of `CAUSES`.
-    place : str
-        Section, or ``"at"`` a station.
-    section : int
-        Number of the section; of a station that of the section before it.
-    first, last : float [m]
-        Where it was lost.
-    """
-
-    seconds: float
-    cause: str
-    place: str
-    section: int
-    first: float
-    last: float
-
-    @property
-    def words(self) -> str:
-        """The cause in words."""
-        return (CAUSES if self.seconds >= 0.0 else GAINED)[self.cause]
-
-
 @dataclass(frozen=True, eq=False)
 class Lost:
     """Time lost by a trip against its reference.
@@ -417,8 +387,10 @@ class Lost:
     ----------
     total : float [s]
         Sum of all losses.
-    losses : tuple of Loss
-        Those that cost most first.
+    losses : DataFrame
+        Those that cost most first: ``lost`` [s], negative where time was gained; ``cause``, one of
+        `CAUSES`, and ``words`` for it; ``place``, a section or ``"at"`` a station; ``section``, of
+        a station that before it; ``first``, ``last`` [m], where it was lost.
     position : (n + 1,) array [m]
         Nodes of the cells.
     behind : (n + 1,) array [s]
@@ -426,23 +398,19 @@ class Lost:
     """
 
     total: float
-    losses: tuple[Loss, ...]
+    losses: pd.DataFrame
     position: FloatArray
     behind: FloatArray
 
     def by_cause(self) -> dict[str, float]:
         """Seconds by cause, the largest first."""
-        found: dict[str, float] = {}
-        for loss in self.losses:
-            found[loss.cause] = found.get(loss.cause, 0.0) + loss.seconds
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+        sums = self.losses.groupby("cause", sort=False)["lost"].sum()
+        return {str(cause): float(s) for cause, s in sums.sort_values(ascending=False).items()}
 
     def by_section(self, count: int) -> FloatArray:
         """Seconds of each of `count` sections, with the station where it ends."""
-        found = np.zeros(count)
-        for loss in self.losses:
-            found[min(max(loss.section, 0), count - 1)] += loss.seconds
-        return found
+        section = self.losses["section"].to_numpy(np.int64)
+        return np.bincount(section.clip(0, count - 1), self.losses["lost"], minlength=count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -522,20 +490,24 @@ def lost_time(
     mine, other = _Cells.of(trip, nodes, common), _Cells.of(reference, nodes, common)
     lost = mine.running - other.running
     causes = _causes(mine, other, lost)
-    losses = [*_of_cells(lost, causes, nodes, sections), *_of_stands(mine, other, sections)]
-    started = 0.0
+    rows, started = _of_stands(mine, other, sections), 0.0
     if by_time_of_day:
         started = _later_start(trip, reference, common)
-        place = f"at {sections.ends[0]}"
-        losses.append(Loss(started, "start", place, 0, common.first, common.first))
-    total = float(sum(each.seconds for each in losses))
-    losses = [each for each in losses if abs(each.seconds) > ROUNDING]
+        rows.append((started, "start", f"at {sections.ends[0]}", 0, common.first, common.first))
+    losses = pd.DataFrame(rows, columns=["lost", "cause", "place", "section", "first", "last"])
+    losses = pd.concat([_of_cells(lost, causes, nodes, sections), losses])
+    total = float(losses["lost"].sum())
+    losses = losses[losses["lost"].abs() > ROUNDING]
+    losses = losses.sort_values(
+        ["lost", "first", "cause"], ascending=[False, True, True], ignore_index=True
+    )
+    words = losses["cause"].map(CAUSES), losses["cause"].map(GAINED)
+    losses["words"] = words[0].where(losses["lost"] >= 0.0, words[1])
     behind = started + np.concatenate(([0.0], np.cumsum(lost)))
     for stands, sign in ((mine.stands, 1.0), (other.stands, -1.0)):
         for stand in stands:
             behind = behind + sign * stand.duration * (nodes > min(stand.position, nodes[-2]))
-    ordered = sorted(losses, key=lambda each: (-each.seconds, each.first, each.cause))
-    return Lost(total, tuple(ordered), nodes, behind)
+    return Lost(total, losses, nodes, behind)
 
 
 def _nodes(common: CommonRange, sections: Sections) -> FloatArray:
@@ -554,9 +526,9 @@ def _later_start(trip: DrivenTrip, reference: DrivenTrip, common: CommonRange) -
     return float((times[0] - times[1] + 0.5 * day) % day - 0.5 * day)
 
 
-def _of_stands(mine: _Cells, other: _Cells, sections: Sections) -> list[Loss]:
-    """Differences of dwell, by station, and stands off the stations."""
-    found = []
+def _of_stands(mine: _Cells, other: _Cells, sections: Sections) -> list[tuple[object, ...]]:
+    """Differences of dwell, by station, and stands off the stations: rows of the losses."""
+    found: list[tuple[object, ...]] = []
     for edge, name in enumerate(sections.ends):
         at = [[s for s in each.stands if sections.edge_of(s) == edge] for each in (mine, other)]
         dwell = [sum(stand.duration for stand in stands) for stands in at]
@@ -565,60 +537,51 @@ def _of_stands(mine: _Cells, other: _Cells, sections: Sections) -> list[Loss]:
         where = float(np.mean([stand.position for stands in at for stand in stands] or [0.0]))
         cause = "dwell" if both else "stop"
         section = max(edge - 1, 0)
-        found.append(Loss(dwell[0] - dwell[1], cause, f"at {name}", section, where, where))
+        found.append((dwell[0] - dwell[1], cause, f"at {name}", section, where, where))
     for each, sign in ((mine, 1.0), (other, -1.0)):
         for stand in each.stands:
             if sections.edge_of(stand) is None:
                 number = sections.of(stand.position)
                 seconds, where = sign * stand.duration, stand.position
                 cause = "stop" if stand.station else "held"
-                found.append(Loss(seconds, cause, sections.names[number], number, where, where))
+                found.append((seconds, cause, sections.names[number], number, where, where))
     return found
 
 
 def _of_cells(
-    lost: FloatArray, causes: IntArray, nodes: FloatArray, sections: Sections
-) -> list[Loss]:
+    lost: FloatArray, causes: NDArray[np.object_], nodes: FloatArray, sections: Sections
+) -> pd.DataFrame:
     """Running time lost by section and cause."""
     section = np.clip(
         np.searchsorted(sections.edges, nodes[:-1], side="right") - 1, 0, sections.edges.size - 2
     )
-    names = list(CAUSES)
-    found = []
-    for number, cause in sorted(set(zip(section.tolist(), causes.tolist(), strict=True))):
-        cells = np.flatnonzero((section == number) & (causes == cause))
-        found.append(
-            Loss(
-                float(lost[cells].sum()),
-                names[cause],
-                sections.names[number],
-                int(number),
-                float(nodes[cells[0]]),
-                float(nodes[cells[-1] + 1]),
-            )
-        )
-    return found
+    cells = pd.DataFrame(
+        {"lost": lost, "cause": causes, "section": section, "first": nodes[:-1], "last": nodes[1:]}
+    )
+    found = cells.groupby(["section", "cause"], as_index=False).agg(
+        lost=("lost", "sum"), first=("first", "min"), last=("last", "max")
+    )
+    return found.assign(place=np.array(sections.names, dtype=object)[found["section"]])
 
 
-def _causes(mine: _Cells, other: _Cells, lost: FloatArray) -> IntArray:
-    """Number of the cause of each cell, in the order of `CAUSES`."""
-    number = {name: row for row, name in enumerate(CAUSES)}
+def _causes(mine: _Cells, other: _Cells, lost: FloatArray) -> NDArray[np.object_]:
+    """The cause of each cell, one of `CAUSES`."""
     slower = _smoothed(lost) > 0.0
-    causes = np.where(slower, number["slower"], number["faster"])
-    causes[slower & mine.full] = number["full effort"]
-    causes[~slower & other.full] = number["full effort"]
+    causes = np.where(slower, "slower", "faster").astype(object)
+    causes[slower & mine.full] = "full effort"
+    causes[~slower & other.full] = "full effort"
     for kind in ("slip", "limit", "held", "stop"):
         for each, against in ((other, mine), (mine, other)):
             for first, last in _events(kind, each, against):
-                causes[_stretch(first, last, each, against, back=kind != "slip")] = number[kind]
+                causes[_stretch(first, last, each, against, back=kind != "slip")] = kind
     for each in (mine, other):
         if "doubtful" in each.trip.flags:
             edges = mine.nodes
             places = each.trip.position[each.trip.flags["doubtful"]]
             before = each.trip.position[np.flatnonzero(each.trip.flags["doubtful"]) - 1]
             for low, high in zip(before.tolist(), places.tolist(), strict=True):
-                causes[(edges[1:] > low) & (edges[:-1] < high)] = number["recording"]
-    return causes.astype(np.int64)
+                causes[(edges[1:] > low) & (edges[:-1] < high)] = "recording"
+    return causes
 
 
 def _smoothed(lost: FloatArray) -> FloatArray:
@@ -888,20 +851,17 @@ class ComparedDirection:
 
     def losses(self) -> pd.DataFrame:
         """Time lost by trip, place and cause; the largest first, in SI units."""
-        rows = [
-            (each.name, loss.seconds, loss.cause, loss.place, loss.first, loss.last, loss.words)
-            for each in self.trips
-            if each.lost is not None
-            for loss in each.lost.losses
-        ]
         columns = ["trip", "lost", "cause", "place", "first", "last", "words"]
-        found = pd.DataFrame(rows, columns=columns)
+        every = [
+            each.lost.losses.assign(trip=each.name) for each in self.trips if each.lost is not None
+        ]
+        found = pd.concat(every)[columns] if every else pd.DataFrame(columns=columns)
         return found.sort_values("lost", ascending=False, kind="stable", ignore_index=True)
 
     def tables(self) -> list[WordTable]:
         """Trips, sections, losses, how it was driven."""
         found = [self.trips_table(), self.sections_table()]
-        if any(trip.lost is not None and trip.lost.losses for trip in self.trips):
+        if any(trip.lost is not None and len(trip.lost.losses) for trip in self.trips):
             found.append(self.losses_table())
         driven = [each.table[["coasting", "slips", "off_advised_speed"]] for each in self.trips]
         if pd.concat(driven).notna().any(axis=None):
