@@ -410,7 +410,8 @@ class Lost:
     def by_section(self, count: int) -> FloatArray:
         """Seconds of each of `count` sections, with the station where it ends."""
         section = self.losses["section"].to_numpy(np.int64)
-        return np.bincount(section.clip(0, count - 1), self.losses["lost"], minlength=count)
+        seconds = self.losses["lost"].to_numpy(np.float64)
+        return np.bincount(section.clip(0, count - 1), seconds, count).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,9 +132,9 @@ def _losses(trip: TripView, sections: Sections) -> tuple[list[dict[str, float]],
     common = CommonRange(*driven.covered, starts=True, ends=True)
     lost = lost_time(driven, reference, common, sections)
     rows = [dict.fromkeys(unknown, 0.0) for _ in range(count)]
-    for loss in lost.losses:
-        if loss.cause in LOST:
-            rows[loss.section][f"lost_{loss.cause.replace(' ', '_')}"] += loss.seconds
+    for section, cause, seconds in lost.losses[["section", "cause", "lost"]].to_numpy().tolist():
+        if cause in LOST:
+            rows[section][f"lost_{cause.replace(' ', '_')}"] += seconds
     times = np.diff(reference.at(reference.running, sections.edges))
     return rows, times.tolist()
 
