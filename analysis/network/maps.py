@@ -107,11 +107,11 @@ def edge_map_path(folder: str | Path, edge: str) -> Path:
     if earlier == path or not earlier.is_file():
         return path
     if path.is_file():
-        raise two_maps(edge, earlier, path)
+        raise _two_maps(edge, earlier, path)
     return earlier
 
 
-def two_maps(edge: str, first: Path, second: Path) -> InputError:
+def _two_maps(edge: str, first: Path, second: Path) -> InputError:
     """That two files of a folder are maps of one edge."""
     return InputError(
         f"edge '{edge}' has two maps, '{first.name}' and '{second.name}'",
@@ -220,15 +220,27 @@ def network_map(folder: str | Path) -> NetworkMap:
             file=place,
             remedy="add trips with 'trainlog map update LOGS --network NETWORK --map FOLDER'",
         )
-    network = _network_of(place)
-    maps: dict[str, TrackConditionMap] = {}
-    read: dict[str, Path] = {}
+    maps, problems = maps_in(files)
+    if problems:
+        raise problems[0]
+    return NetworkMap(place, _network_of(place), maps)
+
+
+def maps_in(files: Iterable[Path]) -> tuple[dict[str, TrackConditionMap], list[TrainlogError]]:
+    """The maps in files by edge, and what cannot be used: files, and edges with two maps."""
+    found: dict[str, TrackConditionMap | None] = {}
+    places, problems = dict[str, Path](), list[TrainlogError]()
     for path in files:
-        track = read_map(path)
-        if track.line in maps:
-            raise two_maps(track.line, read[track.line], path)
-        maps[track.line], read[track.line] = track, path
-    return NetworkMap(place, network, maps)
+        try:
+            track = read_map(path)
+        except TrainlogError as error:
+            problems.append(error)
+            continue
+        if track.line in places:
+            problems.append(_two_maps(track.line, places[track.line], path))
+        found[track.line] = None if track.line in places else track
+        places[track.line] = path
+    return {edge: track for edge, track in found.items() if track is not None}, problems
 
 
 def map_files(folder: Path) -> list[Path]:

@@ -27,7 +27,7 @@ from analysis.fleet.plot import (
 from analysis.fleet.trains import FleetTrains, trains_in
 from analysis.fleet.unlike import Step
 from analysis.fleet.update import form_of_reason
-from analysis.network.maps import NetworkMap, map_files, network_table, two_maps
+from analysis.network.maps import NetworkMap, map_files, maps_in, network_table
 from analysis.reports.answers import (
     SPEED_OFF,
     doubts,
@@ -38,7 +38,6 @@ from analysis.reports.answers import (
 from analysis.reports.page import Page, Part, Section, Still, Warned
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.mapfile import read_map
 from trainlog.presentation import (
     DURATION,
     NUMBER,
@@ -53,7 +52,7 @@ from trainlog.presentation import (
     word_table,
 )
 from trainlog.progress import note
-from trainlog.railway import Network, TrackConditionMap
+from trainlog.railway import Network
 from trainlog.units import JOULES_PER_KWH
 from trainlog.version import __version__, code_version
 
@@ -754,19 +753,7 @@ def known_maps(
         Only evidence of days before its day counts (UTC). Default: right after the last evidence.
     """
     paths = map_files(folder)
-    read, bad = dict[str, tuple[TrackConditionMap, Path]](), list[str]()
-    several = set[str]()
-    for path in paths:
-        try:
-            track = read_map(path)
-        except TrainlogError as error:
-            bad.append(f"{path.name} could not be read: {error}.")
-            continue
-        if track.line in read:
-            several.add(track.line)
-            bad.append(f"{two_maps(track.line, read[track.line][1], path)}; left out.")
-        read[track.line] = track, path
-    tracks = {edge: track for edge, (track, _) in read.items() if edge not in several}
+    tracks, problems = maps_in(paths)
     last = max((int(each.days.max(initial=-1)) for each in tracks.values()), default=-1)
     at = pd.Timestamp(last + 1, unit="D", tz="UTC") if at is None else at
     maps = NetworkMap(folder, network, tracks).known_before(at)
@@ -779,6 +766,7 @@ def known_maps(
     nothing = "" if tables else f"The maps hold no evidence{before} yet."
     if not paths:
         nothing = "No trip's evidence is in a map yet: 'trainlog fleet update' adds it."
+    bad = [f"Not used: {each}." for each in problems]
     return KnownMaps(maps, at, nothing, bad, pd.concat([*tables, pd.DataFrame()]))
 
 
