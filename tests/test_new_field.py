@@ -27,7 +27,7 @@ import trainlog
 from trainlog.formats.samples import sample
 from trainlog.ingest import ingest, propose_profile
 from trainlog.mcap.description import topics_table
-from trainlog.replay.curves import curves_of, panels_of
+from trainlog.replay.samples import curves_of, panels_of
 
 folder = Path(sys.argv[1])
 lines = sample("recorder.csv").read_text("utf-8").splitlines()[:1500]

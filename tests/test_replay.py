@@ -32,10 +32,8 @@ from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
 from trainlog.replay import ReplayOptions, write_replay
-from trainlog.replay.clock import clock_of
-from trainlog.replay.condition import CLASS_COLOURS
-from trainlog.replay.curves import CURVES
-from trainlog.replay.samples import Samples, broken, thinned
+from trainlog.replay.drawing import CLASS_COLOURS
+from trainlog.replay.samples import CURVES, Samples, broken, clock_of, thinned
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
 TIMELINES = {"time", "elapsed", "position_m"}

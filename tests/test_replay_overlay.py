@@ -17,9 +17,9 @@ from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import stream_log, write_log
 from trainlog.railway import LineReference
 from trainlog.replay import ReplayOptions, write_replay
-from trainlog.replay.clock import clock_of
-from trainlog.replay.overlay import OVERVIEW, extremes, thinned_trip, thinned_trips
 from trainlog.replay.recording import MOST_WHOLE
+from trainlog.replay.samples import clock_of
+from trainlog.replay.survey import OVERVIEW, extremes, thinned_trip, thinned_trips
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 

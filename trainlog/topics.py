@@ -89,7 +89,7 @@ class Drawn:
     ----------
     curve : str
         Panel and name, ``"efforts/demand"``; fields of a topic with the same curve are drawn
-        together. A panel that `trainlog.replay.curves` does not list is added below the others.
+        together. A panel that `trainlog.replay.samples` does not list is added below the others.
     legend : str
         With ``{}`` for the number of the axle or coupler, each of which then has its own colour.
     colour : str

@@ -17,12 +17,16 @@ import rerun.blueprint as rrb
 
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.replay.chart import Chart
-from trainlog.replay.clock import ELAPSED, POSITION, TIME
-from trainlog.replay.condition import COLOURS_IN_WORDS
-from trainlog.replay.curves import PANELS, PHASES, SPEEDS_SHOWN, Colour, Panel
-from trainlog.replay.overlay import BEHIND, SLOWER
-from trainlog.replay.samples import path_of
+from trainlog.replay.drawing import COLOURS_IN_WORDS, PHASE_LETTERS, Chart, Shown
+from trainlog.replay.samples import (
+    ELAPSED,
+    POSITION,
+    SPEEDS_SHOWN,
+    TIME,
+    Panel,
+    path_of,
+)
+from trainlog.replay.survey import BEHIND, SLOWER
 
 SHARED_AXIS = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 """Where Rerun keeps the time axis that linked plots share (its GLOBAL_VIEW_ID)."""
@@ -52,9 +56,6 @@ DIFFERENCES: dict[tuple[str, ...], int] = {OVERVIEW: 1, DRIVING: 2}
 NEEDED = {"traction": ("slip", "adhesion"), "identification": ("resistance",)}
 """A view of one trip is there if one of these panels is."""
 
-PHASE_LETTERS = {phase: phase[0].upper() for phase in PHASES}
-"""What stands in the blocks of the driving phases: many are too short for their names."""
-
 _NAMED = ", ".join(f"{letter} {phase}" for phase, letter in PHASE_LETTERS.items())
 
 LANES = {"kilometre": "kilometre", "phase": f"driving phase ({_NAMED})", "section": "section"}
@@ -65,54 +66,6 @@ LANE_HEIGHT, LANES_HEIGHT, COMMON_HEIGHT = 40.0, 56.0, 800.0
 
 MOST_NAMED = 12
 """With more trips over each other, a legend would cover the plot."""
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """What of a trip there is to show.
-
-    Attributes
-    ----------
-    name : str
-    root : str
-        Its entities lie below this path.
-    direction : str
-    line : str
-        Path of its line's entities; empty without a line.
-    colour : Colour
-        On the chart and where trips lie over each other.
-    entities : frozenset of str
-        Paths below `root` that hold data.
-    layer : str
-        Layer of the track-condition map under it; empty without one.
-    tops : dict of str to float
-        Upper end of each panel's axis, in its unit.
-    extent : (2, 2) array [deg] or None
-        Least and greatest latitude, least and greatest longitude; None without coordinates.
-    panels : tuple of Panel
-        The plots that it can have.
-    brief : bool
-        It has no views of its own: it is thinned, and lies over others.
-    reference : str
-        With what it is compared; empty if with nothing.
-    """
-
-    name: str
-    root: str
-    direction: str
-    line: str
-    colour: Colour
-    entities: frozenset[str]
-    layer: str
-    tops: dict[str, float]
-    extent: FloatArray | None
-    panels: tuple[Panel, ...] = PANELS
-    brief: bool = False
-    reference: str = ""
-
-    def shows(self, panel: str) -> bool:
-        """Whether there is anything below the panel's entity."""
-        return any(entity.partition("/")[0] == panel for entity in self.entities)
 
 
 @dataclass(frozen=True, eq=False)

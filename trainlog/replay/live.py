@@ -26,13 +26,10 @@ import rerun as rr
 from trainlog.errors import InputError
 from trainlog.formats.railway import line_of
 from trainlog.mcap.recorder import Recording
-from trainlog.replay.chart import chart_of
-from trainlog.replay.clock import Clock, nanoseconds
-from trainlog.replay.curves import TRIPS
-from trainlog.replay.drawing import Drawing, draw_line_of, each_second
+from trainlog.replay.drawing import Drawing, chart_of, draw_line_of, each_second
 from trainlog.replay.layout import Contents, blueprint
 from trainlog.replay.recording import APPLICATION
-from trainlog.replay.samples import largest_pulls
+from trainlog.replay.samples import TRIPS, Clock, largest_pulls
 from trainlog.replay.survey import Survey
 from trainlog.replay.viewer import (
     HOST,
@@ -44,7 +41,7 @@ from trainlog.replay.viewer import (
 )
 from trainlog.resampling import POSITION_SOURCES, known_rows, time_distance
 from trainlog.topics import GNSS_FIX, TRAIN_CONTROLS, TRAIN_STATE
-from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.trip import LINE_ATTACHMENT, Trip, nanoseconds
 
 WAITING = 20
 """Flushes of the recorder that may wait to be drawn."""

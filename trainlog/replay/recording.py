@@ -19,13 +19,27 @@ from trainlog.formats.files import atomic_write
 from trainlog.formats.railway import line_to_bytes
 from trainlog.progress import track
 from trainlog.railway import Line, TrackConditionMap, Trajectory
-from trainlog.replay.chart import chart_of
-from trainlog.replay.condition import check_line, observed, top_of
-from trainlog.replay.curves import TRIPS
-from trainlog.replay.drawing import Drawing, draw_line_of, draw_trajectory
+from trainlog.replay.drawing import (
+    Drawing,
+    chart_of,
+    check_line,
+    draw_line_of,
+    draw_trajectory,
+    observed,
+    top_of,
+)
 from trainlog.replay.layout import Contents, blueprint, check_view
-from trainlog.replay.overlay import group_of, references, thinned_trips
-from trainlog.replay.survey import Pieces, Survey, neighboured, pieces_of, survey
+from trainlog.replay.samples import TRIPS
+from trainlog.replay.survey import (
+    Pieces,
+    Survey,
+    group_of,
+    neighboured,
+    pieces_of,
+    references,
+    survey,
+    thinned_trips,
+)
 from trainlog.resampling import POSITION_SOURCES, known_rows
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import EARTH_RADIUS
