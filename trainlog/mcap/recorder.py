@@ -180,6 +180,7 @@ class Recording:
         self._path, self._flush, self._limit, self._sync = path, flush, queue, sync
         self._metadata, self._attachments = metadata, attachments
         self._lock = threading.Lock()
+        self._round = threading.RLock()
         self._due = threading.Event()
         self._closing = False
         self._failure: InputError | None = None
@@ -328,13 +329,16 @@ class Recording:
         return self._path
 
     def flush(self, timeout: float = 10.0) -> bool:
-        """Have what was given written now; whether it is in the file within so long [s]."""
+        """Have what was given written and observed now; whether it is in the file in time [s]."""
         deadline = clock.monotonic() + timeout
         while self.account().waiting and not (self._failure or self._closing):
             self._due.set()
             if clock.monotonic() > deadline:
                 return False
             clock.sleep(0.005)
+        # What is in the file is given to the observers in the same round.
+        if self._round.acquire(timeout=max(deadline - clock.monotonic(), 0.0)):
+            self._round.release()
         return not self.account().waiting
 
     def account(self) -> RecordingAccount:
@@ -477,9 +481,10 @@ class Recording:
                 rows, events = self._taken()
             try:
                 streams = self._streams(rows, events)
-                self._put(streams)
-                if self._observers and streams:
-                    self._show(streams, events)
+                with self._round:
+                    self._put(streams)
+                    if self._observers and streams:
+                        self._show(streams, events)
             except MemoryError:
                 self._fail(OSError(errno.ENOMEM, "out of memory"))
             except OSError as error:
