@@ -411,3 +411,24 @@ def test_a_step_among_lost_rows_and_swaps_is_found(tmp_path: Path, step: int) ->
     assert report_of(trip).counts["clock_step"] == np.count_nonzero(order < 730)
     found = trip["/train/state"].index.as_unit("ns").asi8
     assert np.array_equal(found, np.sort(run.time[order]))
+
+
+@pytest.mark.parametrize("step", [-12, -3, 5])
+def test_a_clock_that_was_set_while_rows_are_missing_is_put_right(
+    tmp_path: Path, step: int
+) -> None:
+    """Nothing but the way across a gap of 4 s shows by how much."""
+    layout = LAYOUTS[5]
+    run = drive("Chemnitz-Cranzahl", 10.0, 2000)
+    order = np.flatnonzero((np.arange(2000) < 730) | (np.arange(2000) >= 770))
+    kept = run.take(order)
+    path = tmp_path / layout.name
+    clock = kept.time - np.where(order < 730, step, 0) * 1_000_000_000
+    layout.write(path, kept, clock, distance("Chemnitz-Cranzahl", kept))
+    trip = ingest(path, profile=profile_of(table_profile({})))
+    assert report_of(trip).counts["clock_step"] == np.count_nonzero(order < 730)
+    found = trip["/train/state"].index.as_unit("ns").asi8
+    assert np.abs(found - kept.time).max() < 0.5e9
+    layout.write(path, kept, kept.time, distance("Chemnitz-Cranzahl", kept))
+    real = ingest(path, profile=profile_of(table_profile({})))
+    assert "clock_step" not in report_of(real).counts

@@ -86,12 +86,23 @@ ones back are of zones and dates."""
 HARDEST = 0.4
 """Acceleration and braking [m/s²] with which a train may have slowed down, and gone on, unseen."""
 
+BRAKING, STARTING = 1.2, 1.0
+"""The same of any train, and acceleration [m/s²] with which one may have become faster, and slower
+again."""
+
 WINDOWS = 2.0, 20.0
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
 after a gap has caught up within the longer one."""
 
 SMALLEST_STD = 0.2
 """Standard deviation [m] that no distance undercuts."""
+
+LEAP = 0.3
+"""Part of a step back by which the clock leaps on at least behind rows that were written late."""
+
+LEAST_SIZE, LONGEST_TAKEN = 2.0, 60.0
+"""A clock that was set while rows were missing is put right by a size of at least so many standard
+deviations, where they are missing no longer [s]."""
 
 LEAST_AROUND = 2
 """Rows, one a second, without another step that there must be on both sides."""
@@ -400,21 +411,42 @@ def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, boo
     seen = None if motion is None else motion.across(place)
     if seen is None or not -LARGEST[1] < late < LARGEST[0]:
         return 0.0, False
+    # Rows that were written late: behind them time leaps on to where it was before.
+    leaps = np.flatnonzero(rows.late[place + 1 :] > LEAP * abs(late)) + place + 2
+    if late < 0.0 and np.any(np.abs(rows.time[leaps] - rows.time[place]) < 2.5 * rows.period):
+        return 0.0, False
     excess, std, speed = seen
-    most = least = speed * late
-    if late > 0.0:
-        stops = late > 2.0 * speed / HARDEST
-        least = speed**2 / HARDEST if stops else most - 0.25 * HARDEST * late**2
+    most = speed * late
+    least = _least_way(speed, late, HARDEST) if late > 0.0 else most
     beside = np.maximum(np.maximum(least - excess, excess - most), 0.0)
     likelier = 0.5 * (beside**2 - excess**2) / std**2
     if np.any(np.abs(excess) > GATE * std):
-        # Where missing rows do not explain it either, both may have happened.
-        unseen = np.hypot(std, np.sqrt(LOSS_DENSITY * abs(late) ** 3 / 12.0))
-        return (late, False) if np.all(beside > GATE * unseen) else (0.0, False)
+        # Rows are missing, for as long as the way across the place takes. The clock was set besides
+        # where no train comes so far, or no further, in the time that is shown. A receiver that
+        # begins late after a gap has come less far, but never further.
+        ahead = max(late, 0.0)
+        most = speed * ahead + 0.25 * STARTING * ahead**2
+        least = _least_way(speed, ahead, BRAKING)
+        further, less = excess - most > GATE * std, least - excess > GATE * std
+        shown = further.any() or (late > 0.0 and less.all() and excess.min() > 0.0)
+        took = np.maximum(excess / speed, 0.0)
+        unsure = np.hypot(std, np.sqrt(LOSS_DENSITY * took**3 / 12.0)) / speed
+        best = int(np.argmin(unsure))
+        size = late - float(took[best])
+        sure = abs(size) > LEAST_SIZE * unsure[best] and took[best] < LONGEST_TAKEN
+        if not shown or abs(size) < LEAST_STEP:
+            return 0.0, False
+        return float(round(size)) if rows.whole else size, bool(sure)
     if np.min(likelier) <= 0.0:
         return 0.0, False
     # A file of whole seconds gives no others.
     return float(round(late)) if rows.whole else late, bool(np.max(likelier) > SURE)
+
+
+def _least_way(speed: float, lasts: float, braking: float) -> float:
+    """How far a train comes at least that brakes, may stand, and is as fast again [m]."""
+    brakes = min(lasts, 2.0 * speed / braking)
+    return speed * brakes - 0.25 * braking * brakes**2
 
 
 # ------------------------------------------------------------------ what the motion shows
@@ -459,6 +491,10 @@ class _Motion:
         if speed is None or places is None:
             return None
         known = np.flatnonzero(np.isfinite(speed) & np.isfinite(places))
+        if not signed:
+            # Fixes that a receiver holds while the train moves show no distance.
+            again = np.diff(places[known], prepend=np.nan) == 0.0
+            known = known[~(again & (speed[known] > MOVING))]
         if known.size < ENOUGH:
             return None
         passed = rows.late + rows.period
