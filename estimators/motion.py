@@ -11,7 +11,9 @@ targets, IEEE Trans. AES-6(4), eqs. (3)-(9).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,8 +37,8 @@ reflections that come and go."""
 WHEEL_ERROR_STD = 0.02
 """Standard deviation of the relative error of wheel speeds before it is known: worn wheels."""
 
-STATES = 6
-"""States of the model; see `motion_model`."""
+CHANNELS = ("position", "speed", "wheel_speed")
+"""What is measured."""
 
 NO_SPEED_STD = 50.0
 """Standard deviation of the speed [m/s] before the first sample."""
@@ -51,15 +53,13 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """How a train moves, and how long errors of its measurements last.
+    """How a train moves.
 
     Attributes
     ----------
     acceleration_std : float [m/s²]
     acceleration_time : float [s]
         Over which the acceleration stays alike.
-    position_time, speed_time : float [s]
-        Correlation times of the parts of the position's and the speed's errors that last.
     drift : float [m/√s]
         Random walk of the position beyond the integral of the speed.
     unmeasured : (n,) array or None [1]
@@ -69,10 +69,26 @@ class MotionModel:
 
     acceleration_std: float = ACCELERATION_STD
     acceleration_time: float = ACCELERATION_TIME
-    position_time: float = LASTING_TIME
-    speed_time: float = LASTING_TIME
     drift: float = 0.0
     unmeasured: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LastingError:
+    """A part of a measurement's error that lasts: a first-order Markov process.
+
+    Attributes
+    ----------
+    std : float or (n,) array [unit of the measurement]
+    time : float [s]
+        Correlation time; infinite for an error that never changes.
+    of : {"position", "speed", "wheel_speed"}
+        The measurement.
+    """
+
+    std: ArrayLike
+    time: float = LASTING_TIME
+    of: Literal["position", "speed", "wheel_speed"] = "position"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +121,7 @@ def smooth_motion(
     position: ArrayLike | None = None,
     position_std: ArrayLike | None = None,
     *,
-    lasting_std: ArrayLike | None = None,
-    lasting_speed_std: ArrayLike | None = None,
+    errors: Sequence[LastingError] = (),
     wheel_speed: ArrayLike | None = None,
     wheel_speed_std: ArrayLike | None = None,
     model: MotionModel | None = None,
@@ -114,8 +129,7 @@ def smooth_motion(
     """Smooth measured speed, and position where there is one, over a whole trip.
 
     The motion is modelled as position, speed and a first-order Markov acceleration (Singer); the
-    noise of the measurements as white. Beside its white noise the position may have an error that
-    lasts, a first-order Markov process, and so may the speed; beside theirs the wheels may have an
+    noise of the measurements as white. Beside it they may have errors that last, and the wheels an
     unknown diameter. NaN marks a missing measurement; through an outage the model carries on and
     the standard deviations grow.
 
@@ -128,10 +142,7 @@ def smooth_motion(
     position : (n,) array [m], optional
     position_std : float or (n,) array [m], optional
         Needed with `position`.
-    lasting_std : float or (n,) array [m], optional
-        Of the part of the position's error that lasts.
-    lasting_speed_std : float or (n,) array [m/s], optional
-        Of the part of the speed's error that lasts.
+    errors : sequence of LastingError, optional
     wheel_speed : (n,) array [m/s], optional
         A second speed, wrong by a constant factor of 1 with a standard deviation of
         `WHEEL_ERROR_STD`.
@@ -159,16 +170,21 @@ def smooth_motion(
     14.99 ± 0.06 m/s
     """
     instants = _checked_times(time)
-    channels = (
-        ("position", position, position_std),
-        ("speed", speed, speed_std),
-        ("wheel_speed", wheel_speed, wheel_speed_std),
+    given = ((position, position_std), (speed, speed_std), (wheel_speed, wheel_speed_std))
+    values, variances = _checked(instants, given)
+    model = MotionModel() if model is None else model
+    lasting = list(errors)
+    if wheel_speed is not None:
+        # w = v / (1 - k) is linear in speed and error: w = v + w k.
+        lasting.append(LastingError(WHEEL_ERROR_STD * values[:, 2], np.inf, "wheel_speed"))
+    transition, noise = motion_model(np.diff(instants, prepend=instants[0]), model, lasting)
+    observed = np.zeros((instants.size, 3, 3 + len(lasting)))
+    observed[:, 0, 0] = observed[:, 1, 1] = observed[:, 2, 1] = 1.0
+    for state, error in enumerate(lasting, 3):
+        observed[:, CHANNELS.index(error.of), state] = np.nan_to_num(np.asarray(error.std))
+    found = LinearGaussian(transition, noise, observed).smooth(
+        values, variances, *_start(values, model, len(lasting), position is not None)
     )
-    values, variances = _checked(instants, channels)
-    motion = MotionModel() if model is None else model
-    transition, noise = motion_model(np.diff(instants, prepend=instants[0]), motion)
-    series = LinearGaussian(transition, noise, _observed(values, lasting_std, lasting_speed_std))
-    found = series.smooth(values, variances, *_start(values, motion, position is not None))
     means, deviations = found.means, found.std
     return SmoothedMotion(
         position=means[:, 0],
@@ -177,7 +193,7 @@ def smooth_motion(
         speed_std=deviations[:, 1],
         acceleration=means[:, 2],
         acceleration_std=deviations[:, 2],
-        wheel_error=float(means[-1, 4]),
+        wheel_error=0.0 if wheel_speed is None else WHEEL_ERROR_STD * float(means[-1, -1]),
     )
 
 
@@ -196,12 +212,12 @@ def _checked_times(time: ArrayLike) -> FloatArray:
 
 
 def _checked(
-    instants: FloatArray, channels: tuple[tuple[str, ArrayLike | None, ArrayLike | None], ...]
+    instants: FloatArray, given: Sequence[tuple[ArrayLike | None, ArrayLike | None]]
 ) -> tuple[FloatArray, FloatArray]:
     """Measurements (n, 3), NaN where there is none, and their variances (n, 3)."""
-    values = np.full((instants.size, len(channels)), np.nan)
-    variances = np.ones((instants.size, len(channels)))
-    for column, (name, value, std) in enumerate(channels):
+    values = np.full((instants.size, len(CHANNELS)), np.nan)
+    variances = np.ones((instants.size, len(CHANNELS)))
+    for column, (name, (value, std)) in enumerate(zip(CHANNELS, given, strict=True)):
         if (value is None) != (std is None):
             raise InputError(f"smoothing: {name} and {name}_std belong together")
         if value is None or std is None:
@@ -223,50 +239,34 @@ def _checked(
     return values, variances
 
 
-def _observed(
-    values: FloatArray, lasting_std: ArrayLike | None, lasting_speed_std: ArrayLike | None
-) -> FloatArray:
-    """What of the state each measurement shows, (n, 3, `STATES`)."""
-    observed = np.zeros((values.shape[0], 3, STATES))
-    observed[:, 0, 0] = observed[:, 1, 1] = observed[:, 2, 1] = 1.0
-    if lasting_std is not None:
-        observed[:, 0, 3] = np.nan_to_num(np.asarray(lasting_std, dtype=np.float64))
-    if lasting_speed_std is not None:
-        observed[:, 1, 5] = np.nan_to_num(np.asarray(lasting_speed_std, dtype=np.float64))
-    # w = v / (1 - k) is linear in speed and error: w = v + w k.
-    observed[:, 2, 4] = np.nan_to_num(values[:, 2])
-    return observed
-
-
 def _start(
-    values: FloatArray, motion: MotionModel, has_position: bool
+    values: FloatArray, model: MotionModel, errors: int, has_position: bool
 ) -> tuple[FloatArray, FloatArray]:
     """State and covariance before the first sample, weak unless position is only relative."""
     known = values[np.isfinite(values[:, 0]), 0]
     first = float(known[0]) if known.size else 0.0
     position_std = NO_POSITION_STD if has_position else 1e-3
-    acceleration_std = motion.acceleration_std
-    deviations = [position_std, NO_SPEED_STD, acceleration_std, 1.0, WHEEL_ERROR_STD, 1.0]
-    return np.array([first, *[0.0] * (STATES - 1)]), np.diag(np.square(deviations))
+    deviations = [position_std, NO_SPEED_STD, model.acceleration_std] + errors * [1.0]
+    return np.array([first] + (2 + errors) * [0.0]), np.diag(np.square(deviations))
 
 
 def motion_model(
-    steps: FloatArray, model: MotionModel | None = None
+    steps: FloatArray, model: MotionModel | None = None, errors: Sequence[LastingError] = ()
 ) -> tuple[FloatArray, FloatArray]:
     """Transition and process noise over each step.
 
-    The state is position [m], speed [m/s], acceleration [m/s²], and three errors of measurements
-    that last: of the position over its standard deviation, of the wheels over the speed they show,
-    of the speed over its standard deviation.
+    The state is position [m], speed [m/s], acceleration [m/s²], and each error that lasts over its
+    standard deviation.
 
     Parameters
     ----------
     steps : (n,) array [s]
     model : MotionModel, optional
+    errors : sequence of LastingError, optional
 
     Returns
     -------
-    transition, process_noise : (n, 6, 6) array
+    transition, process_noise : (n, d, d) array
 
     Examples
     --------
@@ -276,17 +276,16 @@ def motion_model(
     array([1.   , 1.   , 0.468])
     """
     motion = MotionModel() if model is None else model
-    transition, noise = np.zeros((2, steps.size, STATES, STATES))
+    transition, noise = np.zeros((2, steps.size, 3 + len(errors), 3 + len(errors)))
     # A recorder's steps are few different ones.
     different, which = np.unique(steps, return_inverse=True)
     transition[:, :3, :3], noise[:, :3, :3] = (part[which] for part in _singer(different, motion))
     if motion.unmeasured is not None:
         noise[:, :3, :3] *= motion.unmeasured[:, None, None]
     noise[:, 0, 0] += motion.drift**2 * steps
-    for state, time in ((3, motion.position_time), (5, motion.speed_time)):
-        transition[:, state, state] = np.exp(-steps / time)
-        noise[:, state, state] = -np.expm1(-2.0 * steps / time)
-    transition[:, 4, 4] = 1.0
+    for state, error in enumerate(errors, 3):
+        transition[:, state, state] = np.exp(-steps / error.time)
+        noise[:, state, state] = -np.expm1(-2.0 * steps / error.time)
     return transition, noise
 
 

@@ -4,14 +4,17 @@ The hidden variable is the *age* of a fix: a fix at time t shows the place at t 
 that measures has age 0; one that holds its place grows older by a second a second; one that works
 off what it kept while it saw no sky begins as old as the gap was long, and either stays so or
 catches up; one that filters is late by some seconds that change slowly. With the integral D of a
-speed the place at t - age is known but for an offset,
+speed, or D growing evenly at the usual speed where none is measured,
 
-    c[i] = D(t[i] - age[i]) + b[i] + v[i],
+    c[i] = D(s[i]) + b(s[i]) + v[i],  s[i] = t[i] - age[i],  db = w ds + walk.
 
-whose offset b walks as the integral errs. `receiver_states` finds the sequence of ages that is the
-most probable: Viterbi's algorithm over whole seconds of age and three phases (steady, catching up,
-off), each path with its own Kalman filter of b. Where the positions are off and b is the same
-afterwards, the positions were wrong; where b is another one, the speed was.
+The offset b walks as the integral errs; its rate w, by how much the train is faster than usual, is
+a first-order Markov process, and 0 where a speed is measured. `receiver_states` finds the sequence
+of ages that is the most probable: Viterbi's algorithm over whole seconds of age and four phases
+(steady, catching up, off, back), each path with its own Kalman filter of b and w that runs in the
+time s that is shown. Where the positions are off and b is the same afterwards, the positions were
+wrong; where b is another one, the speed was. A path that comes back from wrong places is kept
+beside the one that was never off until it knows its rate.
 
 `lateness` is for receivers that are late throughout: age is a slow Markov process then, c is linear
 in it, and the likelihoods of a late receiver and of one that is not decide which it is.
@@ -40,30 +43,31 @@ SPACING = 2.0
 """Time [s] within which one fix is judged for all."""
 
 INDEPENDENT = 10.0
-"""Time [s] after which errors of positions are independent; closer fixes count as a part of one."""
+"""Time [s] after which errors of positions are independent; closer fixes count as a part of one,
+but for how far the train came between them."""
 
-LEAST_GAP = 4.0
-"""Gap [s] after which a receiver may replay what it kept."""
+LEAST_GAP, LEAST_STEPS = 4.0, 1.8
+"""Gap [s], and in usual steps, after which a receiver may replay what it kept."""
 
 WALK = 1.0
 """Random walk of the integral of a speed that is good [m²/s]."""
 
-REPLAY, RETURN, CATCH_UP, DRIFT, LEAP, WRONG, DOUBT = 5.0, 5.0, 3.0, 4.0, 14.0, 6.0, 8.0
+REPLAY, RETURN, CATCH_UP, DRIFT, LEAP, WRONG, DOUBT = 5.0, 5.0, 3.0, 4.0, 14.0, 6.0, 16.0
 """How improbable (minus the logarithm) it is that a receiver begins to replay after a gap, returns
 to measuring, begins to catch up, becomes a second older or younger, shows any other age all at
-once, shows wrong places, and that the speed was wrong meanwhile."""
+once, shows wrong places (of fixes that count in full), and that the speed was wrong meanwhile."""
 
 OTHER = 4.0
 """The same, on top of `REPLAY`, of an age that is not that of the gap."""
 
-OLD_RATE, CATCHING_RATE, WRONG_RATE = 0.01, 0.05, 0.3
+OLD_RATE, CATCHING_RATE, WRONG_RATE = 0.01, 0.05, 0.35
 """The same, a second [1/s], of going on to show old, younger and wrong places."""
 
 FASTEST = 3
 """Seconds of age that a receiver makes up for in a second: it replays four times as fast."""
 
 UNSURE, OUTLIER = 2.0, 10.0
-"""What a fix costs at most where it is not known where it should be, and where it is elsewhere."""
+"""What a fix costs at most where it is not known where it should be; what makes it a wrong one."""
 
 DOUBTED_STD = 3_000.0
 """Standard deviation [m] of what a wrong speed changes the offset by."""
@@ -74,7 +78,7 @@ SURE_OFFSET = 200.0
 BEAM = 30.0
 """Paths that are so much less probable than the best one are given up."""
 
-STEADY, CATCHING, OFF = 0, 1, 2
+STEADY, CATCHING, OFF, BACK, PHASES = 0, 1, 2, 3, 4
 
 LATE, LATE_STD, LATE_TIME = 3.0, 3.0, 600.0
 """Mean, standard deviation and correlation time of the lateness of a late receiver [s]."""
@@ -118,6 +122,8 @@ def receiver_states(
     std: FloatArray,
     driven: FloatArray,
     unsure: FloatArray,
+    speed_std: float = 0.0,
+    speed_time: float = 1.0,
 ) -> ReceiverStates:
     """The most probable ages of fixes, with the distance driven by a speed.
 
@@ -133,6 +139,9 @@ def receiver_states(
         Integral of the speed.
     unsure : (n,) array [m²]
         Variance of that since the first row, growing, where the speed is missing.
+    speed_std, speed_time : float [m/s], [s]
+        Where no speed was measured: how much the train's departs from that of `driven`, and for
+        how long it stays alike.
 
     Examples
     --------
@@ -147,6 +156,13 @@ def receiver_states(
     >>> found = receiver_states(time, along, np.full(300, 4.0), driven, np.zeros(300))
     >>> found.age[[99, 130, 160, 189, 190]]
     array([ 0, 30, 30, 30,  0])
+
+    The same without a speed, but for the usual one of 15 m/s:
+
+    >>> even, std, none = 15.0 * time, np.full(300, 4.0), np.zeros(300)
+    >>> found = receiver_states(time, along, std, even, none, speed_std=7.0, speed_time=20.0)
+    >>> found.age[[99, 130, 160, 189, 190]]
+    array([ 0, 30, 30, 30,  0])
     """
     none = np.zeros(seconds.size, dtype=np.int64)
     known = np.flatnonzero(np.isfinite(along))
@@ -156,14 +172,14 @@ def receiver_states(
     rows = known[first]
     apart = np.diff(seconds[rows], prepend=seconds[rows[0]])
     usual = float(np.median(apart))
-    gap = np.where(apart > max(LEAST_GAP, 2.5 * usual), apart, 0.0)
+    gap = np.where(apart > max(LEAST_GAP, LEAST_STEPS * usual), apart, 0.0)
     weight = np.minimum(np.maximum(apart, SPACING) / INDEPENDENT, 1.0)
     even = np.arange(0.0, seconds[-1] + 2.0)
     distance, variance = (np.interp(even, seconds, each) for each in (driven, unsure))
     count = int(min(OLDEST, max(float(gap.max()) + 5.0, 12.0)))
     age, phase, doubtful = _best_path(
         seconds[rows], along[rows], std[rows] ** 2, weight, gap, distance,
-        variance + WALK * even, count,
+        variance + WALK * even, speed_std, speed_time, count,
     )  # fmt: skip
     # Each fix is in the state of the last one that was judged.
     owner = np.maximum(np.searchsorted(rows, known, side="right") - 1, 0)
@@ -263,6 +279,7 @@ def _sources(
     phase: int,
     step: float,
     gap: float,
+    weight: float,
     cost: FloatArray,
     likeliest: int,
     limit: float,
@@ -271,48 +288,54 @@ def _sources(
 ) -> int:
     """From which states one is reached, and for what; how many there are.
 
-    State ``3 age + phase``; a path whose offset is another one begins with a source below 0.
+    State ``4 age + phase``; a path whose offset is another one begins with a source below 0.
     """
     found = 0
-    count = cost.size // 3
+    count = cost.size // PHASES
+    own = PHASES * age
     replay = REPLAY if age > gap - 4.0 else REPLAY + OTHER
     replays = gap > 0.0 and age <= gap + 3.0
     seconds = int(np.round(step))
+    if phase in (STEADY, BACK):
+        source[0], price[0] = own + phase, 0.0
+        source[1], price[1] = own + (CATCHING if phase == STEADY else OFF), 0.0
+        source[2], price[2] = (own + BACK, 0.0) if phase == STEADY else (-1 - (own + OFF), DOUBT)
+        found = 3
     if phase == STEADY:
-        for before in range(3):
-            source[found], price[found] = 3 * age + before, 0.0
-            found += 1
-        source[found], price[found] = -1 - (3 * age + OFF), DOUBT
-        found += 1
         for other in (age - 1, age + 1):
             if 0 <= other < count:
-                source[found], price[found] = 3 * other, DRIFT
+                source[found], price[found] = PHASES * other, DRIFT
                 found += 1
-        source[found] = likeliest
-        price[found] = RETURN if age == 0 else (replay if replays else LEAP)
-        found += 1
-    elif phase == CATCHING:
-        if seconds <= 3:
-            for more in range(0, FASTEST * max(seconds, 1) + 1):
-                if age + more >= count:
-                    break
-                source[found], price[found] = 3 * (age + more) + CATCHING, CATCHING_RATE * step
-                found += 1
-                if more:
-                    source[found], price[found] = 3 * (age + more), CATCH_UP
+        if age == 0:
+            for other in range(1, count):
+                for before in (STEADY, CATCHING, BACK):
+                    source[found], price[found] = PHASES * other + before, RETURN
                     found += 1
+        else:
+            source[found], price[found] = likeliest, replay if replays else LEAP
+            found += 1
+    elif phase == CATCHING:
+        for more in range(0, FASTEST * max(seconds, 1) + 1):
+            if age + more >= count:
+                break
+            before = own + PHASES * more
+            source[found], price[found] = before + CATCHING, CATCHING_RATE * step
+            found += 1
+            if more:
+                source[found], price[found] = before, CATCH_UP
+                found += 1
         if seconds > 0 and age >= seconds:
             for before in (STEADY, CATCHING):
-                source[found], price[found] = 3 * (age - seconds) + before, DRIFT
+                source[found], price[found] = own - PHASES * seconds + before, DRIFT
                 found += 1
         if replays and age > 0:
             source[found], price[found] = likeliest, replay + 1.0
             found += 1
-    else:
-        for before in (STEADY, CATCHING):
-            source[found], price[found] = 3 * age + before, WRONG
+    elif phase == OFF:
+        for before in (STEADY, CATCHING, BACK):
+            source[found], price[found] = own + before, WRONG * weight
             found += 1
-        source[found], price[found] = 3 * age + OFF, WRONG_RATE * step
+        source[found], price[found] = own + OFF, WRONG_RATE * step
         found += 1
     kept = 0
     for k in range(found):
@@ -332,35 +355,39 @@ def _best_path(
     gap: FloatArray,
     driven: FloatArray,
     unsure: FloatArray,
+    speed_std: float,
+    speed_time: float,
     count: int,
 ) -> IntArray:
-    """Age, phase, and whether the speed was wrong, of each fix on the best path, (3, n)."""
-    n, states = seconds.size, 3 * count
+    """Age, phase, and whether the speed was wrong, of each fix on the best path, (3, n).
+
+    Of each path: the time that was last shown, offset, rate, and their covariance (00, 01, 11).
+    """
+    n, states = seconds.size, PHASES * count
     before = np.full((n, states), -1, dtype=np.int32)
     doubts = np.zeros((n, states), dtype=np.bool_)
-    cost, offset, spread, shown = (
-        np.zeros(states), np.zeros(states), np.zeros(states), np.zeros(states)
-    )  # fmt: skip
-    next_cost, next_offset, next_spread, next_shown = (
-        np.zeros(states), np.zeros(states), np.zeros(states), np.zeros(states)
-    )  # fmt: skip
-    source, price = np.zeros(64, dtype=np.int64), np.zeros(64)
+    cost, next_cost = np.zeros(states), np.zeros(states)
+    paths, next_paths = np.zeros((states, 6)), np.zeros((states, 6))
+    source, price = np.zeros(2 * states, dtype=np.int64), np.zeros(2 * states)
     for state in range(states):
         cost[state] = np.inf
-        if state % 3 == STEADY:
+        if state % PHASES == STEADY:
             cost[state] = 0.0 if state == 0 else 8.0
-            shown[state] = seconds[0] - state // 3
-            offset[state] = along[0] - _at(driven, shown[state])
-            spread[state] = variance[0]
+            here = seconds[0] - state // PHASES
+            paths[state, 0], paths[state, 1] = here, along[0] - _at(driven, here)
+            paths[state, 3] = variance[0]
+            paths[state, 5] = speed_std**2
     for i in range(1, n):
         step = seconds[i] - seconds[i - 1]
         likeliest = int(np.argmin(cost))
         limit = cost[likeliest] + BEAM
         for state in range(states):
             next_cost[state] = np.inf
-            age, phase = state // 3, state % 3
+            age, phase = state // PHASES, state % PHASES
             here = seconds[i] - age
-            found = _sources(age, phase, step, gap[i], cost, likeliest, limit, source, price)
+            found = _sources(
+                age, phase, step, gap[i], np.sqrt(weight[i]), cost, likeliest, limit, source, price
+            )
             for k in range(found):
                 loose = source[k] < 0
                 origin = -1 - source[k] if loose else source[k]
@@ -368,50 +395,70 @@ def _best_path(
                 if total >= next_cost[state]:
                     continue
                 if phase == OFF:
-                    next_cost[state], next_offset[state] = total, offset[origin]
-                    next_spread[state], next_shown[state] = spread[origin], shown[origin]
+                    next_cost[state], next_paths[state] = total, paths[origin]
                     before[i, state], doubts[i, state] = origin, False
                     continue
+                since, offset, rate, spread, shared, rate_spread = paths[origin]
                 # The place that is shown does not go back in time.
-                if here < shown[origin] - 0.5:
+                if here < since - 0.5:
                     continue
                 own = variance[i]
                 if phase == CATCHING:
                     # Ages between whole seconds.
-                    own += (_at(driven, here + 0.5) - _at(driven, here - 0.5)) ** 2 / 12.0
-                grown = max(_at(unsure, here) - _at(unsure, shown[origin]), 0.0)
-                prior = spread[origin] + grown + (DOUBTED_STD**2 if loose else 0.0)
-                innovation = along[i] - _at(driven, here) - offset[origin]
-                both = prior + own
+                    pace = _at(driven, here + 0.5) - _at(driven, here - 0.5) + rate
+                    own += pace**2 / 12.0
+                lasts = max(here - since, 0.0)
+                spread += max(_at(unsure, here) - _at(unsure, since), 0.0)
+                if speed_std > 0.0:
+                    keep = np.exp(-lasts / speed_time)
+                    way = speed_time * (1.0 - keep)
+                    offset += way * rate
+                    rate *= keep
+                    spread += way * (2.0 * shared + way * rate_spread)
+                    spread += speed_std**2 * (2.0 * speed_time * (lasts - way) - way**2)
+                    shared = (
+                        keep * (shared + way * rate_spread) + (speed_std * way) ** 2 / speed_time
+                    )
+                    rate_spread = keep**2 * rate_spread + speed_std**2 * (1.0 - keep**2)
+                # An offset, or a rate, that is hardly known is not known to be the same.
+                measured = speed_std == 0.0
+                if origin % PHASES == OFF and measured and not loose and spread > SURE_OFFSET**2:
+                    continue
+                if origin % PHASES == BACK and phase == STEADY and 2.0 * rate_spread > speed_std**2:
+                    continue
+                if loose:
+                    spread += DOUBTED_STD**2
+                innovation = along[i] - _at(driven, here) - offset
+                both = spread + own
                 misfit = 0.5 * innovation**2 / both
-                # A single fix may be off, but not the one that shows another state.
-                if misfit >= OUTLIER and origin != state:
+                if misfit >= OUTLIER:
                     continue
-                # An offset that was hardly known before is not known to be the same.
-                if origin % 3 == OFF and not loose and prior > SURE_OFFSET**2:
-                    continue
-                total += weight[i] * (
-                    min(misfit, OUTLIER) + min(0.5 * np.log(both / variance[i]), UNSURE)
-                )
+                # Errors of close fixes are alike, how far a train came between them is not.
+                counts = weight[i] + (1.0 - weight[i]) * (spread / both) ** 2
+                total += counts * misfit
+                total += weight[i] * min(0.5 * np.log(both / variance[i]), UNSURE)
                 if total >= next_cost[state]:
                     continue
-                gain = prior / both if misfit < OUTLIER else 0.0
                 next_cost[state] = total
-                next_offset[state] = offset[origin] + gain * innovation
-                next_spread[state] = (1.0 - gain) * prior
-                next_shown[state] = max(here, shown[origin])
+                path = next_paths[state]
+                path[0], path[1], path[2] = max(here, since), offset, rate
+                path[3], path[4], path[5] = spread, shared, rate_spread
+                gain, rate_gain = spread / both, shared / both
+                path[1] += gain * innovation
+                path[2] += rate_gain * innovation
+                path[3] -= gain * spread
+                path[4] -= gain * shared
+                path[5] -= rate_gain * shared
                 before[i, state], doubts[i, state] = origin, loose
         cost, next_cost = next_cost, cost
-        offset, next_offset = next_offset, offset
-        spread, next_spread = next_spread, spread
-        shown, next_shown = next_shown, shown
-    path = np.zeros((3, n), dtype=np.int64)
+        paths, next_paths = next_paths, paths
+    found = np.zeros((3, n), dtype=np.int64)
     state = int(np.argmin(cost))
     doubting = True
     for i in range(n - 1, -1, -1):
-        path[0, i], path[1, i] = state // 3, state % 3
-        path[2, i] = doubting and state % 3 == OFF
-        if state % 3 != OFF:
+        found[0, i], found[1, i] = state // PHASES, state % PHASES
+        found[2, i] = doubting and state % PHASES == OFF
+        if state % PHASES != OFF:
             doubting = doubts[i, state]
         state = before[i, state]
-    return path
+    return found

@@ -210,6 +210,8 @@ FIELD = {
     "extrapolated fixes": Field(extrapolated=8.0),
     "held fixes": Field(places="held"),
     "replayed fixes": Field(places="replayed"),
+    "replayed fixes, no speed": Field(places="replayed", speed="none"),
+    "held fixes, no speed": Field(places="held", speed="none"),
     "jumping fixes": Field(places="jumping"),
     "a phone that replays": Field(
         noise=8.0, stated=0.5, speed="replayed", speed_stated=0.0, places="replayed"
@@ -252,7 +254,9 @@ def test_bands_hold_whatever_the_receiver_does(
     for quantity, sums in found.items():
         error, std = (np.concatenate(part) for part in zip(*sums, strict=True))
         held = np.mean(np.abs(error) <= 1.96 * std)
-        assert held >= 0.88, f"{quantity}: the band holds {held:.1%}"
+        # Of one fix in 11 s, without a speed, not every replay is seen.
+        least = 0.8 if name == "replayed fixes, no speed" and interval > 1.0 else 0.88
+        assert held >= least, f"{quantity}: the band holds {held:.1%}"
         if quantity == "position":
             assert np.median(np.abs(error)) < 10.0
 
@@ -270,6 +274,34 @@ def test_fixes_that_are_late_are_brought_forward(interval: float, field_rides: l
         assert np.mean(np.abs(error) <= 1.96 * std) > 0.6
         assert float(found.metadata["receiver.lateness"]) > 1.0
         assert any("brought forward" in finding.note for finding in found.findings)
+
+
+@pytest.mark.parametrize("speed", ["good", "none"])
+def test_replayed_fixes_count_where_they_were_measured(
+    speed: str, field_rides: list[tuple]
+) -> None:
+    """After 40 s without sky a receiver shows the way of these 40 s, as late, for two minutes."""
+    track, run = field_rides[0]
+    quiet = Field(outages=0.0, reflections=0.0, speed=speed)
+    trip, truth = receive(track, run, quiet, 5)
+    fix = trip["/gnss/fix"].copy()
+    time = (fix.index - fix.index[0]).total_seconds().to_numpy()
+    begin, lost = 150.0, 40.0
+    late = (time >= begin + lost) & (time < begin + lost + 120.0)
+    for name in ("latitude", "longitude"):
+        values = fix[name].to_numpy(copy=True)
+        values[late] = np.interp(time[late] - lost, time, values)
+        fix[name] = values
+    seen = (time < begin) | (time >= begin + lost)
+    topics = {name: frame[seen] for name, frame in {**trip.topics, "/gnss/fix": fix}.items()}
+    found = estimated(Trip(topics, trip.metadata), track)
+    assert found.frame is not None
+    error, std = errors(found.frame, truth, "position")
+    unseen = slice(int(begin), int(begin + lost + 120.0))
+    assert np.median(np.abs(error[unseen])) < 10.0, "what was replayed shows the way"
+    assert np.mean(np.abs(error) <= 1.96 * std) >= 0.9
+    count = sum(f.count for f in found.findings if f.rule == "off_line")
+    assert count >= 0.9 * np.count_nonzero(late)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -412,7 +444,8 @@ def test_fixes_that_come_late_widen_the_band_along_the_line(field_rides: list[tu
     found = estimated(Trip({"/gnss/fix": fix}, trip.metadata), track)
     good = estimated(trip, track)
     assert found.frame is not None
-    assert float(found.metadata["receiver.along_std"]) > 50.0
+    # Some of them are found to be wrong; the others widen the band.
+    assert float(found.metadata["receiver.along_std"]) > 30.0
     assert float(good.metadata.get("receiver.along_std", 0.0)) < 20.0
     for quantity in ("position", "speed"):
         error, std = errors(found.frame, truth, quantity)

@@ -404,7 +404,9 @@ def _matched(one: _Pass, geometry: Geometry, *, gated: bool) -> _Pass:
     # Fixes of a train that stands at the line's end scatter beyond it; the line ends where it is.
     kept = np.isfinite(matched.chainage)
     reached = matched.motion.position[kept]
-    chainage = np.clip(matched.chainage, reached.min(), reached.max())
+    # Replayed fixes count at other rows there.
+    own = np.where(np.isfinite(one.points), matched.chainage, np.nan)
+    chainage = np.clip(own, reached.min(), reached.max())
     if backwards:
         chainage = length - chainage
     return replace(one, matched=matched, chainage=chainage)

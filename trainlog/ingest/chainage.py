@@ -21,6 +21,7 @@ from estimators.matching import EdgeGraph, LeftOut, best_chain, distances
 from estimators.motion import (
     ACCELERATION_TIME,
     LASTING_TIME,
+    LastingError,
     MotionModel,
     SmoothedMotion,
     smooth_motion,
@@ -37,12 +38,12 @@ from estimators.receiver import (
     structure,
     white_noise,
 )
-from estimators.receiver_states import SPACING, lateness, receiver_states
+from estimators.receiver_states import SPACING, ReceiverStates, lateness, receiver_states
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.errors import InputError
 from trainlog.ingest.clock import Result
 from trainlog.ingest.matching import GEOMETRY_STD, EdgeTracks, edge_nodes, rough_noise
-from trainlog.ingest.motion import ENOUGH, GATE, MOVING, POSITION, held, scale_of
+from trainlog.ingest.motion import ENOUGH, GATE, MOVING, POSITION, covered, held, rate_of, scale_of
 from trainlog.ingest.profile import Profile, Quantity
 from trainlog.ingest.receiver import (
     LOSS_DENSITY,
@@ -90,6 +91,12 @@ OLDEST = 12.0
 
 REPLAYED = 3
 """Age [s] from which on a fix of a receiver that is not late throughout is an old one."""
+
+AGE_STD, AGE_TIME = 3.0, 60.0
+"""Standard deviation of the age of an old fix [s], and for how long its error lasts [s]."""
+
+STEADY = 0.1
+"""Change of the age of a fix [s/s] up to which its receiver does not catch up."""
 
 ELSEWHERE = 50.0
 """Misfit of line and fixes [m] from which on places along the line show nothing of a receiver."""
@@ -163,7 +170,8 @@ class OnLine:
     aside, judged : (n,) bool array
         Satellite speeds that are not used, by what was known before the motion and by the motion.
     computed : (n,) bool array
-        Fixes that the receiver did not measure then: extrapolated, held or replayed ones.
+        Fixes that the receiver did not measure then: extrapolated, held or replayed ones. Those
+        that were replayed count where they were measured.
     misplaced : (n,) bool array
         Fixes that are elsewhere while the speeds go on.
     slipping : (n,) bool array
@@ -180,6 +188,8 @@ class OnLine:
     caught_up, late_std : (n,) array [m]
         How far the train was ahead of each fix when it came, where the receiver is late throughout,
         and its standard deviation.
+    aged_std : (n,) array [m]
+        Standard deviation of the place of old fixes by that of their age; 0 for others.
     lateness : float [s]
         Mean of how late the fixes are while the train moves; 0 where they are not.
     delay : float [s]
@@ -201,7 +211,7 @@ class OnLine:
         self.judged = self.misplaced = self.aside
         self.reasons_aside: Counter[str] = Counter()
         self.along_std = self.delay = 0.0
-        self.caught_up, self.late_std = np.zeros((2, points.size))
+        self.caught_up, self.late_std, self.aged_std = np.zeros((3, points.size))
         self.lateness = 0.0
         self.common_delay = Delay(0.0, 0.0)
         self.speed_noise: ReceiverNoise | None = None
@@ -285,9 +295,9 @@ class OnLine:
         judged = speed_aware and np.count_nonzero(np.isfinite(self.fixes.speed)) > 1
         if judged:
             self._put_speeds_back(chainage)
-            if self.gated and np.isfinite(driven.distance).all():
-                chainage = self._judge_fixes(chainage, std)
-                course = self._course(chainage)
+        if self.gated and speed_aware:
+            chainage = self._judge_fixes(chainage, std)
+            course = self._course(chainage)
         aside = np.where(np.isfinite(chainage), aside, np.nan)
         spread = robust_std(aside[~np.isnan(aside)])
         fitting = np.isfinite(chainage)
@@ -331,44 +341,75 @@ class OnLine:
             self.fixes = replace(self.fixes, speed=np.where(inside, put_back, np.nan))
 
     def _judge_fixes(self, chainage: FloatArray, std: FloatArray) -> FloatArray:
-        """Where the train was when each fix came [m]; NaN for old and wrong ones.
+        """Where the train was at each row of a fix [m]; NaN for wrong ones.
 
-        By the speeds; those of a receiver that is late throughout are brought forward.
+        Old fixes are put where they were measured; those of a receiver that is late throughout are
+        brought forward by the speeds.
         """
-        if self.misfit > ELSEWHERE:
+        if self.misfit > ELSEWHERE or np.count_nonzero(np.isfinite(chainage)) < ENOUGH:
             # Places on another line show nothing of the receiver.
             return chainage
         seconds = self.fixes.seconds
-        driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
+        driven = distance_driven(self.fixes, slip_aware=self.slip_aware).distance
+        if not np.isfinite(driven).all():
+            mean, *usual = _usual_speed(seconds, chainage)
+            even, none = mean * seconds, np.zeros(seconds.size)
+            found = receiver_states(seconds, chainage, std, even, none, *usual)
+            known = np.isfinite(chainage)
+            most = np.mean((found.age >= REPLAYED)[known] | found.wrong[known]) > MOST_ASIDE
+            return chainage if most else self._put_in_time(found, chainage, measured=False)
         pace, known = self.fixes.any_speed, np.isfinite(self.fixes.any_speed)
         pace = np.interp(seconds, seconds[known], pace[known])
         step = np.diff(seconds[known], prepend=seconds[known][0])
         lost = np.cumsum(LOSS_DENSITY * step**3 / 12.0)
         unsure = np.interp(seconds, seconds[known], lost)
-        found = receiver_states(seconds, chainage, std, driven.distance, unsure)
+        found = receiver_states(seconds, chainage, std, driven, unsure)
         short, moving = found.age <= OLDEST, np.isfinite(chainage) & (pace > MOVING)
         aged = float(np.mean((short & (found.age > 0))[moving])) if moving.any() else 0.0
-        seen = series_of(seconds, np.where(short, chainage - driven.distance, np.nan), SPACING)
+        seen = series_of(seconds, np.where(short, chainage - driven, np.nan), SPACING)
         at = seen.seconds
         parts = (np.interp(at, seconds, each) for each in (pace, unsure, std))
         # A receiver that is late throughout shows an age sooner or later.
         late = lateness(at, seen.values, *parts, evident=aged > 0.5) if aged else None
         if late is not None:
             age, spread = (np.interp(seconds, at, each) for each in late)
-            then = np.interp(seconds - age, seconds, driven.distance)
-            self.caught_up = driven.distance - then
+            self.caught_up = driven - np.interp(seconds - age, seconds, driven)
             self.late_std = spread * pace
             self.lateness = float(np.mean(age[moving]))
             chainage = chainage + self.caught_up
-            found = receiver_states(
-                seconds, chainage, np.hypot(std, self.late_std), driven.distance, unsure
-            )
+            std = np.hypot(std, self.late_std)
+            found = receiver_states(seconds, chainage, std, driven, unsure)
         self._without_speeds("contradicted", found.doubted)
-        old = found.age >= REPLAYED
-        self.computed |= old & np.isfinite(self.points)
-        self.points[old] = np.nan
+        return self._put_in_time(found, chainage)
+
+    def _put_in_time(
+        self, found: ReceiverStates, chainage: FloatArray, *, measured: bool = True
+    ) -> FloatArray:
+        """The chainage with old fixes at the rows of when they were measured, without wrong ones.
+
+        Without a `measured` speed nothing shows how fast a receiver catches up: while it does, its
+        fixes are left out.
+        """
+        seconds, points = self.fixes.seconds, self.points.copy()
+        age = np.where(np.isfinite(chainage), found.age, np.nan)
+        old = held(age, seconds, REPLAYED - 0.5, 0.5)
+        steady = measured | (np.abs(rate_of(seconds, age)) < STEADY)
+        self.computed |= old & np.isfinite(points)
         self.misplaced = found.wrong & ~old
-        return np.where(old | self.misplaced, np.nan, chainage)
+        placed = np.where(old | self.misplaced, np.nan, chainage)
+        self.points[old] = np.nan
+        rows = np.flatnonzero(old & steady & ~found.wrong & np.isfinite(chainage))
+        then = np.searchsorted(seconds, np.maximum(seconds[rows] - found.age[rows], seconds[0]))
+        free = ~np.isfinite(self.points[then])
+        rows, then = rows[free], then[free]
+        self.points[then], placed[then] = points[rows], chainage[rows]
+        self.fixes.std[then] = self.fixes.std[rows]
+        following = np.append(then[1:], 0)
+        close = np.diff(seconds[then], append=np.inf) < OLDEST
+        aged = covered(then, np.where(close, following, then + 1), seconds.size)
+        pace = np.maximum(rate_of(seconds, self._course(placed)), MOVING)
+        self.aged_std = np.where(aged, AGE_STD * pace, 0.0)
+        return placed
 
     def _chain(self, std: FloatArray, driven: Driven) -> FloatArray:
         """Chainage of the fixes in the best chain, NaN for all others.
@@ -441,7 +482,9 @@ class OnLine:
             if turn < 3:
                 self._size_along(
                     np.where(
-                        self.known & (np.abs(aside) < GATE * self._usual(aside)), chainage, np.nan
+                        np.isfinite(self.points) & (np.abs(aside) < GATE * self._usual(aside)),
+                        chainage,
+                        np.nan,
                     )
                 )
             motion = self._smoothed()
@@ -482,7 +525,7 @@ class OnLine:
         shown = series_of(seconds, speed)
         self.speed_count = np.where(shown.owner >= 0, shown.count[shown.owner], 1)
         driven, missing = integral(seconds, speed)
-        along = series_of(seconds, self.chainage - driven)
+        along = series_of(seconds, np.where(self.aged_std > 0.0, np.nan, self.chainage - driven))
         whole = np.round(np.interp(along.seconds, seconds, missing), 6)
         dense = float(np.median(np.diff(shown.seconds))) < 2.0
         white = np.sqrt(self.hold) * white_noise(shown.values) if dense else 0.0
@@ -608,10 +651,9 @@ class OnLine:
         fixes, noise, speeds = self.fixes, self.position_noise, self.speed_noise
         white = np.maximum(noise.white, SMALLEST_NOISE[0]) * np.sqrt(self.position_count)
         speed = np.where(self.judged, np.nan, fixes.speed)
-        speed_white, speed_lasting = fixes.speed_std, 0.0
+        speed_white = fixes.speed_std
         if speeds is not None:
             speed_white = np.maximum(speeds.white, SMALLEST_NOISE[1]) * np.sqrt(self.speed_count)
-            speed_lasting = speeds.lasting
         wheels, wheel_std = fixes.wheel_speed, fixes.wheel_speed_std
         if wheels is not None and wheel_std is not None:
             step = float(np.median(np.diff(fixes.seconds[np.isfinite(wheels)])))
@@ -619,20 +661,23 @@ class OnLine:
             # White noise of this size carries as much, taken together, as errors that last.
             wheel_std = (wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step)))[rows]
         lasting = np.hypot(self.unsure * noise.lasting * self.relative, self.late_std)
+        lasting = np.hypot(lasting, GEOMETRY_STD)
+        errors = [LastingError(lasting[rows], noise.time)]
+        if self.aged_std.any():
+            errors.append(LastingError(self.aged_std[rows], AGE_TIME))
+        if speeds is not None:
+            errors.append(LastingError(speeds.lasting, speeds.time, "speed"))
         return smooth_motion(
             fixes.seconds[rows],
             speed[rows],
             speed_white[rows],
             self.chainage[rows] if along is None else along,
             np.hypot(white * self.relative, self.along_std)[rows],
-            lasting_std=np.hypot(lasting, GEOMETRY_STD)[rows],
-            lasting_speed_std=speed_lasting,
+            errors=errors,
             wheel_speed=wheels,
             wheel_speed_std=wheel_std,
             model=MotionModel(
                 acceleration_std=self.acceleration_std,
-                position_time=noise.time,
-                speed_time=LASTING_TIME if speeds is None else speeds.time,
                 drift=DRIFT,
                 unmeasured=self.unmeasured[rows],
             ),
@@ -643,7 +688,13 @@ class OnLine:
     ) -> BoolArray:
         """Fixes that do not go with the motion, along the line or beside it."""
         std = self._usual(aside)
-        spread = np.sqrt(std**2 + motion.position_std**2 + self.along_std**2 + self.late_std**2)
+        spread = np.sqrt(
+            std**2
+            + motion.position_std**2
+            + self.along_std**2
+            + self.late_std**2
+            + self.aged_std**2
+        )
         along = (chainage - motion.position) / spread
         departure = np.hypot(along, aside / std)
         departure[_ends(self.track, chainage, std)] = np.inf
@@ -658,6 +709,21 @@ class OnLine:
         apart = np.abs(self.fixes.speed - motion.speed)
         departure = apart / np.hypot(std, motion.speed_std)
         self.judged = held(departure, self.fixes.seconds)
+
+
+def _usual_speed(seconds: FloatArray, chainage: FloatArray) -> tuple[float, float, float]:
+    """Mean and standard deviation of the speed [m/s], and for how long it stays alike [s].
+
+    From speeds over 10 s, or from fix to fix.
+    """
+    places = series_of(seconds, chainage, 10.0)
+    step = np.diff(places.seconds)
+    speed = np.diff(places.values) / step
+    mean = float(np.median(speed))
+    spread = mean_square(speed - mean)
+    close = (step[1:] < 25.0) & (step[:-1] < 25.0)
+    change = 1.5 * mean_square(np.diff(speed)[close]) / float(np.median(step))
+    return mean, np.sqrt(spread), float(np.clip(2.0 * spread / max(change, 1e-9), 5.0, 120.0))
 
 
 def chainage_of(
