@@ -77,13 +77,12 @@ def optimised(
     configurations: Sequence[Configuration],
     *,
     cells: int = 500,
-    referee: bool = False,
     tolerance: float = DEFAULT_OPTIONS.tolerance,
     **question: Any,
 ) -> Trajectory:
     """The optimum of a problem that is given by its attributes."""
     problem = TrajectoryProblem(line, train, configurations, **question)
-    return optimise(problem, OptimiserOptions(cells, referee, tolerance))
+    return optimise(problem, OptimiserOptions(cells, tolerance))
 
 
 def optimised_journey(

@@ -160,11 +160,6 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
         raise _with_time_to_allow(refusal, problem, fastest, running_time, options.cells) from None
     discrete, answer = found.problem, found.answer
     certificate = certificate_of(answer, bound, fastest, found.audit, running_time)
-    if options.referee:
-        # Only here: it brings CasADi.
-        from analysis.trajectory.referee import refereed
-
-        certificate["referee"] = refereed(answer, running_time)
     speeds = found.audit.speeds
     if problem.final_speed == 0.0:
         speeds[:, -1] = 0.0  # the audit found them to stand there

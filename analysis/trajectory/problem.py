@@ -520,8 +520,6 @@ class OptimiserOptions:
     ----------
     cells : int
         Cells of the grid, about; a line with many breakpoints gets more.
-    referee : bool
-        Have IPOPT solve the same problem too, and put what it found into the certificate.
     tolerance : float
         Total gap, relative, above which the cells are laid anew about the plan found.
     time_limit : float or None [s]
@@ -537,11 +535,10 @@ class OptimiserOptions:
     Examples
     --------
     >>> OptimiserOptions(cells=200)
-    OptimiserOptions(cells=200, referee=False, tolerance=0.0005, time_limit=None)
+    OptimiserOptions(cells=200, tolerance=0.0005, time_limit=None)
     """
 
     cells: int = 500
-    referee: bool = False
     tolerance: float = 5e-4
     time_limit: float | None = None
 

@@ -47,9 +47,6 @@ FROM_START = replace(POSITION, unit="")
 LISTED = 8
 """Configurations of a trajectory that are listed one by one."""
 
-OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
-"""Statuses of IPOPT with which it finds its answer to be optimal."""
-
 
 MORE_CELLS = 1.5
 """More than so many times the cells asked for are stated."""
@@ -199,12 +196,6 @@ def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTabl
         "adhesion": _adhesion(trajectory),
         "controls as the maximum principle asks": shares or "not known",
     }
-    if "referee" in certificate:
-        referee = certificate["referee"]
-        words = f"{kwh(referee['energy'])}, ours {referee['difference']:+.4%}"
-        if referee["status"] not in OPTIMAL:
-            words += f"; {referee['name']} stopped before it was optimal: its last point, no proof"
-        rows[f"second result by {referee['name']}"] = words
     of = f" {section}" if section else ""
     facts = facts_table(f"Robust trajectory{of} on {trajectory.line}, {trajectory.train}", rows)
     table = new_table(

@@ -72,7 +72,6 @@ SETTINGS: dict[str, tuple[Measure | tuple[str, ...], str]] = {
         TIME.between(0.1),
         "longest search, per section with --stops; then the best plan so far counts, with its gap",
     ),
-    "referee": (("no", "yes"), "solve it again with IPOPT, and compare; no"),
 }
 """What ``--set KEY=VALUE`` sets of a plan: how its value is read, and what it is."""
 
@@ -228,7 +227,6 @@ def plan(
         console.print("  no --layer is given: wet")
     options = analysis.OptimiserOptions(
         round(chosen.pop("cells", 500)),
-        chosen.pop("referee", "no") == "yes",
         time_limit=chosen.pop("time-limit", None),
     )
     solve: Callable[..., Trajectory | JourneyPlan] = analysis.optimise

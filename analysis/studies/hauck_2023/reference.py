@@ -17,10 +17,13 @@ from analysis.control.route import GRID
 from analysis.studies.hauck_2023 import model
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
-from analysis.trajectory.table import OPTIMAL
 from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError
 from trainlog.units import GRAVITY
+
+OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+"""Statuses of IPOPT with which it finds its answer to be optimal."""
+
 
 NODE_SPACING = 3.0
 """Nodes are closer than this [s]."""

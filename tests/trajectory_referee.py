@@ -1,7 +1,7 @@
 """A second result: the same transcription as one nonlinear program, solved by CasADi and IPOPT.
 
-It shares cells, Runge-Kutta sub-steps and limits with `minimax`, but neither its linearisation nor
-its solver. Used by tests and benchmarks, and on request in a certificate.
+It shares cells, Runge-Kutta sub-steps and limits with the optimiser, but neither its linearisation
+nor its solver.
 """
 
 from __future__ import annotations
@@ -12,12 +12,19 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import power_cells, separates_dynamic_brake
-from analysis.trajectory.discretisation import Curves, DiscreteProblem, Plan
+from analysis.trajectory.discretisation import (
+    Curves,
+    DiscreteProblem,
+    Plan,
+    discretise,
+    taper_along,
+)
+from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.rollout import paced_run
 from analysis.trajectory.sqp import least_z
 from trainlog.arrays import FloatArray
+from trainlog.railway import Trajectory
 from trainlog.railway.motion import SUBSTEPS
 
 _ROUNDED = 1e-6
@@ -50,18 +57,21 @@ class IpoptResult:
         return self.status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
-def refereed(answer: Answer, running_time: float) -> dict[str, Any]:
-    """What IPOPT makes of the active configurations, beginning from a paced run."""
-    problem = answer.problem
-    part = problem.select(answer.active)
-    result = solve_with_ipopt(part, paced_run(part, running_time), running_time)
-    return {
-        "name": "IPOPT",
-        "energy": result.energy * problem.reference,
-        "difference": answer.solution.energy / result.energy - 1.0,
-        "status": result.status,
-        "iterations": result.iterations,
-    }
+def refereed(run: TrajectoryProblem, found: Trajectory) -> tuple[IpoptResult, float]:
+    """What IPOPT makes of a trajectory's cells and active configurations, from a paced run.
+
+    Beside it stands how much more energy the trajectory takes, relative.
+    """
+    names = [configuration.name for configuration in run.configurations]
+    rows = [names.index(name) for name in found.certificate["active"]]
+    problem = discretise(run, found.positions).select(rows)
+    braking = found.braking_effort[rows] / problem.reference
+    speeds, traction = found.speeds[rows], found.tractive_effort / problem.reference
+    plan = Plan(0.5 * speeds**2, traction, braking, braking)
+    problem = problem.tapered(taper_along(problem, plan))
+    start = paced_run(problem, found.running_time)
+    result = solve_with_ipopt(problem, start, found.running_time)
+    return result, found.certificate["energy"] / (result.energy * problem.reference) - 1.0
 
 
 def solve_with_ipopt(problem: DiscreteProblem, start: Plan, running_time: float) -> IpoptResult:
