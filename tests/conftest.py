@@ -199,7 +199,7 @@ def unpainted_page(unpainted: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests of the words of a page; charts of pages are tested where they are looked at.
     """
-    monkeypatch.setattr("analysis.reports.charts.find_spec", lambda _: None)
+    monkeypatch.setattr("analysis.reports.page.find_spec", lambda _: None)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from advice_law import breaches
 from command import Shell
 from refusals import refused
 
-from analysis.reports.advice import write_driver_advice
+from analysis.reports.results import write_driver_advice
 from analysis.trajectory.advice import (
     journey_advice,
     stations_table,

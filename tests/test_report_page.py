@@ -20,11 +20,10 @@ from report_folder import SCRIPT, hostile_trip, planned
 from analysis.charts import Chart, Curve, Panel, draw_charts, rows_to_draw
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
-from analysis.reports import build, charts
+from analysis.reports import build, page as pages
 from analysis.reports.answers import verdict
 from analysis.reports.build import ReportOptions, kind_of, write_report
-from analysis.reports.charts import item_of
-from analysis.reports.page import DARK, LIGHT, Commands, Page, Section, drawn, inline
+from analysis.reports.page import DARK, LIGHT, Commands, Page, Section, drawn, inline, item_of
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.resistance.logs import fit
 from analysis.view import TripView
@@ -300,7 +299,7 @@ def _chart() -> Chart:
 def test_without_bokeh_the_page_has_still_pictures_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (build, charts):
+    for module in (build, pages):
         monkeypatch.setattr(module, "find_spec", lambda _: None)
     write_trajectory(planned(), tmp_path / "plan.json")
     write_report(tmp_path / "plan.json", tmp_path / "page.html")

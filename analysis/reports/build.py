@@ -25,8 +25,7 @@ from analysis.charts import (
 )
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
 from analysis.reports.answers import VERDICTS, Verdict, summary_section, verdict_counts
-from analysis.reports.charts import WITHOUT_BOKEH
-from analysis.reports.page import Commands, Page, Part, Section, Warned
+from analysis.reports.page import WITHOUT_BOKEH, Commands, Page, Part, Section, Warned
 from analysis.reports.results import (
     TABLES,
     coast_down_sections,

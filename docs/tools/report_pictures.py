@@ -16,8 +16,8 @@ from typing import Any
 from PIL import Image
 from screenshot import browser_page, chromium
 
-from analysis.reports.advice import write_driver_advice
 from analysis.reports.build import ReportOptions, write_report
+from analysis.reports.results import write_driver_advice
 from analysis.reports.trip import known_zone
 from analysis.trajectory.advice import time_of_day
 from analysis.trajectory.journey import optimise_journey

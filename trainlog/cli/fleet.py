@@ -427,7 +427,7 @@ def fleet_diff(
     with open_catalogue(catalogue, create=False) as opened:
         found = compare(opened, first, second, analyses=analysis, where=trips, workers=workers)
     if output is not None:
-        from analysis.reports.fleet_diff import write_diff
+        from analysis.reports.fleet import write_diff
 
         wrote(*write_diff(found, output))
     show(found)

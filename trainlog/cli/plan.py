@@ -414,7 +414,7 @@ def advice(
         return
     destination(output, ".html")
 
-    from analysis.reports.advice import write_driver_advice
+    from analysis.reports.results import write_driver_advice
     from analysis.trajectory.advice import time_of_day
 
     start = None if departure is None else time_of_day(departure)
