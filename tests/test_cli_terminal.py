@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from killed import PATIENCE
 
-from trainlog.cli.progress_bar import amount, pace
+from trainlog.cli.terminal import amount, pace
 from trainlog.formats.samples import sample
 from trainlog.mcap import account_of
 

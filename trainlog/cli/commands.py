@@ -17,8 +17,14 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from trainlog.cli.options import ChosenTrips, chosen_logs, chosen_summaries, typed
-from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
-from trainlog.cli.terminal import Output, console, output_of, print_error
+from trainlog.cli.terminal import (
+    Output,
+    ProgressDisplay,
+    console,
+    output_of,
+    print_error,
+    progress_shown,
+)
 from trainlog.display import counted
 from trainlog.errors import InputError
 

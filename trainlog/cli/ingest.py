@@ -12,8 +12,17 @@ import typer
 
 import trainlog
 from trainlog.cli.options import line_or_network, pairs
-from trainlog.cli.progress_bar import paused
-from trainlog.cli.terminal import about, console, current, print_error, say, show, state, wrote
+from trainlog.cli.terminal import (
+    about,
+    console,
+    current,
+    paused,
+    print_error,
+    say,
+    show,
+    state,
+    wrote,
+)
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
