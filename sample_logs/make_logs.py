@@ -8,7 +8,12 @@ Everything is simulated: the scenarios are those of ``trainlog simulate drive --
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from foreign_recorders import write_recorder_csv, write_ublox_csv
 
 from analysis.adhesion.condition_map import adhesion_map
 from trainlog.formats.mapfile import write_map
@@ -16,7 +21,6 @@ from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.simulation.sensors import write_recorder_csv, write_ublox_csv
 
 LOGS = {"trip-01": "nonstop.mcap", "trip-03": "stopping.mcap"}
 """Logs: a dry trip from St.Gallen to Wil without a stop, and a wet one that calls everywhere."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from foreign_recorders import write_recorder_csv, write_ublox_csv
 from ingest_logs import clean_run, plain_profile, write
 from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
@@ -20,7 +21,6 @@ from trainlog.formats.samples import sample
 from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
 from trainlog.mcap import read_log, write_log
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.simulation.sensors import write_recorder_csv, write_ublox_csv
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 
 PROFILE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"

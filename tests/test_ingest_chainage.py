@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from foreign_recorders import write_ublox_csv
 from hypothesis import given, settings, strategies as st
 from ingest_logs import plain_profile
 from refusals import refused
@@ -20,7 +21,6 @@ from trainlog.ingest.receiver import Fixes
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.simulation.sensors import write_ublox_csv
 from trainlog.trip import Trip
 
 METRES_PER_DEGREE = 111_177.0

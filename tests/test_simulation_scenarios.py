@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from foreign_recorders import OVERFLOW, write_recorder_csv, write_ublox_csv
 from refusals import refused
 from simulated_line import flirt, hilly_line
 
@@ -24,7 +25,7 @@ from trainlog.simulation import (
     simulate,
 )
 from trainlog.simulation.rail import base_map
-from trainlog.simulation.sensors import OVERFLOW, Sensors, write_recorder_csv, write_ublox_csv
+from trainlog.simulation.sensors import Sensors
 from trainlog.topics import TOPICS, column_field
 from trainlog.trip import Trip
 
