@@ -291,7 +291,10 @@ def reconciled(
     if len(dated) > 1:
         order = np.array([each.start for each in dated], dtype=np.int64)
         found = agreement_of(_trip_rows(track, dated), second, order)
-    if not notes and not apart and (found is None or _all_agree(found)):
+    agree = found is None or not (
+        found.apart or found.spread or found.aside.any() or found.lag.any()
+    )
+    if agree and not notes and not apart:
         return None
     layers: dict[str, str] = {}
     pieces: dict[str, list[tuple[int, DailyEvidence]]] = {}
@@ -361,10 +364,6 @@ def _corrected(
     trips = np.bincount(np.concatenate([each.bin for _, each in every]), minlength=track.bins)
     variance = share * std**2 + (placing * trips)[piece.bin]
     return piece.scaled(share * log, variance, np.log(track.levels))
-
-
-def _all_agree(found: Agreement) -> bool:
-    return not (found.apart or found.spread or found.aside.any() or found.lag.any())
 
 
 def _misdated(trips: Sequence[TripEvidence]) -> dict[str, str]:

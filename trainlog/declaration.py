@@ -1143,7 +1143,8 @@ class Declared(Presented):
         )
 
     def __hash__(self) -> int:  # type: ignore[override]
-        return hash(tuple(_hashed(value) for value in vars_of(self).values()))
+        held = vars_of(self).values()
+        return hash(tuple(x.tobytes() if isinstance(x, np.ndarray) else x for x in held))
 
     @property
     def title(self) -> str:
@@ -1228,10 +1229,6 @@ def _bounded(kind: type) -> tuple[Entry, ...]:
         if len(entry.names) == 1
         and (entry.form.must is not None or get_origin(entry.kind) is Literal)
     )
-
-
-def _hashed(value: Any) -> Any:
-    return value.tobytes() if isinstance(value, np.ndarray) else value
 
 
 # ------------------------------------------------------------------ what is shown, and templates

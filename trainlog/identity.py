@@ -161,19 +161,15 @@ def identity_of(trip: Trip) -> TripIdentity | None:
         if not blocks.size:
             blocks = _whole(time, rounded, f"{topic}.{column} {trip.metadata.get('train', '')}")
         start, end = pd.Timestamp(time[0], tz="UTC"), pd.Timestamp(time[-1], tz="UTC")
-        return TripIdentity(start, end, int(time.size), blocks, _source(trip))
+        steps = (each for each in trip.provenance if each.get("step") == "ingest")
+        source = str(next(steps, {}).get("source", ""))
+        return TripIdentity(start, end, int(time.size), blocks, source)
     return None
 
 
 def source_of(digests: Sequence[str], recording: str) -> str:
     """What identifies a recording: the SHA-256 of its files, and its name in them."""
     return sha256("\n".join([*sorted(digests), recording]).encode()).hexdigest()[:16]
-
-
-def _source(trip: Trip) -> str:
-    """The recording that a trip was ingested from, as the provenance states it."""
-    steps = (step for step in trip.provenance if step.get("step") == "ingest")
-    return str(next(steps, {}).get("source", ""))
 
 
 def identity_from_text(text: str) -> TripIdentity | None:

@@ -31,7 +31,6 @@ from trainlog.topics import (
     GNSS_FIX,
     GNSS_MOTION,
     TRAIN_STATE,
-    Topic,
     column_field,
     topic_of_frame,
 )
@@ -143,11 +142,11 @@ def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
     """
     check_max_gap(max_gap)
     times = _times(trip, clock)
-    texts = {name for name, frame in trip.topics.items() if _is_text(topic_of_frame(frame.attrs))}
-    topics = {
-        name: frame if name in texts else resampled_frame(frame, times, max_gap=max_gap)
-        for name, frame in trip.topics.items()
-    }
+    topics = dict(trip.topics)
+    for name, frame in trip.topics.items():
+        fields = topic_of_frame(frame.attrs).fields
+        if any(field.interpolation != "none" for field in fields):
+            topics[name] = resampled_frame(frame, times, max_gap=max_gap)
     step = None if isinstance(clock, pd.DatetimeIndex) else _step(clock)
     return replace(trip, topics=topics).with_step(
         "resample", software=f"trainlog {__version__}", seconds=step, max_gap=max_gap
@@ -312,10 +311,6 @@ def _named(time: pd.DatetimeIndex) -> pd.DatetimeIndex:
     return time.as_unit("ns").rename("time")
 
 
-def _is_text(topic: Topic) -> bool:
-    return all(field.interpolation == "none" for field in topic.fields)
-
-
 def _frame_of(trip: Trip, name: str) -> tuple[str, pd.DataFrame]:
     """Topic and frame that a name like ``/train/state.speed`` belongs to."""
     topic, dot, column = name.rpartition(".")
@@ -330,20 +325,14 @@ def _columns_of(frame: pd.DataFrame, name: str) -> list[str]:
     """The column, or the columns of a field with one value for each axle."""
     wanted = name.rpartition(".")[2]
     topic = topic_of_frame(frame.attrs)
-    found = [
-        column for column in frame.columns if wanted in (column, _field_if_per_axle(topic, column))
-    ]
+    fields = {column: column_field(topic, column) for column in frame.columns}
+    found = [column for column, field in fields.items() if wanted in (column, field.name)]
     if not found:
         raise LogError(
             f"{topic.name} has no column {wanted}",
             remedy=f"its columns are {', '.join(frame.columns)}",
         )
     return found
-
-
-def _field_if_per_axle(topic: Topic, column: str) -> str | None:
-    field = column_field(topic, column)
-    return field.name if field.per_axle else None
 
 
 # ------------------------------------------------------------------ on a grid of positions

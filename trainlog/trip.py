@@ -126,7 +126,11 @@ class Trip(Presented):
         return (
             self.metadata == other.metadata
             and self.topics.keys() == other.topics.keys()
-            and all(_same(frame, other.topics[name]) for name, frame in self.topics.items())
+            and all(
+                frame.equals(other.topics[name])
+                and frame.attrs.get("units") == other.topics[name].attrs.get("units")
+                for name, frame in self.topics.items()
+            )
         )
 
     @property
@@ -318,11 +322,6 @@ class Trip(Presented):
 
 
 _SOFTWARE = f"trainlog {__version__}"
-
-
-def _same(frame: pd.DataFrame, other: pd.DataFrame) -> bool:
-    """Whether two frames hold the same; NaN equals NaN."""
-    return frame.equals(other) and frame.attrs.get("units") == other.attrs.get("units")
 
 
 def _rate(frame: pd.DataFrame) -> str:

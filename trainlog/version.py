@@ -127,8 +127,8 @@ def _imported(module: str) -> Iterator[str]:
                     yield from _whole(package)
                 elif _file_of(f"{package}.{each.name}"):
                     yield from _whole(f"{package}.{each.name}")
-                else:
-                    yield from _defining(package, each.name)
+                elif each.name in _on_first_use(package):
+                    yield _on_first_use(package)[each.name][0]
             if "." in package:
                 yield package
 
@@ -137,12 +137,6 @@ def _whole(module: str) -> Iterator[str]:
     """A module, and what it imports on first use, any of which may be used."""
     yield module
     yield from (place for place, _ in _on_first_use(module).values())
-
-
-def _defining(package: str, name: str) -> Iterator[str]:
-    """The module that defines a public name of a package that is imported on first use."""
-    if name in _on_first_use(package):
-        yield _on_first_use(package)[name][0]
 
 
 @cache

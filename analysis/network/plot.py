@@ -159,7 +159,10 @@ def network_map_charts(
     for name in chosen:
         title = f"Maximum adhesion to count on, {name} rail{when}; grey: not observed"
         own = {edge: each for edge, each in tracks.items() if name in each.layers}
-        low = {edge: low_by_bin(each, _rows(bins, edge, name)) for edge, each in own.items()}
+        of_layer = bins[bins["layer"] == name]
+        low = {
+            edge: low_by_bin(each, of_layer[of_layer["line"] == edge]) for edge, each in own.items()
+        }
         if network is not None:
             shown = {
                 edge.name: (own[edge.name].edges, low[edge.name])
@@ -170,21 +173,15 @@ def network_map_charts(
             charts += network_charts(network, shown=shown, places=numbers, title=title)
         seen = [edge for edge, values in low.items() if np.isfinite(values).any()]
         if seen:
-            charts.append(_strips({edge: own[edge] for edge in seen[:MOST_STRIPS]}, low, places,
-                                  f"{title}{_more(len(seen) - MOST_STRIPS)}"))  # fmt: skip
+            more = len(seen) - MOST_STRIPS
+            title += f"; {counted(more, 'more edge')} observed" if more > 0 else ""
+            drawn = {edge: own[edge] for edge in seen[:MOST_STRIPS]}
+            charts.append(_strips(drawn, low, places, title))
     details = [
         detail(tracks[edge], number, place, bins[bins["line"] == edge], {}, None, edge)
         for number, (edge, place) in enumerate(places, start=1)
     ]
     return [*charts, *details]
-
-
-def _more(count: int) -> str:
-    return f"; {counted(count, 'more edge')} observed" if count > 0 else ""
-
-
-def _rows(bins: pd.DataFrame, edge: str, layer: str) -> pd.DataFrame:
-    return bins[(bins["line"] == edge) & (bins["layer"] == layer)]
 
 
 def _strips(

@@ -48,7 +48,6 @@ from trainlog.presentation import (
     POWER,
     Band,
     Column,
-    WordTable,
     facts_table,
     kwh,
     new_table,
@@ -99,12 +98,14 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
         )
         shown = found if found.configurations else "The set is empty."
         return [Section("Running resistance", [shown, doubt])]
+    rows = fits.drives.to_dict("records")
+    each = new_table("Each trip", *DRIVE_COLUMNS).add_rows(rows, MOST_ROWS)
     residuals: list[Part] = [*residual_charts(fits.trips)]
     residuals = residuals or ["Residuals are shown where the logs are given."]
     return [
         _fit_summary(fits),
         Section("Running resistance", [fits]),
-        Section("Trips of the fit", [_trips_table(fits), *residuals], folded=True),
+        Section("Trips of the fit", [each, *residuals], folded=True),
         Section("Observed set", found.shown(), folded=True),
     ]
 
@@ -171,11 +172,6 @@ DRIVE_COLUMNS = (
     Column("reason", of=lambda row: row["message"] or row["refused"]),
 )  # fmt: skip
 """Of a row of the summaries of a fit."""
-
-
-def _trips_table(fits: Fits) -> WordTable:
-    rows = fits.drives.to_dict("records")
-    return new_table("Each trip", *DRIVE_COLUMNS).add_rows(rows, MOST_ROWS)
 
 
 # ------------------------------------------------------------------------------------- a map

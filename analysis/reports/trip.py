@@ -248,6 +248,8 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
     motion = Motion.of(trip)
     cost = _tried(lambda: trip_cost(view))
     slipped = _tried(lambda: slip(view))
+    course = _tried(lambda: trip_charts(trip, zone=zone))
+    course = [Warned(f"{course}.")] if isinstance(course, TrainlogError) else course
     sections = [
         summary_section(
             _driven(trip, motion, line, zone, cost),
@@ -256,7 +258,7 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
             _cost_words(cost),
             _next_steps(log, slipped, judged, line),
         ),
-        Section("Speed and efforts", _course(trip, zone)),
+        Section("Speed and efforts", course),
         Section("Stops and stations", _stops_part(trip, motion, line, zone), folded=True),
         Section("Energy and time", _energy(cost), folded=True),
         Section("Slip", _slip(slipped, view, zone), folded=True),
@@ -400,11 +402,6 @@ def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
         [Panel("km/h", [_speed_curve(minutes, part, line, zone)], 1.0, from_zero=True)],
     )
     return [over_km, over_time] if forward else [over_time]
-
-
-def _course(trip: Trip, zone: Zone) -> list[Part]:
-    charts = _tried(lambda: trip_charts(trip, zone=zone))
-    return [Warned(f"{charts}.")] if isinstance(charts, TrainlogError) else charts
 
 
 def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> Curve:

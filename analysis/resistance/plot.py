@@ -251,12 +251,9 @@ def trips_charts(
     """The charts of every trip that was fitted or refused, by the names of their files."""
     charts: dict[str, Sequence[Chart]] = {each.trip: each.charts() for each in trips}
     charts |= {trip: [refused_chart(trip, each)] for trip, each in refused.items()}
-    return {f"{_file_name(trip)}.png": each for trip, each in charts.items()}
-
-
-def _file_name(trip: str) -> str:
-    """The trip's name, as far as a file can have it."""
-    return re.sub(r"[^\w .()+-]", "_", trip) or "trip"
+    # The trips' names, as far as files can have them.
+    names = {trip: re.sub(r"[^\w .()+-]", "_", trip) or "trip" for trip in charts}
+    return {f"{names[trip]}.png": each for trip, each in charts.items()}
 
 
 def trip_fit_charts(fit: TripFit) -> list[Chart]:

@@ -18,6 +18,7 @@ import pandas as pd
 import rerun as rr
 
 from trainlog.arrays import FloatArray, IntArray
+from trainlog.display import is_number
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap, Trajectory
 from trainlog.railway.condition import (
@@ -1127,16 +1128,10 @@ def _about(trip: Trip, name: str) -> str:
         trip.metadata, key=lambda key: (KEYS.index(key) if key in KEYS else len(KEYS), key)
     )
     # A list, not a table: next to one long value a table's columns leave the narrow panel.
-    shown = trip.metadata | ({"load": _tonnes(trip.metadata["load"])} if "load" in keys else {})
+    shown, load = dict(trip.metadata), trip.metadata.get("load", "")
+    if is_number(load):
+        shown["load"] = f"{float(load) / 1e3:.1f} t"
     rows = [f"- **{key}**: {shown[key]}" for key in keys if key != "trip"]
     steps = [f"{i}. {step['step']}" for i, step in enumerate(trip.provenance, start=1)]
     parts = [f"### {name}", "\n".join(rows), *(["Made by", "\n".join(steps)] if steps else [])]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _tonnes(load: str) -> str:
-    """A load [kg] as it is shown; as it stands if it is no number."""
-    try:
-        return f"{float(load) / 1e3:.1f} t"
-    except ValueError:
-        return load

@@ -179,15 +179,12 @@ def _tabs(blueprint: dict[str, Any]) -> tuple[str, dict[str, str]] | None:
     if known.get("container_kind") != "Tabs":
         return None
     names = {}
-    for tab in _listed(known["contents"]):
+    contents = known["contents"]
+    # Rerun writes a list of one as what is in it.
+    for tab in [contents] if isinstance(contents, str) else contents:
         about = blueprint.get(f"/{tab}", {}).get("ContainerBlueprint", {})
         names[str(about.get("display_name", tab)).lower()] = tab
     return root, names
-
-
-def _listed(contents: str | list[str]) -> list[str]:
-    """What a container holds; Rerun writes a list of one as what is in it."""
-    return [contents] if isinstance(contents, str) else contents
 
 
 @contextmanager

@@ -500,9 +500,11 @@ def phases(
     if TRAIN_CONTROLS.name not in trip or trip[TRAIN_CONTROLS.name].empty:
         return None
     frame = trip[TRAIN_CONTROLS.name]
-    pull = _pull(frame, largest)
-    if pull is None:
+    known = [each for each in zip(_pulls(frame), largest.tolist(), strict=True) if each[1] > 0.0]
+    if not known:
         return None
+    pull, most = known[0]
+    pull = np.where(np.abs(pull) < APPLIED * most, 0.0, pull)
     phase = np.select([pull > 0.0, pull < 0.0], ["traction", "braking"], default="coasting")
     if state is not None:
         speed = interpolated(state, "speed", pd.DatetimeIndex(frame.index))
@@ -516,14 +518,6 @@ def largest_pulls(frame: pd.DataFrame) -> FloatArray:
     """Largest magnitude of the lever, of the effort asked for, and of that given; (3,)."""
     found = [np.nanmax(np.abs(pull), initial=0.0) for pull in _pulls(frame)]
     return np.array(found, dtype=np.float64)
-
-
-def _pull(frame: pd.DataFrame, largest: FloatArray) -> FloatArray | None:
-    """Positive in traction, negative in braking, 0 between, NaN where unknown; (n,)."""
-    for pull, most in zip(_pulls(frame), largest.tolist(), strict=True):
-        if most > 0.0:
-            return np.where(np.abs(pull) < APPLIED * most, 0.0, pull)
-    return None
 
 
 def _pulls(frame: pd.DataFrame) -> tuple[FloatArray, ...]:

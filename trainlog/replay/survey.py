@@ -426,7 +426,11 @@ def thinned_trips(sources: Sequence[Pieces]) -> Iterator[tuple[Survey, Trip]]:
 
 def _thinned(source: Pieces) -> tuple[Survey, Trip]:
     pieces = list(_part(source, OVERVIEW))
-    if not (LINE_ATTACHMENT in pieces[0].attachments and any(map(_knows_speed, pieces))):
+    if LINE_ATTACHMENT not in pieces[0].attachments or all(
+        known_rows(piece, TRAIN_STATE.name, "speed") is None
+        or known_rows(piece, TRAIN_STATE.name, "position") is None
+        for piece in pieces
+    ):
         pieces = list(_part(source, OVERVIEW | SATELLITES))
     known = survey(lambda: pieces)
     parts = list(map(thinned_trip, pieces))
@@ -436,11 +440,6 @@ def _thinned(source: Pieces) -> tuple[Survey, Trip]:
     }
     trip = replace(known.bare, topics=topics)
     return replace(known, clock=_thinned_clock(known.clock), fixes=_thinned_fixes(known)), trip
-
-
-def _knows_speed(piece: Trip) -> bool:
-    known = [known_rows(piece, TRAIN_STATE.name, name) for name in ("position", "speed")]
-    return all(rows is not None for rows in known)
 
 
 def _part(source: Pieces, wanted: dict[str, list[str]]) -> Iterator[Trip]:
