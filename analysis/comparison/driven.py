@@ -120,45 +120,8 @@ class Gap:
         return f"no {self.missing} for {self.seconds:.0f} s, {known}"
 
 
-@dataclass(frozen=True, eq=False)
-class Bridges:
-    """Speed and position of a trip with its gaps bridged.
-
-    Attributes
-    ----------
-    time : (n,) int array [ns since 1970 UTC]
-    speed, position : (n,) array [m/s], [m]
-    gaps : tuple of Gap
-    """
-
-    time: IntArray
-    speed: FloatArray
-    position: FloatArray
-    gaps: tuple[Gap, ...]
-
-    def fill(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """The frame with missing speeds and, in bridged gaps, positions."""
-        now = nanoseconds(frame)
-        found = {}
-        for name, values in (("speed", self.speed), ("position", self.position)):
-            own = frame[name].to_numpy(dtype=np.float64).copy()
-            lacks = np.flatnonzero(~np.isfinite(own))
-            known = np.isfinite(values)
-            if lacks.size and known.any():
-                there = np.interp(now[lacks] - self.time[0], self.time - self.time[0], values)
-                if name == "speed":
-                    first, last = self.time[known][[0, -1]]
-                    inner = np.interp(
-                        now[lacks] - self.time[0], self.time[known] - self.time[0], values[known]
-                    )
-                    there = np.where((now[lacks] >= first) & (now[lacks] <= last), inner, np.nan)
-                own[lacks] = there
-            found[name] = own
-        return frame.assign(**found)
-
-
-def bridged(frame: pd.DataFrame) -> Bridges:
-    """Speed and position of a whole trip, with what bridges their gaps.
+def bridged(frame: pd.DataFrame) -> tuple[pd.DataFrame, tuple[Gap, ...]]:
+    """A whole trip with what bridges the gaps of its speed and position, and these gaps.
 
     Parameters
     ----------
@@ -174,8 +137,8 @@ def bridged(frame: pd.DataFrame) -> Bridges:
     >>> speed = np.where(abs(time - 20.0) < 3.0, np.nan, 0.5 * time)
     >>> index = pd.DatetimeIndex(pd.to_datetime(np.rint(time * 1e9), utc=True))
     >>> frame = pd.DataFrame({"speed": speed, "position": 0.25 * time**2}, index=index)
-    >>> found = bridged(frame)
-    >>> found.gaps[0].words, float(found.speed[100].round(1))
+    >>> found, gaps = bridged(frame)
+    >>> gaps[0].words, float(found["speed"].iloc[100].round(1))
     ('no speed for 6 s, bridged by position', 10.0)
     """
     stamps = nanoseconds(frame)
@@ -203,7 +166,10 @@ def bridged(frame: pd.DataFrame) -> Bridges:
         if own is not None:
             position[begin:end] = own
         gaps.append(Gap(*sides, "position", "" if own is None else "speed"))
-    return Bridges(stamps, speed, position, tuple(gaps))
+    known = np.isfinite(speed)
+    if known.any():  # short gaps
+        speed = np.interp(time, time[known], speed[known], left=np.nan, right=np.nan)
+    return frame.assign(speed=speed, position=position), tuple(gaps)
 
 
 def _from_position(frame: pd.DataFrame, time: FloatArray, speed: FloatArray) -> FloatArray:
@@ -405,8 +371,8 @@ def samples_of(trip: Trip) -> Samples:
             continue
         gaps: tuple[Gap, ...] = ()
         if frame[["speed", "position"]].isna().any(axis=None):
-            bridges = bridged(_around(trip, state))
-            frame, gaps = bridges.fill(frame), bridges.gaps
+            filled, gaps = bridged(_around(trip, state))
+            frame = frame.assign(speed=filled["speed"], position=filled["position"])
         silent = {state: "sample"}
         if TRAIN_CONTROLS.name in trip:
             silent[TRAIN_CONTROLS.name] = "effort"
@@ -419,14 +385,13 @@ def samples_of(trip: Trip) -> Samples:
 
 
 def _around(trip: Trip, state: str) -> pd.DataFrame:
-    """Speed and position of a trip, with what may bridge their gaps, every `SAMPLING` seconds."""
+    """Speed and position of a trip, with what may bridge their gaps."""
     columns = [f"{state}.speed", f"{state}.position"]
     axles = trip.topics.get(TRAIN_AXLES.name, pd.DataFrame())
     columns += [f"{TRAIN_AXLES.name}.{n}" for n in axles if str(n).startswith("wheel_speed")]
     if GNSS_MOTION.name in trip and "speed" in trip[GNSS_MOTION.name]:
         columns.append(f"{GNSS_MOTION.name}.speed")
-    table = joined(trip, columns, state, max_gap=SHORT_GAP)
-    return table[_each_tick(nanoseconds(table) / NANOSECONDS)].rename(columns=_short)
+    return joined(trip, columns, state, max_gap=SHORT_GAP).rename(columns=_short)
 
 
 def _each_tick(time: FloatArray) -> BoolArray:
