@@ -22,7 +22,6 @@ from analysis.resistance.coasting_detection import (
     SPACING,
     TYPICAL,
     TYPICAL_STD,
-    Detection,
     Segment,
     blocks_of,
     detect,
@@ -416,9 +415,9 @@ def _coast_down(sources: Sources, speeds: tuple[float, float] | None) -> CoastDo
     moved = list(found.values())
     check_not_empty(moved, refused)
     strip_length = 0.0 if train is None else train.strip_length
-    detection = _detected(moved, expected, strip_length)
+    found_segments, evidence = _detected(moved, expected, strip_length)
     fits: list[TripCoastDown] = []
-    for (motion, travelled), segments in zip(moved, detection.segments, strict=True):
+    for (motion, travelled), segments in zip(moved, found_segments, strict=True):
         try:
             fits.append(fit_segments(motion, travelled, segments, expected, strip_length))
         except NotIdentifiableError as error:
@@ -431,7 +430,7 @@ def _coast_down(sources: Sources, speeds: tuple[float, float] | None) -> CoastDo
     loads = [recorded_load(trip, train) for trip in sources.trips if trip.name in used]
     masses = [train.mass + load.value for load in loads if load is not None and train is not None]
     return CoastDown(
-        name, curve, ratio, between, tuple(fits), refused, detection.evidence, sources.digests,
+        name, curve, ratio, between, tuple(fits), refused, evidence, sources.digests,
         tuple(masses),
     )  # fmt: skip
 
@@ -619,7 +618,7 @@ def travelled(trip: Trip, line: Line | None) -> Line:
 
 def _detected(
     moved: Sequence[tuple[Motion, Line]], expected: MassRatio, strip_length: float
-) -> Detection:
+) -> tuple[list[tuple[Segment, ...]], float]:
     blocks = []
     for motion, line in moved:
         track = line.track_acceleration(np.nan_to_num(motion.position), strip_length)

@@ -59,39 +59,6 @@ DRIFT_TIME = 6.0
 """How long an effort stays on its level before it drifts to the next [s]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """Efforts over inertia other than nought, and how they change; arrays (k,).
-
-    Attributes
-    ----------
-    values : array [m/s²]
-        Increasing.
-    spread : array [m/s²]
-        Standard deviation within a level.
-    share : array
-        Where a lever goes that is moved.
-    """
-
-    values: FloatArray
-    spread: FloatArray
-    share: FloatArray
-
-    @staticmethod
-    def usual() -> Levels:
-        """The levels described in this module."""
-        gaps = [SPACING] * round(EVEN / SPACING)
-        while sum(gaps) < LARGEST_EFFORT:
-            gaps.append(1.25 * gaps[-1])
-        ladder = np.cumsum(gaps)
-        values = np.concatenate((-ladder[::-1], ladder))
-        width = np.concatenate((np.array(gaps)[::-1], np.array(gaps)))
-        # A lever is as likely at any notch: levels weigh as much as they are wide.
-        share = width * np.exp(-np.abs(values) / USUAL_EFFORT)
-        # Half a gap wide, neighbours add up to an even density: no effort is favoured.
-        return Levels(values, 0.5 * width, share / share.sum())
-
-
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def posterior(
     resting: FloatArray,
@@ -205,8 +172,23 @@ CERTAIN = 0.95
 SHORTEST = 8.0
 """Segments shorter than this [s] are not used: a moment without effort is no evidence."""
 
-LEVELS = Levels.usual()
-"""Levels of effort that coasting is distinguished from."""
+_GAPS = [SPACING] * round(EVEN / SPACING)
+while sum(_GAPS) < LARGEST_EFFORT:
+    _GAPS.append(1.25 * _GAPS[-1])
+
+LEVELS = np.concatenate((-np.cumsum(_GAPS)[::-1], np.cumsum(_GAPS)))
+"""Efforts over inertia that coasting is distinguished from [m/s²], increasing."""
+
+_WIDTH = np.array([*_GAPS[::-1], *_GAPS])
+
+LEVEL_STD = 0.5 * _WIDTH
+"""Standard deviation within a level [m/s²]: half a gap wide, neighbours add up to an even density,
+and no effort is favoured."""
+
+_SHARE = _WIDTH * np.exp(-np.abs(LEVELS) / USUAL_EFFORT)
+
+LEVEL_SHARE = _SHARE / _SHARE.sum()
+"""Where a lever goes that is moved: it is as likely at any notch, levels weigh as they are wide."""
 
 LEAST_DENSITY = 1e-6
 """Density [s²/m] of what no level explains."""
@@ -269,30 +251,6 @@ class Segment:
         return self.end - self.start
 
 
-@dataclass(frozen=True, eq=False)
-class Detection:
-    """Where the trips coasted.
-
-    Attributes
-    ----------
-    segments : tuple of tuple of Segment
-        For each trip.
-    blocks : tuple of Blocks
-    probability : tuple of array
-        Of coasting, for each pair of blocks.
-    theta : (1 + p,) array
-        k and the curve as far as the detection needed them; not the answer.
-    evidence : float
-        Gain in log-likelihood over no coasting at all.
-    """
-
-    segments: tuple[tuple[Segment, ...], ...]
-    blocks: tuple[Blocks, ...]
-    probability: tuple[FloatArray, ...]
-    theta: FloatArray
-    evidence: float
-
-
 def blocks_of(motion: Motion, track: FloatArray) -> Blocks:
     """Pairs of blocks over the usable stretches of a motion.
 
@@ -338,8 +296,10 @@ def blocks_of(motion: Motion, track: FloatArray) -> Blocks:
     )
 
 
-def detect(blocks: Sequence[Blocks], ratio: tuple[float, float]) -> Detection:
-    """Find where the trips of one train coasted.
+def detect(
+    blocks: Sequence[Blocks], ratio: tuple[float, float]
+) -> tuple[list[tuple[Segment, ...]], float]:
+    """Where the trips of one train coasted, and the gain in log-likelihood over no coasting at all.
 
     Parameters
     ----------
@@ -363,22 +323,14 @@ def detect(blocks: Sequence[Blocks], ratio: tuple[float, float]) -> Detection:
     mean = np.array([ratio[0], *TYPICAL])
     spread = np.array([ratio[1], *TYPICAL_STD])
     without = sum(_posterior(each, mean, coasts=0.0)[1] for each in filled)
-    best: tuple[float, FloatArray] | None = None
-    for beginning in BEGINNINGS:
-        start = np.array([ratio[0], *(beginning * np.array(TYPICAL))])
-        theta, likelihood = _maximised(filled, start, mean, spread)
-        worth = likelihood - 0.5 * float(np.sum(((theta - mean) / spread) ** 2))
-        if best is None or worth > best[0]:
-            best = (worth, theta)
-    assert best is not None
-    evidence, theta = best[0] - without, best[1]
-    probabilities = tuple(
-        _posterior(each, theta)[0] if each.start.size else np.empty(0) for each in blocks
-    )
-    segments = tuple(
-        _segments(each, probability)
-        for each, probability in zip(blocks, probabilities, strict=True)
-    )
+    starts = (np.array([ratio[0], *(times * np.array(TYPICAL))]) for times in BEGINNINGS)
+    found = [_maximised(filled, start, mean, spread) for start in starts]
+    worth = [likely - 0.5 * float(np.sum(((at - mean) / spread) ** 2)) for at, likely in found]
+    best = int(np.argmax(worth))
+    evidence, theta = worth[best] - without, found[best][0]
+    segments = [
+        _segments(each, _posterior(each, theta)[0]) if each.start.size else () for each in blocks
+    ]
     if evidence >= EVIDENCE and not any(segments):
         raise NotIdentifiableError(
             f"coasting was found, but never for {SHORTEST:.0f} s and with certainty",
@@ -391,7 +343,7 @@ def detect(blocks: Sequence[Blocks], ratio: tuple[float, float]) -> Detection:
             f" {EVIDENCE:.0f} is needed)",
             remedy="give a recording in which the train rolls freely for tens of seconds",
         )
-    return Detection(segments, tuple(blocks), probabilities, theta, evidence)
+    return segments, evidence
 
 
 def _rows(blocks: Blocks) -> FloatArray:
@@ -413,10 +365,10 @@ def _posterior(
     noise = _spread(blocks, rows[:, 1:] @ theta[1:])
     # An outlier is unlikely at every level, impossible at none.
     resting = _density(effort, noise) + LEAST_DENSITY
-    spread = np.hypot(noise[:, None], LEVELS.spread)
-    working = _density(effort[:, None] - LEVELS.values, spread) + LEAST_DENSITY
+    spread = np.hypot(noise[:, None], LEVEL_STD)
+    working = _density(effort[:, None] - LEVELS, spread) + LEAST_DENSITY
     probability, likelihood = posterior(
-        resting, working, blocks.fresh, LEVELS.share, rates(blocks.length, coasts=coasts)
+        resting, working, blocks.fresh, LEVEL_SHARE, rates(blocks.length, coasts=coasts)
     )
     return probability, float(likelihood)
 
