@@ -32,11 +32,10 @@ from analysis.resistance.coasting_fit import (
     TripCoastDown,
     fit_segments,
 )
-from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, TOLERANCE
+from analysis.resistance.combination import PRIOR_TRIPS, SOFTWARE, nodes_over, pooled
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.view import Given, each_given, views_of
-from estimators.mixed import mixed_effects
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
@@ -65,7 +64,7 @@ from trainlog.presentation import (
     new_table,
 )
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, TERMS, basis
+from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, TERMS
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, KMH, PER_MILLE
@@ -460,14 +459,9 @@ def combined(
     given = np.array([fit.free[0][1:] for fit in fits]) + slopes * (ratio.value - k)[:, None]
     left = np.array([fit.free[1][1:, 1:] for fit in fits])
     left = left - np.einsum("k,ki,kj->kij", variance_k, slopes, slopes)
-    # Values at three speeds, each over its usual size, are far better conditioned.
-    nodes = basis(np.linspace(*covered, len(TERMS)))
-    nodes /= np.abs(np.median(given @ nodes.T, axis=0))[:, None]
+    nodes = nodes_over(np.linspace(*covered, len(TERMS)), given)
     back = np.linalg.inv(nodes)
-    found = mixed_effects(
-        given @ nodes.T, nodes @ left @ nodes.T, (), BETWEEN_TRIPS**2 * np.eye(len(TERMS)),
-        PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE,
-    )  # fmt: skip
+    found = pooled(given @ nodes.T, nodes @ left @ nodes.T)
     variance = found.block(0, 0)
     weights = np.linalg.inv(found.within + nodes @ left @ nodes.T)
     slope = back @ variance @ np.einsum("kij,kj->i", weights, slopes @ nodes.T)

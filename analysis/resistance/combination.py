@@ -37,7 +37,7 @@ from analysis.resistance.curve import (
 )
 from analysis.resistance.fit import TripFit
 from analysis.resistance.recording import TripRefusedError
-from estimators.mixed import mixed_effects
+from estimators.mixed import MixedEffects, mixed_effects
 from trainlog import __version__
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted, span
@@ -235,6 +235,30 @@ class CommonFit(DragCurve, Presented):
         return curve_std(self.between, speed)
 
 
+def pooled(values: FloatArray, variances: FloatArray) -> MixedEffects:
+    """Mean of trips that differ, and the best estimate of each.
+
+    Parameters
+    ----------
+    values : (k, d) array
+        Over their usual size.
+    variances : (k, d, d) array
+    """
+    expected = BETWEEN_TRIPS**2 * np.eye(values.shape[1])
+    return mixed_effects(
+        values, variances, (), expected, PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE
+    )
+
+
+def nodes_over(speeds: FloatArray, betas: FloatArray) -> FloatArray:
+    """From coefficients to values at speeds [m/s], (p, p), over the median of curves (k, p) there.
+
+    They are far better conditioned than the coefficients.
+    """
+    nodes = basis(speeds)
+    return np.asarray(nodes / np.abs(np.median(betas @ nodes.T, axis=0))[:, None])
+
+
 def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     """Combine several trips of one train.
 
@@ -263,10 +287,7 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     rows = accepted(trips)
     curves = node_curves(rows)
     values, variances, gain_std = curves.values, curves.variances, curves.gain_std
-    expected = BETWEEN_TRIPS**2 * np.eye(len(TERMS))
-    found = mixed_effects(
-        values, variances, (), expected, PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE
-    )
+    found = pooled(values, variances)
     variance = found.block(0, 0)
     weights = variance @ np.linalg.inv(variances + found.within)
     trip, line, share = surveyed_shares(rows)
@@ -292,9 +313,7 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
 
 @dataclass(frozen=True, eq=False)
 class NodeCurves:
-    """Curves of trips by their values at three speeds, over the median of all trips there.
-
-    They are far better conditioned than the coefficients.
+    """Curves of trips by their values at a few speeds, over the median of all trips there.
 
     Attributes
     ----------
@@ -322,10 +341,9 @@ class NodeCurves:
 def node_curves(rows: pd.DataFrame) -> NodeCurves:
     """Curves of trips that were accepted, by their values at three speeds."""
     top = float(rows["asked_highest"].min())
-    nodes = basis(np.linspace(0.0, top, len(TERMS)))
-    values = parameters_of(rows)[:, :-1] @ nodes.T
-    size = np.median(values, axis=0)
-    nodes, values = nodes / size[:, None], values / size
+    betas = parameters_of(rows)[:, :-1]
+    nodes = nodes_over(np.linspace(0.0, top, len(TERMS)), betas)
+    values = betas @ nodes.T
     variances = nodes @ covariances_of(rows)[:, :-1, :-1] @ nodes.T
     gain_std = np.nan_to_num(rows["assumed_gain_std"].to_numpy(np.float64))
     variances -= gain_std[:, None, None] ** 2 * values[:, :, None] * values[:, None, :]

@@ -22,8 +22,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.resistance import combine, parameter_set
-from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE
-from estimators.mixed import mixed_effects
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE, pooled
 from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import (
     COLUMNS,
@@ -110,11 +109,9 @@ def stacked(values: FloatArray, variances: FloatArray, expected: FloatArray) -> 
             return between
 
 
-def ours_alone(values: FloatArray, variances: FloatArray, expected: FloatArray) -> FloatArray:
+def ours_alone(values: FloatArray, variances: FloatArray, _expected: FloatArray) -> FloatArray:
     """As the product combines trips."""
-    return mixed_effects(
-        values, variances, (), expected, PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE
-    ).within
+    return pooled(values, variances).within
 
 
 def timed(action: Callable[[], Any]) -> tuple[float, Any]:
