@@ -48,6 +48,15 @@ def _banded(diagonals: FloatArray, half: int, given: FloatArray, out: FloatArray
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
+def _product(one: FloatArray, other: FloatArray) -> float:
+    """Sum of the products of two arrays, (n,)."""
+    total = 0.0
+    for i in range(one.size):
+        total += one[i] * other[i]
+    return total
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
 def along_line(
     likelihood: FloatArray,
     flat: BoolArray,
@@ -93,124 +102,71 @@ def along_line(
         Sum of the posterior probability of each class and level.
     """
     bins, size = likelihood.shape
-    classes = share.size
-    edge = 0
-    for c in range(classes):
-        edge = max(edge, half[c])
+    classes, edge = share.size, half.max()
+    inner = slice(edge, edge + size)
     ahead = np.empty((1 if likelihood_only else bins, classes, size))
     # With cells of 0 on either side, which the diagonals reach.
     now, behind = np.zeros((classes, size + 2 * edge)), np.zeros((classes, size + 2 * edge))
     moved, back = np.empty((classes, size)), np.empty((classes, size))
-    mass = np.empty(classes)
+    mass, drawn_from = np.zeros(classes), np.zeros(classes)
     log_likelihood = 0.0
     for b in range(bins):
-        into, like = 0 if likelihood_only else b, likelihood[b]
-        if b > 0:
-            for c in range(classes):
-                _banded(diagonals[0, c], half[c], now[c, edge - half[c] :], moved[c])
-        scale = 0.0
+        into = 0 if likelihood_only else b
         for c in range(classes):
-            drawn, here, begin = 0.0 if b > 0 else share[c], ahead[into, c], start[c]
+            if b > 0:
+                _banded(diagonals[0, c], half[c], now[c, edge - half[c] :], moved[c])
+        for c in range(classes):
+            drawn, here = 0.0 if b > 0 else share[c], ahead[into, c]
+            here[:] = 0.0
             for other in range(classes):
                 if b > 0 and fresh[other, c]:
                     drawn += switch[other, c] * mass[other]
-            for i in range(size):
-                here[i] = drawn * begin[i]
-            for other in range(classes):
-                rate, came = switch[other, c], moved[other]
-                if b > 0 and rate > 0.0 and not fresh[other, c]:
-                    for i in range(size):
-                        here[i] += rate * came[i]
+                elif b > 0 and switch[other, c] > 0.0:
+                    here += switch[other, c] * moved[other]
+            here += drawn * start[c]
         for c in range(classes):
-            here, given, total = ahead[into, c], now[c, edge : edge + size], 0.0
-            for i in range(size):
-                given[i] = here[i] * like[i]
-                total += given[i]
-            mass[c] = total
-            scale += total
+            now[c, inner] = ahead[into, c] * likelihood[b]
+            mass[c] = _product(ahead[into, c], likelihood[b])
+        scale = mass.sum()
         log_likelihood += np.log(scale)
-        for c in range(classes):
-            given = now[c, edge : edge + size]
-            mass[c] /= scale
-            for i in range(size):
-                given[i] /= scale
+        mass /= scale
+        now /= scale
     held, moves = np.zeros((classes, size)), np.zeros((classes, classes))
     known = 0 if likelihood_only else bins
     cavity, low = np.zeros((known, size)), np.zeros(known)
-    for c in range(classes):
-        given = behind[c, edge : edge + size]
-        for i in range(size):
-            given[i] = 1.0
-    one, drawn_from = np.zeros(classes), np.zeros(classes)
-    joint, left = np.zeros((classes, classes)), np.empty(size)
+    behind[:, inner] = 1.0
+    joint = np.zeros((classes, classes))
     for b in range(known - 1, -1, -1):
-        like, away = likelihood[b], cavity[b]
-        every = 0.0
         for c in range(classes):
-            here, given, total = ahead[b, c], behind[c, edge : edge + size], 0.0
-            for i in range(size):
-                away[i] += here[i] * given[i]
-                given[i] *= like[i]
-                total += here[i] * given[i]
-            one[c] = total
-            every += total
-        norm = 0.0
-        for i in range(size):
-            norm += away[i]
-        for i in range(size):
-            away[i] /= norm
-        low[b] = one[classes - 1] / every
-        for c in range(classes):
-            given, begin, total = behind[c, edge : edge + size], start[c], 0.0
-            for i in range(size):
-                total += begin[i] * given[i]
-            drawn_from[c] = total
-            if not flat[b]:
-                here, into_class = ahead[b, c], held[c]
-                for i in range(size):
-                    into_class[i] += here[i] * given[i] / every
-            if b > 0:
-                _banded(diagonals[1, c], half[c], behind[c, edge - half[c] :], back[c])
+            here, given = ahead[b, c], behind[c, inner]
+            cavity[b] += here * given
+            given *= likelihood[b]
+            mass[c], drawn_from[c] = _product(here, given), _product(start[c], given)
+        cavity[b] /= cavity[b].sum()
+        low[b] = mass[classes - 1] / mass.sum()
+        if not flat[b]:
+            held += ahead[b] * behind[:, inner] / mass.sum()
         if b == 0:
             break
-        if not (flat[b] and flat[b - 1]):
-            every, like = 0.0, likelihood[b - 1]
-            for c in range(classes):
-                here, whole = ahead[b - 1, c], 0.0
-                for i in range(size):
-                    left[i] = here[i] * like[i]
-                    whole += left[i]
-                for to in range(classes):
-                    came, total = back[to], 0.0
-                    if fresh[c, to]:
-                        total = whole * drawn_from[to]
-                    else:
-                        for i in range(size):
-                            total += left[i] * came[i]
-                    joint[c, to] = switch[c, to] * total
-                    every += joint[c, to]
-            for c in range(classes):
-                for to in range(classes):
-                    moves[c, to] += joint[c, to] / every
-        top = 0.0
         for c in range(classes):
-            drawn, given = 0.0, behind[c, edge : edge + size]
+            _banded(diagonals[1, c], half[c], behind[c, edge - half[c] :], back[c])
+        for c in range(classes):
+            given, drawn = behind[c, inner], 0.0
+            given[:] = 0.0
             for to in range(classes):
                 if fresh[c, to]:
                     drawn += switch[c, to] * drawn_from[to]
-            for i in range(size):
-                given[i] = drawn
-            for to in range(classes):
-                rate, came = switch[c, to], back[to]
-                if rate > 0.0 and not fresh[c, to]:
-                    for i in range(size):
-                        given[i] += rate * came[i]
-            for i in range(size):
-                top = max(top, given[i])
-        for c in range(classes):
-            given = behind[c, edge : edge + size]
-            for i in range(size):
-                given[i] /= top
+                elif switch[c, to] > 0.0:
+                    given += switch[c, to] * back[to]
+            given += drawn
+            if not (flat[b] and flat[b - 1]):
+                left = ahead[b - 1, c] * likelihood[b - 1]
+                for to in range(classes):
+                    met = drawn_from[to] * left.sum() if fresh[c, to] else _product(left, back[to])
+                    joint[c, to] = switch[c, to] * met
+        if not (flat[b] and flat[b - 1]):
+            moves += joint / joint.sum()
+        behind /= behind.max()
     return log_likelihood, cavity, low, moves, held
 
 
@@ -267,36 +223,26 @@ def emissions(
     rows, size = onset.shape[0], levels.size
     plain = np.zeros((rows, size))
     short, number = np.full((rows, size), -np.inf), np.ones((rows, size))
-    bearing = np.zeros(size)
-    beyond = np.empty(size)
-    left = 1.0
-    for i in range(size):
-        left -= spot[i]
-        beyond[i] = max(left, 0.0)
+    beyond = np.maximum(1.0 - np.cumsum(spot), 0.0)
     for r in range(rows):
-        for i in range(size):
-            bearing[i] = 0.0
-        trips = onset[r, 0]
+        bearing, trips = np.zeros(size), onset[r, 0]
         for e in range(used_start[r], used_start[r + 1]):
             trips += used_trips[e]
-            for i in range(size):
-                bearing[i] += used_trips[e] * log_tail[used_level[e], i]
+            bearing += used_trips[e] * log_tail[used_level[e]]
         count = int(onset[r, 0])
         if count == 0:
-            for i in range(size):
-                plain[r, i] = bearing[i]
+            plain[r] = bearing
             continue
         mean, scatter = onset[r, 1], onset[r, 2]
         variance = trip_std**2 + onset[r, 3]
         wide = (WIDE * trip_std) ** 2 + onset[r, 3]
         constant = -0.5 * np.log(2.0 * np.pi * variance)
         large = -0.5 * np.log(2.0 * np.pi * wide)
-        for i in range(size):
-            away = (mean - levels[i]) ** 2 + scatter
-            one = np.log(1.0 - OFTEN) + count * (constant - 0.5 * away / variance)
-            two = np.log(OFTEN) + count * (large - 0.5 * away / wide)
-            top = max(one, two)
-            plain[r, i] = bearing[i] + top + np.log(np.exp(one - top) + np.exp(two - top))
+        apart = (mean - levels) ** 2 + scatter
+        narrow = np.log(1.0 - OFTEN) + count * (constant - 0.5 * apart / variance)
+        plain[r] = bearing + np.logaddexp(
+            narrow, np.log(OFTEN) + count * (large - 0.5 * apart / wide)
+        )
         # The lowest k of the onsets were of short spots, each of its own or all of one, or in a
         # neighbouring bin; the others as ever.
         shared = 0.5 * met
@@ -329,8 +275,7 @@ def emissions(
                     others += (count - k) * (constant - 0.5 * (high - levels[i]) ** 2 / variance)
                 value, other = value + others, strayed + others
                 if other > plain[r, i] - NEGLIGIBLE:
-                    top = max(plain[r, i], other)
-                    plain[r, i] = top + np.log(np.exp(plain[r, i] - top) + np.exp(other - top))
+                    plain[r, i] = np.logaddexp(plain[r, i], other)
                 top = max(short[r, i], value)
                 if top > -np.inf:
                     kept, new = np.exp(short[r, i] - top), np.exp(value - top)
@@ -341,12 +286,8 @@ def emissions(
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _log_mean_exp(values: FloatArray, weights: FloatArray) -> float:
-    top, total = values[0], 0.0
-    for i in range(values.size):
-        top = max(top, values[i])
-    for i in range(values.size):
-        total += weights[i] * np.exp(values[i] - top)
-    return float(top + np.log(total))
+    top = values.max()
+    return float(top + np.log((weights * np.exp(values - top)).sum()))
 
 
 def blurred(probability: FloatArray, std: FloatArray, step: float) -> FloatArray:
@@ -426,8 +367,7 @@ def over_days(
     log_likelihood = np.empty((bins, size))
     present, long = np.zeros(rows), np.zeros(rows)
     state = np.zeros((bins, states))
-    turnover, weight = np.zeros(4), np.empty(size)
-    cut = np.zeros(rows)
+    turnover, cut = np.zeros(4), np.zeros(rows)
     for b in range(bins):
         first, last = bin_start[b], bin_start[b + 1]
         count = last - first
@@ -447,16 +387,12 @@ def over_days(
         after_cut = np.zeros((count, size))
         for r in range(first, last):
             n = r - first
-            top = -np.inf
-            for i in range(size):
-                top = max(top, plain[r, i], short[r, i] + message[r])
-            shift[n] = top
+            shift[n] = max(plain[r].max(), short[r].max() + message[r])
             raised[n] = np.exp(message[r])
             if n > 0:
                 stays[n] = np.exp(-(day[r] - day[r - 1]) / life)
-            for i in range(size):
-                bears[n, i] = np.exp(plain[r, i] - top)
-                meets[n, i] = np.exp(short[r, i] + message[r] - top)
+            bears[n] = np.exp(plain[r] - shift[n])
+            meets[n] = np.exp(short[r] + message[r] - shift[n])
         for i in range(size):
             # Spots above the lasting level change nothing: only those below are states.
             held = 0
@@ -547,28 +483,19 @@ def over_days(
                     free /= top
                     for j in range(held):
                         back[j] /= top
-        largest, total = log_likelihood[b, 0], 0.0
-        for i in range(size):
-            largest = max(largest, log_likelihood[b, i])
-        for i in range(size):
-            weight[i] = cavity[b, i] * np.exp(log_likelihood[b, i] - largest)
-            total += weight[i]
-        for i in range(size):
-            weight[i] /= total
+        weight = cavity[b] * np.exp(log_likelihood[b] - log_likelihood[b].max())
+        weight /= weight.sum()
         for n in range(count):
-            for i in range(size):
-                long[first + n] += weight[i] * long_at[n, i]
-                present[first + n] += weight[i] * (long_at[n, i] + short_at[n, i])
+            long[first + n] = _product(weight, long_at[n])
+            present[first + n] = long[first + n] + _product(weight, short_at[n])
         whole = _log_mean_exp(log_likelihood[b], lasting)
         for n in range(1, count if with_cut else 0):
             cut[first + n] = (
                 _log_mean_exp(before_cut[n], lasting) + _log_mean_exp(after_cut[n], lasting) - whole
             )
         for i in range(size):
-            for e in range(4):
-                turnover[e] += weight[i] * turned[i, e]
-            for j in range(states):
-                state[b, j] += weight[i] * final[i, j]
+            turnover += weight[i] * turned[i]
+            state[b] += weight[i] * final[i]
     return log_likelihood, present, long, state, turnover, cut
 
 
