@@ -8,7 +8,7 @@ speed sections; operational points; positions from a section's beginning.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -388,11 +388,9 @@ def _networks(
     tracks = _tracks(infra, graph.account)
     _add_stations(infra, tracks)
     _add_limits(infra, tracks, graph.account)
-    limits = limits.among(tracks.values(), graph.account)
     for section in infra.track_sections:
         graph.corners |= _corners(section)
-        graph.add(tracks[section.id], limits)
-    _add_movements(infra, graph)
+    _add_movements(infra, graph, tracks)
     for stop in infra.buffer_stops:
         track = _track(tracks, stop.track, f"buffer_stops '{stop.id}'")
         graph.label(stop.track, track.length, stop.position, stop.id)
@@ -402,7 +400,7 @@ def _networks(
     for key in sorted(unknown):
         here = content[key]
         graph.account.left_out[f"'{key}'"] += len(here) if isinstance(here, list | dict) else 1
-    return graph.account.of(graph.networks())
+    return graph.whole(tracks, limits)
 
 
 def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
@@ -513,7 +511,7 @@ def _add_limits(infra: _Infrastructure, tracks: dict[str, TrackData], account: A
         account.assumed[routes] += section.on_routes is not None
 
 
-def _add_movements(infra: _Infrastructure, graph: TrackGraph) -> None:
+def _add_movements(infra: _Infrastructure, graph: TrackGraph, tracks: dict[str, TrackData]) -> None:
     types = dict(SWITCH_TYPES)
     for kind in infra.extended_switch_types:
         pairs = [(each.src, each.dst) for group in kind.groups.values() for each in group]
@@ -527,34 +525,26 @@ def _add_movements(infra: _Infrastructure, graph: TrackGraph) -> None:
                 place=place,
                 remedy=f"known are {', '.join(types)}; describe others in 'extended_switch_types'",
             )
-        ends = dict(_ports(switch, graph, taken, place))
-        for first, second in types[switch.switch_type]:
-            for port in (first, second):
+        ends: dict[str, TrackEnd] = {}
+        for port, each in switch.ports.items():
+            end = ends[port] = TrackEnd(each.track, each.endpoint == "END")
+            _track(tracks, each.track, f"{place}.ports.{port}")
+            if taken.setdefault(end, switch.id) != switch.id:
+                raise InputError(
+                    f"the {each.endpoint} of track section '{each.track}' is at switch"
+                    f" '{switch.id}' and at switch '{taken[end]}'",
+                    place=f"{place}.ports.{port}",
+                    remedy="a track ends at one of them",
+                )
+            graph.labels[end] = switch.id
+        for pair in types[switch.switch_type]:
+            for port in pair:
                 if port not in ends:
                     raise InputError(
                         f"switch '{switch.id}' has no port '{port}'",
                         place=f"{place}.ports",
                         remedy=f"a {switch.switch_type} has one",
                     )
-            graph.movements.append((ends[first], ends[second]))
+            graph.movements.append((ends[pair[0]], ends[pair[1]]))
         if switch.switch_type == "crossing":
             graph.account.left_out["crossings, whose tracks are unconnected"] += 1
-
-
-def _ports(
-    switch: _Switch, graph: TrackGraph, taken: dict[TrackEnd, str], place: str
-) -> Iterator[tuple[str, TrackEnd]]:
-    """The track end at each port; none may be at two switches."""
-    for port, each in switch.ports.items():
-        end = TrackEnd(each.track, each.endpoint == "END")
-        if each.track not in graph.tracks:
-            raise not_in_file("track section", each.track, f"{place}.ports.{port}")
-        if taken.setdefault(end, switch.id) != switch.id:
-            raise InputError(
-                f"the {each.endpoint} of track section '{each.track}' is at switch '{switch.id}'"
-                f" and at switch '{taken[end]}'",
-                place=f"{place}.ports.{port}",
-                remedy="a track ends at one of them",
-            )
-        graph.labels[end] = switch.id
-        yield port, end

@@ -475,44 +475,38 @@ class TrackGraph:
     corners: dict[TrackEnd, tuple[float, float]] = field(default_factory=dict)
     account: Account = field(default_factory=Account)
 
-    def add(
-        self,
-        track: TrackData,
-        limits: LimitChoice,
-        sections: dict[str, tuple[float, float]] | None = None,
-    ) -> None:
-        """Add a track, or the sections [m] that switches cut it into.
-
-        Sections without a length are not: what they would join is.
-        """
-        line = None if track.length <= SAME_PLACE else track.line(self.account, limits)
-        for name, (start, end) in (sections or {track.name: (0.0, track.length)}).items():
-            if line is None or end - start <= SAME_PLACE:
-                self._pass_through(name)
-                continue
-            whole = start == 0.0 and end == track.length
-            part = replace(line if whole else line.section(start, end), name=name)
-            if all(each.cross_section != ASSUMED_SECTION for each in part.tunnels):
-                assumed = tuple(each for each in part.assumed if each != "tunnel_cross_sections")
-                part = replace(part, assumed=assumed)
-            self.tracks[name] = part
-            course = part.geometry
-            for at_end, index, end in ((False, 0, 0.0), (True, -1, part.length)):
-                if course is not None and abs(course.positions[index] - end) <= AT_END:
-                    corner = float(course.latitudes[index]), float(course.longitudes[index])
-                    self.corners.setdefault(TrackEnd(name, at_end), corner)
-
     def whole(
         self,
         tracks: Mapping[str, TrackData],
         limits: LimitChoice,
         sections: Mapping[str, dict[str, tuple[float, float]]] | None = None,
     ) -> Infrastructure:
-        """The networks of tracks, some cut into `sections`, and the account of their file."""
+        """The networks of tracks, some cut into `sections` [m], and the account of their file.
+
+        Sections without a length are left out: what they would join is.
+        """
         chosen = limits.among(tracks.values(), self.account)
         for name, track in tracks.items():
-            self.add(track, chosen, (sections or {}).get(name))
+            line = None if track.length <= SAME_PLACE else track.line(self.account, chosen)
+            parts = (sections or {}).get(name, {name: (0.0, track.length)})
+            for own, (start, end) in parts.items():
+                if line is None or end - start <= SAME_PLACE:
+                    self._pass_through(own)
+                else:
+                    whole = start == 0.0 and end == track.length
+                    self._add(own, line if whole else line.section(start, end))
         return self.account.of(self.networks())
+
+    def _add(self, name: str, line: Line) -> None:
+        """Add a track, with the coordinates of its ends."""
+        assumed = any(each.cross_section == ASSUMED_SECTION for each in line.tunnels)
+        kept = tuple(x for x in line.assumed if assumed or x != "tunnel_cross_sections")
+        self.tracks[name] = replace(line, name=name, assumed=kept)
+        course = line.geometry
+        for at_end, index, end in ((False, 0, 0.0), (True, -1, line.length)):
+            if course is not None and abs(course.positions[index] - end) <= AT_END:
+                corner = float(course.latitudes[index]), float(course.longitudes[index])
+                self.corners.setdefault(TrackEnd(name, at_end), corner)
 
     def label(self, track: str, length: float, position: float, label: str) -> None:
         """Name the end of a track that lies at a position [m], unless it has a name already."""
