@@ -32,10 +32,10 @@ from isal.igzip_lib import IsalError
 
 from trainlog.errors import InputError
 from trainlog.formats.files import (
+    beginning,
     check_written,
     mistaken_map,
     plain,
-    refuse_reading,
     sha256,
     write_bytes,
     writing_error,
@@ -362,17 +362,6 @@ class Sums(NamedTuple):
     layers: dict[tuple[str, str], str]
 
 
-def _entry_of(
-    row: Row, notes: Mapping[str, str], layers: Mapping[tuple[str, str], str]
-) -> dict[str, Any]:
-    """The entry of a trip, with what was made of it beside the others."""
-    entry = row.entry_whole
-    if row.key in notes:
-        entry["notes"] = [*entry.get("notes", ()), notes[row.key]]
-    layer = layers.get((row.layer, row.key), row.layer)
-    return entry | ({"layer": layer} if layer != row.layer else {})
-
-
 def _pieces_of(rows: Iterable[Row]) -> dict[str, list[_Piece]]:
     """What the rows that count have in the file, by layer."""
     found: dict[str, list[_Piece]] = {}
@@ -405,12 +394,10 @@ class MapFile:
         self.path = Path(path)
         if empty is not None and not self.path.exists():
             begin(self.path, empty)
-        try:
-            with self.path.open("rb") as stream:
-                start = stream.read(4096)
-        except OSError as error:
-            refuse_reading(self.path, error)
-        _check_start(start, self.path)
+        start = beginning(self.path)
+        if not start.startswith(b"SQLite format 3\0"):
+            problem, remedy = mistaken_map(start)
+            raise InputError(problem, file=self.path, remedy=remedy)
         with _refusing(self.path):
             name = f"{self.path.absolute().as_uri()}?mode=rw"
             self._database = sqlite3.connect(
@@ -419,13 +406,6 @@ class MapFile:
             # Durable when a trip is acknowledged, also after a power cut.
             self._database.execute("PRAGMA synchronous = EXTRA")
             _check_kind(self._database, self.path)
-
-    @classmethod
-    def _in_memory(cls, file: str | Path) -> Self:
-        found = cls.__new__(cls)
-        found.path = Path(file)
-        found._database = sqlite3.connect(":memory:", isolation_level=None)
-        return found
 
     @classmethod
     def of_map(cls, track: TrackConditionMap, file: str | Path = "map") -> Self:
@@ -453,7 +433,9 @@ class MapFile:
         sums: Mapping[str, DailyEvidence],
     ) -> Self:
         """A file in memory with the header of a map, rows, their evidence and sums by layer."""
-        found = cls._in_memory(file)
+        found = cls.__new__(cls)
+        found.path = Path(file)
+        found._database = sqlite3.connect(":memory:", isolation_level=None)
         found._database.execute(f"PRAGMA application_id = {APPLICATION}")
         found._database.execute(f"PRAGMA user_version = {VERSION}")
         found._database.executescript(_TABLES)
@@ -505,10 +487,14 @@ class MapFile:
         with self.unchanging():
             trips = self.trips()
             known, notes, own = self.summed(trips)
-            entries = sorted(
-                (_entry_of(row, notes, own) for row in trips if row.counted), key=place_of
-            )
-            track = replace(self.empty, trips=tuple(entries))
+            entries = []
+            for row in (each for each in trips if each.counted):
+                entry = row.entry_whole
+                if row.key in notes:
+                    entry["notes"] = [*entry.get("notes", ()), notes[row.key]]
+                layer = own.get((row.layer, row.key), row.layer)
+                entries.append(entry | ({"layer": layer} if layer != row.layer else {}))
+            track = replace(self.empty, trips=tuple(sorted(entries, key=place_of)))
             # What else changed since the estimate was made does not matter.
             code = code_version_of("trainlog.condition")
             made_from = {name: f"{digest} {code}" for name, (_, digest) in known.items()}
@@ -1253,13 +1239,6 @@ def _check_estimates(condition: TrackConditionMap) -> None:
 
 
 # --------------------------------------------------------------------------------- refusals
-
-
-def _check_start(start: bytes, file: str | Path) -> None:
-    """Refuse what is no SQLite database."""
-    if not start.startswith(b"SQLite format 3\0"):
-        problem, remedy = mistaken_map(start)
-        raise InputError(problem, file=file, remedy=remedy)
 
 
 def _check_kind(database: sqlite3.Connection, file: str | Path) -> None:

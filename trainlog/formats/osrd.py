@@ -385,11 +385,9 @@ def _networks(
     infra: _Infrastructure, content: dict[str, Any], name: str, limits: LimitChoice
 ) -> Infrastructure:
     graph = TrackGraph(name, f"OSRD infrastructure (railjson {infra.version})")
-    tracks = _tracks(infra, graph.account)
+    tracks = _tracks(infra, graph)
     _add_stations(infra, tracks)
     _add_limits(infra, tracks, graph.account)
-    for section in infra.track_sections:
-        graph.corners |= _corners(section)
     _add_movements(infra, graph, tracks)
     for stop in infra.buffer_stops:
         track = _track(tracks, stop.track, f"buffer_stops '{stop.id}'")
@@ -403,10 +401,9 @@ def _networks(
     return graph.whole(tracks, limits)
 
 
-def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
+def _tracks(infra: _Infrastructure, graph: TrackGraph) -> dict[str, TrackData]:
     """The track sections, with gradients, curves and course."""
-    tracks: dict[str, TrackData] = {}
-    scales = []
+    tracks, account, scales = dict[str, TrackData](), graph.account, []
     for number, section in enumerate(infra.track_sections):
         place = f"track_sections[{number}]"
         if section.id in tracks:
@@ -417,7 +414,7 @@ def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
         track.gradients = [Stretch(s.begin, s.end, 1e-3 * s.gradient) for s in section.slopes]
         track.curves = [Stretch(s.begin, s.end, curvature_of(s.radius)) for s in section.curves]
         if section.geo is not None:
-            scales.append(_lay(track, section.geo.coordinates))
+            scales.append(_lay(graph, track, section.geo.coordinates))
         account.left_out["loading gauge limits"] += len(section.loading_gauge_limits)
         tracks[section.id] = track
     known = np.array(scales)
@@ -432,7 +429,7 @@ def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
     return tracks
 
 
-def _lay(track: TrackData, coordinates: Sequence[Sequence[float]]) -> float:
+def _lay(graph: TrackGraph, track: TrackData, coordinates: Sequence[Sequence[float]]) -> float:
     """Give a track its course, laid evenly over its length; how many times as long it is.
 
     NaN where it does not lie on the earth. Such and much longer or shorter ones are drawings.
@@ -441,6 +438,10 @@ def _lay(track: TrackData, coordinates: Sequence[Sequence[float]]) -> float:
     if np.any(np.abs(latitudes) > 90.0) or np.any(np.abs(longitudes) > 180.0):
         return np.nan
     points = to_plane(latitudes, longitudes, (float(latitudes.mean()), float(longitudes.mean())))
+    if np.abs(points[-1] - points[0]) <= FARTHEST_ENDS * track.length:
+        for at_end, end in ((False, 0), (True, -1)):
+            corner = float(latitudes[end]), float(longitudes[end])
+            graph.corners[TrackEnd(track.name, at_end)] = corner
     along = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
     scale = float(along[-1] / track.length)
     if 1.0 / FARTHEST <= scale <= FARTHEST:
@@ -448,21 +449,6 @@ def _lay(track: TrackData, coordinates: Sequence[Sequence[float]]) -> float:
         track.course = [(float(at), float(lat), float(lon)) for at, lat, lon in rows]
         track.course_quality = "coordinates of OSRD infrastructure, laid over the stated lengths"
     return scale
-
-
-def _corners(section: _Section) -> dict[TrackEnd, tuple[float, float]]:
-    """Latitude and longitude of a section's ends, where these are places on the earth."""
-    if section.geo is None:
-        return {}
-    ends = [(y, x) for x, y in (section.geo.coordinates[n][:2] for n in (0, -1))]
-    if any(abs(y) > 90.0 or abs(x) > 180.0 for y, x in ends):
-        return {}
-    apart = float(np.abs(to_plane(*ends[1], ends[0])))
-    if apart > FARTHEST_ENDS * section.length:
-        return {}
-    return {
-        TrackEnd(section.id, at_end): end for at_end, end in zip((False, True), ends, strict=True)
-    }
 
 
 def _track(tracks: dict[str, TrackData], name: str, place: str) -> TrackData:

@@ -151,37 +151,27 @@ def _network(data: bytes, file: str | Path, judged: bool) -> Network:
 
 def _with_lines(body: dict[str, Any], folder: Path) -> dict[str, Any]:
     """What a network's file states, with each edge's line and name, wherever they stand."""
-    edges = body.get("edges")
-    if not isinstance(edges, list):
-        return body
-
     problems, whole = Problems(), []
-    for number, edge in enumerate(edges):
+    edges = body.get("edges")
+    for number, edge in enumerate(edges if isinstance(edges, list) else ()):
+        if not isinstance(edge, dict):
+            whole.append(edge)
+            continue
         with problems.at(f"edges[{number}]"):
-            whole.append(_edge(edge, folder))
+            rest = {key: value for key, value in edge.items() if key != "file"}
+            if (rest.get("line") is None) == (edge.get("file") is None):
+                raise InputError(
+                    "needs either a line or the file of one", remedy="give one of 'line' and 'file'"
+                )
+            line = rest.get("line")
+            if line is None:
+                line = rest["line"] = read_thing(Line, folder / str(edge["file"]))
+            if rest.get("name") is None:
+                named = {"name": line.name} if isinstance(line, Line) else line
+                rest["name"] = named.get("name") if isinstance(named, dict) else None
+            whole.append(rest)
     problems.check()
-    return body | {"edges": whole}
-
-
-def _edge(edge: Any, folder: Path) -> Any:
-    """An edge with its line, from a file if one is named, and the line's name if it has none."""
-    if not isinstance(edge, dict):
-        return edge
-    rest = {key: value for key, value in edge.items() if key != "file"}
-    line, file = rest.get("line"), edge.get("file")
-    if (line is None) == (file is None):
-        raise InputError(
-            "needs either a line or the file of one", remedy="give one of 'line' and 'file'"
-        )
-    if file is not None:
-        line = rest["line"] = read_thing(Line, folder / str(file))
-    if rest.get("name") is None:
-        rest["name"] = line.name if isinstance(line, Line) else _name_of(line)
-    return rest
-
-
-def _name_of(line: Any) -> Any:
-    return line.get("name") if isinstance(line, dict) else None
+    return body | ({"edges": whole} if isinstance(edges, list) else {})
 
 
 def read_network(path: str | Path) -> Network:

@@ -730,24 +730,19 @@ class Route(Presented):
         found = [
             (at + station.position, station.name) for at, part in parts for station in part.stations
         ]
-        for at, name, kind in self._joints():
-            if kind == "station":
-                found = [each for each in found if abs(each[0] - at) > AT_END]
-                found.append((at, name))
+        for leg in self.legs:
+            edge = self.network.edge(leg.edge)
+            for at, chainage in ((leg.position, leg.edge_start), (leg.end, leg.edge_end)):
+                name = edge.start if chainage <= TINY else edge.end
+                at_node = chainage <= TINY or chainage >= edge.line.length - TINY
+                if at_node and self.network.node(name).kind == "station":
+                    found = [each for each in found if abs(each[0] - at) > AT_END]
+                    found.append((at, name))
         for at, name in ((0.0, self.places[0]), (self.length, self.places[-1])):
             if all(abs(each[0] - at) > AT_END for each in found):
                 found.append((at, name))
         found.sort(key=lambda each: each[0])
         return tuple(Station(name, min(max(at, 0.0), self.length)) for at, name in found)
-
-    def _joints(self) -> Iterator[tuple[float, str, NodeKind]]:
-        """Position [m], name and kind of the nodes that the route passes."""
-        for leg in self.legs:
-            edge = self.network.edge(leg.edge)
-            for at, chainage in ((leg.position, leg.edge_start), (leg.end, leg.edge_end)):
-                if chainage <= TINY or chainage >= edge.line.length - TINY:
-                    name = edge.start if chainage <= TINY else edge.end
-                    yield at, name, self.network.node(name).kind
 
 
 def assumed_on(edges: Sequence[Edge]) -> str:
