@@ -132,7 +132,7 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: 
         level = whole.quantile(0.5)[20:]
         assert np.all((level > 0.145) & (level < 0.18)), number
         assert found.quantile(0.5).tobytes() == whole.expected(day(number)).quantile(0.5).tobytes()
-        assert whole.model["trip_std"] < 0.12
+        assert whole.model["trip_std"].value < 0.12
 
 
 def test_the_order_of_trips_does_not_matter() -> None:
@@ -158,10 +158,10 @@ def test_without_evidence_parameters_are_assumed_and_with_it_estimated() -> None
         none = np.zeros((BINS, LEVELS.size))
         pieces.append(DailyEvidence.of_bins(DAY + number, seen, weight, logs, none))
     model = layer_of(pieces).model
-    trip = model.parameter("trip_std")
+    trip = model["trip_std"]
     assert trip.source == "estimated"
     assert trip.value == pytest.approx(0.05, abs=0.015)
-    assert model["mean"] == pytest.approx(np.log(0.2), abs=0.1)
-    assert model.parameter("spot_life").source == "assumed"
+    assert model["mean"].value == pytest.approx(np.log(0.2), abs=0.1)
+    assert model["spot_life"].source == "assumed"
     empty = layer_of([calm(DAY, 0.02)]).model
-    assert {each.source for each in empty.parameters} == {"assumed"}
+    assert {each.source for each in empty.values()} == {"assumed"}

@@ -30,7 +30,6 @@ from trainlog.railway.condition import (
     AdhesionEstimate,
     ConditionChange,
     ConditionLayer,
-    ConditionModel,
     ModelParameter,
     PassingSpot,
     adhesion_class,
@@ -43,14 +42,15 @@ pytestmark = pytest.mark.usefixtures("remembered")
 AT = pd.Timestamp("2024-10-09T06:00", tz="UTC")
 SPOT = PassingSpot(9_675.0, 9_750.0, 0.07, 0.06, 0.08, 20_003, 20_003, 20_003, 0.9, 2.0)
 CHANGE = ConditionChange(100.0, 150.0, 20_002, 20_001, 20_003, 0.10, 0.14, 0.05, 0.05, 8.0)
-MODEL = ConditionModel(
-    (
+MODEL = {
+    each.name: each
+    for each in (
         ModelParameter("trip_std", "1", 0.12, 0.011, "estimated"),
         ModelParameter("correlation_length", "m", 120.0, float("nan"), "assumed"),
         ModelParameter("mean", "1", -1.238, 0.09, "assumed"),
         ModelParameter("slippery_length", "m", 193.2, 124.0, "assumed"),
     )
-)
+}
 
 
 class Layer(ConditionLayer):

@@ -38,7 +38,6 @@ from trainlog.railway.condition import (
     SET_ASIDE,
     ConditionChange,
     ConditionLayer,
-    ConditionModel,
     ModelParameter,
     PassingSpot,
     TrackConditionMap,
@@ -71,7 +70,7 @@ NAMES = {
     "spot_std": "spot_std",
     "spot_length": "spot_length",
 }
-"""Names in `ConditionModel` of the `FieldParameters`."""
+"""Names in the model of a layer of the `FieldParameters`."""
 
 
 def estimated(track: TrackConditionMap) -> TrackConditionMap:
@@ -489,7 +488,7 @@ def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
     )
 
 
-def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:
+def _model(track: TrackConditionMap, found: FieldPosterior) -> dict[str, ModelParameter]:
     """The parameters, with their deviations and where they are from, and the constants in use."""
     parameters = [
         ModelParameter(
@@ -504,7 +503,7 @@ def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:
         ("model_std", "1", setting(track, "model_std")),
     )
     parameters += [ModelParameter(*each, std=0.0, source="assumed") for each in constants]
-    return ConditionModel(tuple(parameters))
+    return {each.name: each for each in parameters}
 
 
 def _change(track: TrackConditionMap, found: FieldChange) -> ConditionChange:

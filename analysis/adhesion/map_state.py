@@ -364,7 +364,7 @@ def _lowest(
 
 
 def _model(layers: dict[str, ConditionLayer]) -> pd.DataFrame:
-    every = [(name, each) for name, layer in layers.items() for each in layer.model.parameters]
+    every = [(name, each) for name, layer in layers.items() for each in layer.model.values()]
     return pd.DataFrame(
         {
             "layer": [name for name, _ in every],

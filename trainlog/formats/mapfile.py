@@ -46,7 +46,6 @@ from trainlog.railway.condition import (
     SET_ASIDE,
     ConditionChange,
     ConditionLayer,
-    ConditionModel,
     ModelParameter,
     PassingSpot,
     TrackConditionMap,
@@ -1009,7 +1008,7 @@ def _packed(layer: ConditionLayer) -> bytes:
     del values["evidence"]
     arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     facts: dict[str, Any] = {name: [asdict(each) for each in values[name]] for name in _LISTED} | {
-        "model": asdict(layer.model)["parameters"]
+        "model": [asdict(each) for each in layer.model.values()]
     }
     return pack(facts, arrays)
 
@@ -1024,7 +1023,7 @@ def _layer_of(evidence: DailyEvidence, data: bytes | None) -> ConditionLayer | N
         kept |= {
             name: tuple(kind(**each) for each in facts[name]) for name, kind in _LISTED.items()
         }
-        kept["model"] = ConditionModel(tuple(ModelParameter(**each) for each in facts["model"]))
+        kept["model"] = {each["name"]: ModelParameter(**each) for each in facts["model"]}
         return ConditionLayer(evidence=evidence, **kept)
     except (ValueError, KeyError, TypeError):
         return None

@@ -315,37 +315,6 @@ class ModelParameter:
     source: str
 
 
-@dataclass(frozen=True, slots=True)
-class ConditionModel:
-    """The numbers behind a layer's estimate.
-
-    Attributes
-    ----------
-    parameters : tuple of ModelParameter
-    """
-
-    parameters: tuple[ModelParameter, ...] = ()
-
-    def __getitem__(self, name: str) -> float:
-        return self.parameter(name).value
-
-    def parameter(self, name: str) -> ModelParameter:
-        """The parameter called `name`.
-
-        Raises
-        ------
-        InputError
-            If the model has none of that name.
-        """
-        for each in self.parameters:
-            if each.name == name:
-                return each
-        raise InputError(
-            f"the model of the track condition has no parameter '{name}'",
-            remedy=f"parameters: {', '.join(each.name for each in self.parameters) or 'none'}",
-        )
-
-
 def _above(probability: FloatArray) -> FloatArray:
     """Probability of each level or a higher one; (n, k) array."""
     return np.asarray(np.cumsum(probability[:, ::-1], axis=1)[:, ::-1])
@@ -412,7 +381,8 @@ class ConditionLayer(AdhesionEstimate):
         By place.
     changes : tuple of ConditionChange
         By place; the estimate is what holds after them.
-    model : ConditionModel
+    model : dict of str to ModelParameter
+        The numbers behind the estimate, by name.
     passing : (4, n) array, optional
         Spots as the last evidence of each bin left them: its day, the probability that a spot lay
         there at its end, and mean and standard deviation of the logarithm of its adhesion.
@@ -421,7 +391,7 @@ class ConditionLayer(AdhesionEstimate):
     evidence: DailyEvidence = field(kw_only=True)
     spots: tuple[PassingSpot, ...] = field(default=(), kw_only=True)
     changes: tuple[ConditionChange, ...] = field(default=(), kw_only=True)
-    model: ConditionModel = field(default_factory=ConditionModel, kw_only=True)
+    model: dict[str, ModelParameter] = field(default_factory=dict, kw_only=True)
     passing: FloatArray | None = field(default=None, kw_only=True)
 
     @staticmethod
@@ -463,7 +433,8 @@ class ConditionLayer(AdhesionEstimate):
             return AdhesionEstimate(
                 self.log_mean, self.log_std, self.observed, self.log_levels, self.probability
             )
-        model, (day, present, log_mean, log_std) = self.model, self.passing
+        model = {name: each.value for name, each in self.model.items()}
+        day, present, log_mean, log_std = self.passing
         days = self.evidence.days
         last = int(days[-1]) if days.size else 0
         # At the end of the last day with evidence, if no time is given.
