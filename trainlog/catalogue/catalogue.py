@@ -11,7 +11,6 @@ import re
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -159,13 +158,18 @@ class Catalogue(Files, Trips, Computed):
 
         for attempt in range(ATTEMPTS):
             analyses = _analyses(self)
-            named = _named_in(statement, [*_TABLES, *analyses], self.place)
+            tables, wanted = _named_in(statement, [*_TABLES, *analyses], self.place)
             try:
-                with _connection(self, analyses, named) as connection:
+                with _connection(self, analyses, tables, wanted) as connection:
                     connection.execute(f"SET memory_limit = '{memory / 1e6:.0f}MB'")
                     connection.execute("SET lock_configuration = true")
-                    with _interrupted(connection, seconds):
+                    timer = threading.Timer(seconds, connection.interrupt)
+                    timer.daemon = True
+                    timer.start()
+                    try:
                         return connection.execute(statement).df()
+                    finally:
+                        timer.cancel()
             except (duckdb.InterruptException, duckdb.OutOfMemoryException) as error:
                 long = isinstance(error, duckdb.InterruptException)
                 raise InputError(
@@ -179,10 +183,9 @@ class Catalogue(Files, Trips, Computed):
                 if isinstance(error, duckdb.IOException) and attempt + 1 < ATTEMPTS:
                     # Another process put files of results together meanwhile, perhaps.
                     continue
-                _check_files(self, analyses, named.tables, error)
-                every = _Named(named.tables)
-                with _connection(self, analyses, every, empty=True) as connection:
-                    columns = _columns(connection, named.tables)
+                _check_files(self, analyses, tables, error)
+                with _connection(self, analyses, tables, empty=True) as connection:
+                    columns = _columns(connection, tables)
                 raise _refused(statement, error, columns) from error
         raise AssertionError
 
@@ -208,7 +211,7 @@ class Catalogue(Files, Trips, Computed):
         analyses = _analyses(self)
         known = [*_TABLES, *analyses]
         try:
-            with _connection(self, analyses, _Named(known), empty=True) as connection:
+            with _connection(self, analyses, known, empty=True) as connection:
                 every = _columns(connection, known)
         except duckdb.Error as error:
             _check_files(self, analyses, known, error)
@@ -221,26 +224,6 @@ class Catalogue(Files, Trips, Computed):
         return pd.DataFrame(found, columns=["table", "column", "type"])
 
 
-@dataclass(frozen=True)
-class _Named:
-    """What a statement names: tables, and columns or parts of their names; None if all of them."""
-
-    tables: list[str]
-    columns: frozenset[str] | None = None
-
-    def wants(self, column: str) -> bool:
-        """Whether a column is among them."""
-        return self.columns is None or column in self.columns
-
-
-@dataclass(frozen=True)
-class _Analysis:
-    """The results of an analysis: the files, and which of them holds each trip that counts."""
-
-    paths: list[str]
-    rows: pd.DataFrame
-
-
 def _check_files(
     database: Database, analyses: dict[str, str], tables: list[str], error: duckdb.Error
 ) -> None:
@@ -251,7 +234,7 @@ def _check_files(
         return
     for name in tables:
         if name in analyses:
-            for path in _results_of(database, analyses[name]).paths:
+            for path in _results_of(database, analyses[name])[0]:
                 if not is_readable(Path(path)):
                     raise unreadable(path) from error
 
@@ -263,8 +246,10 @@ def _analyses(database: Database) -> dict[str, str]:
     return {f"{name}_results" if name.casefold() in _TABLES else name: name for name in names}
 
 
-def _named_in(statement: str, known: list[str], place: str) -> _Named:
-    """What a statement names, which must be one that reads."""
+def _named_in(
+    statement: str, known: list[str], place: str
+) -> tuple[list[str], frozenset[str] | None]:
+    """Tables and words that may be columns, None: any, of a statement, which must read."""
     import sqlglot
     from sqlglot import exp
 
@@ -294,7 +279,7 @@ def _named_in(statement: str, known: list[str], place: str) -> _Named:
                 remedy=f"tables of {place}: {', '.join(known)}",
             )
         found.append(folded[name])
-    return _Named(list(dict.fromkeys(found)), _columns_in(parsed[0]))
+    return list(dict.fromkeys(found)), _columns_in(parsed[0])
 
 
 def _columns_in(parsed: exp.Query) -> frozenset[str] | None:
@@ -331,62 +316,63 @@ def _columns_in(parsed: exp.Query) -> frozenset[str] | None:
 
 @contextmanager
 def _connection(
-    database: Database, analyses: dict[str, str], named: _Named, empty: bool = False
+    database: Database,
+    analyses: dict[str, str],
+    tables: list[str],
+    wanted: frozenset[str] | None = None,
+    empty: bool = False,
 ) -> Iterator[duckdb.DuckDBPyConnection]:
-    """A connection with the tables that are named; `empty`: those of the database without rows."""
+    """A connection with some tables, their columns those that are wanted, None: all.
+
+    `empty`: those of the database without rows.
+    """
     import duckdb
 
     with duckdb.connect(config={"python_enable_replacements": False}) as connection:
         paths: list[str] = []
-        for name in named.tables:
+        for name in tables:
             if name in analyses:
-                analysis = _results_of(database, analyses[name])
-                paths += analysis.paths
-                _view(connection, name, analysis, len(paths))
+                own, rows = _results_of(database, analyses[name])
+                paths += own
+                _view(connection, name, own, rows)
             else:
-                connection.register(name, _table(database, *_TABLES[name], named, empty))
+                connection.register(name, _table(database, *_TABLES[name], wanted, empty))
         # These files alone are read.
         connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, paths))}]")
         connection.execute("SET enable_external_access = false")
         yield connection
 
 
-@contextmanager
-def _interrupted(connection: duckdb.DuckDBPyConnection, seconds: float) -> Iterator[None]:
-    """What runs in here is interrupted after so many seconds."""
-    timer = threading.Timer(seconds, connection.interrupt)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-
-
-def _results_of(database: Database, analysis: str) -> _Analysis:
+def _results_of(database: Database, analysis: str) -> tuple[list[str], pd.DataFrame]:
+    """The files of an analysis, and which of them holds each trip that counts."""
     rows = recorded(database, analysis)
     folder = (database.results_folder / analysis).absolute()
-    return _Analysis([str(folder / name) for name in sorted(set(rows["name"]))], rows)
+    return [str(folder / name) for name in sorted(set(rows["name"]))], rows
 
 
 def _view(
-    connection: duckdb.DuckDBPyConnection, name: str, analysis: _Analysis, number: int
+    connection: duckdb.DuckDBPyConnection, name: str, paths: list[str], rows: pd.DataFrame
 ) -> None:
     """A view of the rows of the trips that count, each of the file that holds them."""
-    table = '"' + name.replace('"', '""') + '"'
-    if not analysis.paths:
+    table, held = _identifier(name), f"counting {name}"
+    if not paths:
         connection.execute(f"CREATE VIEW {table} AS SELECT '' AS {KEY} WHERE false")
         return
-    held = f"_counting_{number}"
-    place = pa.array(analysis.rows["name"].tolist(), pa.string())
-    counting = {"trip": pa.array(analysis.rows[KEY].tolist(), pa.string()), "name": place}
+    counting = {
+        "trip": pa.array(rows[KEY].tolist(), pa.string()),
+        "name": pa.array(rows["name"].tolist(), pa.string()),
+    }
     connection.register(held, pa.table(counting))
-    listed = ", ".join(map(_quoted, analysis.paths))
+    listed = ", ".join(map(_quoted, paths))
     connection.execute(
         f"CREATE VIEW {table} AS SELECT r.* EXCLUDE (_file)"
         f" FROM read_parquet([{listed}], union_by_name = true, filename = '_file') r SEMI JOIN"
-        f" {held} c ON r.{KEY} = c.trip AND parse_filename(r._file) = c.name"
+        f" {_identifier(held)} c ON r.{KEY} = c.trip AND parse_filename(r._file) = c.name"
     )
+
+
+def _identifier(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
 
 
 def _quoted(text: str) -> str:
@@ -437,11 +423,12 @@ def _table(
     database: Database,
     asked: sa.Select[Any],
     columns: Mapping[str, tuple[Any, str]],
-    named: _Named,
+    wanted: frozenset[str] | None,
     empty: bool,
 ) -> pa.Table:
     """The columns that are wanted of a table of the database, times as time stamps in UTC."""
-    kinds = {name: kind for name, (_, kind) in columns.items() if named.wants(name)}
+    kinds = {name: kind for name, (_, kind) in columns.items()}
+    kinds = {n: kind for n, kind in kinds.items() if wanted is None or n in wanted}
     kinds = kinds or {KEY: "text"}
     asked = asked.with_only_columns(
         *(
@@ -469,8 +456,7 @@ def _columns(connection: duckdb.DuckDBPyConnection, named: list[str]) -> dict[st
     """Columns and their types, by table."""
     found = {}
     for name in named:
-        table = '"' + name.replace('"', '""') + '"'
-        rows = connection.execute(f"DESCRIBE {table}").fetchall()
+        rows = connection.execute(f"DESCRIBE {_identifier(name)}").fetchall()
         found[name] = {str(row[0]): str(row[1]) for row in rows}
     return found
 
