@@ -378,20 +378,16 @@ def network_drive(folder: Path, mounts: Path = Path("/proc/mounts")) -> str:
     if str(folder).startswith("\\\\"):
         return "a share of Windows"
     try:
-        lines = [line.split(" ") for line in mounts.read_text("utf-8", "replace").splitlines()]
+        lines = mounts.read_text("utf-8", "replace").splitlines()
     except OSError:
         return ""
-    found = max(
-        (
-            (len(place), number, kind)
-            for number, (place, kind) in enumerate(
-                (each[1].replace("\\040", " "), each[2]) for each in lines if len(each) > 2
-            )
-            if folder.is_relative_to(place)
-        ),
-        default=(0, 0, ""),
-    )
-    return found[2] if found[2] in _NETWORK_DRIVES.split() else ""
+    longest, found = "", ""
+    for _, place, kind, *_ in (line.split(" ") for line in lines if line.count(" ") > 1):
+        mounted = place.replace("\\040", " ")
+        # Of two at one place the later one is seen.
+        if len(mounted) >= len(longest) and folder.is_relative_to(mounted):
+            longest, found = mounted, kind
+    return found if found in _NETWORK_DRIVES.split() else ""
 
 
 def columns_of(rows: Sequence[Any], names: Sequence[str]) -> dict[str, tuple[Any, ...]]:

@@ -707,10 +707,8 @@ class MapFile:
 
     def amount(self) -> tuple[int, int]:
         """How many trips count, and of how many days; those of evidence that was added up, too."""
-        ran = self.trip_days()
-        days = {day for each in self.sums().values() for day in each.days.tolist()}
-        days.update(*(range(first, last + 1) for first, last in set(ran.values())))
-        return len(ran), len(days)
+        found = self.contents().values()
+        return sum(trips for trips, _ in found), len({day for _, days in found for day in days})
 
     def trip_days(self) -> dict[str, tuple[int, int]]:
         """The trips that count, by the digest of their log: first and last day of their evidence.
