@@ -861,9 +861,7 @@ def write_template(
         )
     if path.exists():
         raise InputError("exists", file=path, remedy="choose another name, or remove it first")
-    line = None if table is None else read_line_table(table)
-    if line is not None and name:
-        line = replace(line, name=name)
+    line = None if table is None else read_line_table(table, name=name)
     if line is not None and path.suffix == ".json":
         write_thing(line, path, Line)
     else:

@@ -558,10 +558,6 @@ class Network(Declared):
         """
         if not movements:
             raise InputError("a route needs an edge", remedy="name the edges in order of travel")
-        stretches: list[tuple[str, float, float]] = []
-        for name, forward in movements:
-            ends = (0.0, self.edge(name).line.length)
-            stretches.append((name, *(ends if forward else ends[::-1])))
         for (before, forward), (after, onward) in pairwise(movements):
             meets, leaves = self._ends(before, forward)[1], self._ends(after, onward)[0]
             if meets != leaves:
@@ -569,22 +565,23 @@ class Network(Declared):
                     f"edge '{after}' begins at '{leaves}', and '{before}' ends at '{meets}'",
                     remedy="name the edges that lie between, or exchange a direction",
                 )
-        first, last = stretches[0], stretches[-1]
-        places = [self._ends(*movements[0])[0], self._ends(*movements[-1])[1]]
-        if start is not None:
-            stretches[0] = (first[0], start, first[2])
-            places[0] = self._name_of(first[0], start)
-        if end is not None:
-            stretches[-1] = (last[0], stretches[-1][1], end)
-            places[1] = self._name_of(last[0], end)
-        for (name, begin, finish), (_, forward) in zip(stretches, movements, strict=True):
+        stretches: list[Stretch] = []
+        for number, (name, forward) in enumerate(movements):
+            begin, finish = (0.0, self.edge(name).line.length)[:: 1 if forward else -1]
+            if number == 0 and start is not None:
+                begin = start
+            if number == len(movements) - 1 and end is not None:
+                finish = end
             if (finish > begin) != forward:
                 raise InputError(
                     f"a route from km {begin / 1e3:.3f} to km {finish / 1e3:.3f} of edge '{name}'"
                     f" does not run {'along' if forward else 'against'} its chainage",
                     remedy="exchange the direction, or correct where it begins and ends",
                 )
-        return Route(self, tuple(places), self._legs(stretches))
+            stretches.append((name, begin, finish))
+        (first, begin, _), (last, _, finish) = stretches[0], stretches[-1]
+        places = self._name_of(first, begin), self._name_of(last, finish)
+        return Route(self, places, self._legs(stretches))
 
     def _legs(self, stretches: Sequence[Stretch]) -> tuple[Leg, ...]:
         """Legs, one behind the other, over edges from one chainage to another."""
