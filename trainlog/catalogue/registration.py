@@ -57,11 +57,6 @@ class FileOutcome:
     damage: str = ""
 
 
-def _file_table(outcomes: Sequence[FileOutcome]) -> WordTable:
-    columns = map(Column, ("path", "state", "reason", "damage"))
-    return new_table("Files", *columns, name="files", usual=False).add_rows(outcomes)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Added(Presented):
     """What became of all files that were added."""
@@ -83,7 +78,8 @@ class Added(Presented):
 
     def tables(self) -> list[WordTable]:
         """A row per file."""
-        return [_file_table(self.outcomes)]
+        columns = map(Column, ("path", "state", "reason", "damage"))
+        return [new_table("Files", *columns, name="files", usual=False).add_rows(self.outcomes)]
 
     def sentences(self) -> list[str]:
         """Which logs are damaged, and what became of all files."""
@@ -398,8 +394,8 @@ _WORTH_PROCESSES = 200
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Refreshed(Presented):
-    """How a catalogue compares with the disk.
+class Refreshed(Added):
+    """How a catalogue compares with the disk, and what became of the files that were read.
 
     Attributes
     ----------
@@ -410,16 +406,13 @@ class Refreshed(Presented):
         whose content is another.
     back : int
         Files that had vanished and are there again.
-    outcomes : tuple of FileOutcome
-        Of what was read.
     """
 
-    same: int
+    same: int = 0
     vanished: tuple[str, ...] = ()
     moved: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
     back: int = 0
-    outcomes: tuple[FileOutcome, ...] = ()
 
     _others: ClassVar[tuple[str, ...]] = ("vanished", "moved", "changed")
 
@@ -432,10 +425,6 @@ class Refreshed(Presented):
         """Which files are as they were, and which are not."""
         return {name: getattr(self, name) for name in ("same", *self._others, "back")}
 
-    def tables(self) -> list[WordTable]:
-        """A row per file that was read."""
-        return [_file_table(self.outcomes)]
-
     def sentences(self) -> list[str]:
         """Which files are not as they were, and all of it in a line."""
         listed = [f"  {name}: {path}" for name in self._others for path in getattr(self, name)]
@@ -445,9 +434,8 @@ class Refreshed(Presented):
     def sentence(self) -> str:
         """All of it in a line."""
         words = [f"{counted(self.same, 'file')} as they were"]
-        words += [f"{len(self.vanished)} vanished"] if self.vanished else []
-        words += [f"{len(self.moved)} moved"] if self.moved else []
-        words += [f"{len(self.changed)} changed"] if self.changed else []
+        others = {name: len(getattr(self, name)) for name in self._others}
+        words += [f"{count} {name}" for name, count in others.items() if count]
         words += [f"{self.back} back"] if self.back else []
         return ", ".join(words)
 
@@ -688,7 +676,7 @@ class Files(Database):
             asked = sa.select(files.c.path).where(files.c.state == "vanished")
             vanished = connection.execute(asked.order_by(files.c.path)).scalars().all()
         return Refreshed(
-            same, tuple(vanished), tuple(moved), tuple(sorted(changed)), len(back), tuple(read)
+            tuple(read), same, tuple(vanished), tuple(moved), tuple(sorted(changed)), len(back)
         )
 
     def remove(self, where: str | None = None, *, vanished: bool = False) -> int:
