@@ -30,6 +30,7 @@ from estimators.receiver import (
     LARGEST_GAP,
     Delay,
     ReceiverNoise,
+    WheelSpeeds,
     integral,
     mean_square,
     position_noise,
@@ -51,7 +52,7 @@ from trainlog.ingest.receiver import (
     Driven,
     Fixes,
     common_delay,
-    delay_of,
+    delay_behind,
     distance_driven,
     extrapolated,
     fixes_of,
@@ -257,7 +258,7 @@ class OnLine:
             counts["contradicted"] += further
         found = [f"{count} {reason}" for reason, count in counts.items()]
         if self.delay:
-            found.append(f"all {self.delay:g} s late")
+            found.append(f"all {self.delay:.1f} s late")
         if self.common_delay.value > 0.0:
             late, std = self.common_delay.value, self.common_delay.std
             found.append(f"with the fixes {late:.2f} s (standard deviation {std:.2f} s) late")
@@ -330,9 +331,9 @@ class OnLine:
     def _put_speeds_back(self, chainage: FloatArray) -> None:
         """Put speeds that come later than the fixes back by their delay."""
         seconds, used = self.fixes.seconds, self.fixes.speed
-        self.delay = delay_of(seconds, chainage, used)
+        known = np.flatnonzero(np.isfinite(used))
+        self.delay = delay_behind(WheelSpeeds(seconds[known], used[known]), seconds, chainage)
         if self.delay:
-            known = np.flatnonzero(np.isfinite(used))
             at = seconds + self.delay
             put_back = np.interp(at, seconds[known], used[known])
             _, missing = integral(seconds, used)
@@ -982,7 +983,7 @@ def _noise_of(matched: OnLine) -> dict[str, str]:
     if matched.lateness:
         found["receiver.lateness"] = f"{matched.lateness:.1f}"
     if matched.delay:
-        found["receiver.speed_delay"] = f"{matched.delay:g}"
+        found["receiver.speed_delay"] = f"{matched.delay:.2f}"
     if matched.common_delay.value > 0.0:
         found["receiver.delay"] = f"{matched.common_delay.value:.2f}"
         found["receiver.delay_std"] = f"{matched.common_delay.std:.2f}"

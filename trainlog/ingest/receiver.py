@@ -21,7 +21,6 @@ from estimators.receiver import (
     Delay,
     WheelSpeeds,
     integral,
-    mean_square,
     pairs_at,
     series_of,
 )
@@ -105,8 +104,9 @@ less than this part of that along the track."""
 LEAST_COMPARED = 60
 """Fixes from which on they judge speeds."""
 
-DELAYS = np.arange(0.0, 12.1, 0.5)
-"""Delays of the speed behind the positions that are tried [s]."""
+LATEST_SPEED, DELAY_TURNS = 12.0, 12
+"""Largest delay of the speed behind the positions [s], and how often it is sought around the one
+found."""
 
 UNCHECKED_DENSITY = 5.0
 """Spectral density of the error of a speed that was not checked [m²/s]: 0.5 m/s for 10 s."""
@@ -379,48 +379,27 @@ def kept_on(seconds: FloatArray, points: ComplexArray, std: FloatArray) -> BoolA
 # ------------------------------------------------------------------ speeds against positions
 
 
-def delay_of(seconds: FloatArray, along: FloatArray, speed: FloatArray) -> float:
-    """By how much a speed comes later than the positions [s]; 0 where that is not certain.
-
-    The delay with which the positions follow the integral of the speed best, over 10 and 20 s.
-
-    Parameters
-    ----------
-    seconds, along, speed : (n,) arrays [s], [m], [m/s]
-        NaN where absent.
+def delay_behind(speeds: WheelSpeeds, seconds: FloatArray, along: FloatArray) -> float:
+    """By how much speeds come later than positions [s]; 0 where that is not certain.
 
     Examples
     --------
     >>> import numpy as np
     >>> time = np.arange(0.0, 600.0)
-    >>> speed = 12.0 + 10.0 * np.sin(time / 20.0)
+    >>> speed = 12.0 + 10.0 * np.sin((time - 3.0) / 20.0)
     >>> along = 12.0 * time - 200.0 * np.cos(time / 20.0)
-    >>> delay_of(time, along, np.interp(time - 3.0, time, speed))
+    >>> round(delay_behind(WheelSpeeds(time, speed), time, along), 1)
     3.0
     """
-    driven, missing = integral(seconds, speed)
-    fixes = series_of(seconds, along)
-    if not np.isfinite(driven).all() or fixes.values.size < 60:
-        return 0.0
-    known = np.isfinite(speed)
-    best = np.full(DELAYS.size, 0.0)
-    for number, delay in enumerate(DELAYS):
-        at = fixes.seconds + delay
-        shifted = np.interp(at, seconds[known], driven[known])
-        absent = np.round(np.interp(at, seconds[known], missing[known]), 6)
-        inside = (at > seconds[known][0]) & (at < seconds[known][-1])
-        for window in (10.0, 20.0):
-            first, second = pairs_at(fixes.seconds, window)
-            kept = (absent[first] == absent[second]) & inside[first] & inside[second]
-            change = (fixes.values - shifted)[second[kept]] - (fixes.values - shifted)[first[kept]]
-            if change.size < 40:
-                return 0.0
-            best[number] += mean_square(change) / window
-    least = int(np.argmin(best))
-    none = int(np.argmin(np.abs(DELAYS)))
-    if best[least] > 0.7 * best[none] or abs(DELAYS[least]) < LEAST_DELAY:
-        return 0.0
-    return float(DELAYS[least])
+    delay = 0.0
+    for _ in range(DELAY_TURNS):
+        left = speeds.delay_left(seconds, along, -delay)
+        if left is None or not -1.0 < delay - left.value < LATEST_SPEED:
+            return 0.0
+        delay -= left.value
+        if abs(left.value) < 0.02:
+            return delay if delay > max(LEAST_DELAY, SIGNIFICANT * left.std) else 0.0
+    return 0.0
 
 
 def contradicted(
