@@ -83,12 +83,9 @@ LARGEST = 60.0, 900.0
 """Longer steps forward [s] are pauses, after which a receiver may begin where it left off; longer
 ones back are of zones and dates."""
 
-HARDEST = 0.4
-"""Acceleration and braking [m/s²] with which a train may have slowed down, and gone on, unseen."""
-
 BRAKING, STARTING = 1.2, 1.0
-"""The same of any train, and acceleration [m/s²] with which one may have become faster, and slower
-again."""
+"""Braking and acceleration [m/s²] with which any train may have become slower, or faster, and as
+fast as before again, unseen."""
 
 WINDOWS = 2.0, 20.0
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
@@ -416,37 +413,30 @@ def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, boo
     if late < 0.0 and np.any(np.abs(rows.time[leaps] - rows.time[place]) < 2.5 * rows.period):
         return 0.0, False
     excess, std, speed = seen
-    most = speed * late
-    least = _least_way(speed, late, HARDEST) if late > 0.0 else most
-    beside = np.maximum(np.maximum(least - excess, excess - most), 0.0)
-    likelier = 0.5 * (beside**2 - excess**2) / std**2
-    if np.any(np.abs(excess) > GATE * std):
-        # Rows are missing, for as long as the way across the place takes. The clock was set besides
-        # where no train comes so far, or no further, in the time that is shown. A receiver that
-        # begins late after a gap has come less far, but never further.
-        ahead = max(late, 0.0)
-        most = speed * ahead + 0.25 * STARTING * ahead**2
-        least = _least_way(speed, ahead, BRAKING)
-        further, less = excess - most > GATE * std, least - excess > GATE * std
-        shown = further.any() or (late > 0.0 and less.all() and excess.min() > 0.0)
-        took = np.maximum(excess / speed, 0.0)
-        unsure = np.hypot(std, np.sqrt(LOSS_DENSITY * took**3 / 12.0)) / speed
-        best = int(np.argmin(unsure))
-        size = late - float(took[best])
-        sure = abs(size) > LEAST_SIZE * unsure[best] and took[best] < LONGEST_TAKEN
-        if not shown or abs(size) < LEAST_STEP:
-            return 0.0, False
-        return float(round(size)) if rows.whole else size, bool(sure)
-    if np.min(likelier) <= 0.0:
+    # How far the way is from any that a train can come in the time that is shown, against how far
+    # it is from that of rows that are missing besides, or of none. A receiver that begins late
+    # after a gap has come less far, but never further.
+    ahead = max(late, 0.0)
+    most = speed * late + 0.25 * STARTING * ahead**2
+    brakes = min(ahead, 2.0 * speed / BRAKING)
+    less = np.maximum(speed * brakes - 0.25 * BRAKING * brakes**2 - excess, 0.0) * (late > 0.0)
+    beside = np.maximum(less, excess - most)
+    missing = bool(np.any(np.abs(excess) > GATE * std))
+    likelier = 0.5 * (np.maximum(beside, 0.0) ** 2 - (0.0 if missing else excess) ** 2) / std**2
+    took = np.maximum(excess, 0.0) / speed * missing
+    unsure = np.hypot(std, np.sqrt(LOSS_DENSITY * took**3 / 12.0)) / speed
+    best = int(np.argmin(unsure))
+    size = late - float(took[best])
+    if missing:
+        least = np.min(likelier) if less.any() else np.max(likelier)
+        shown = least > 0.5 * GATE**2 and np.min(excess) > 0.0
+        sure = took[best] < LONGEST_TAKEN and abs(size) > LEAST_SIZE * unsure[best]
+    else:
+        shown, sure = np.min(likelier) > 0.0, np.max(likelier) > SURE
+    if not shown or abs(size) < LEAST_STEP:
         return 0.0, False
     # A file of whole seconds gives no others.
-    return float(round(late)) if rows.whole else late, bool(np.max(likelier) > SURE)
-
-
-def _least_way(speed: float, lasts: float, braking: float) -> float:
-    """How far a train comes at least that brakes, may stand, and is as fast again [m]."""
-    brakes = min(lasts, 2.0 * speed / braking)
-    return speed * brakes - 0.25 * braking * brakes**2
+    return float(round(size)) if rows.whole else size, bool(sure)
 
 
 # ------------------------------------------------------------------ what the motion shows
