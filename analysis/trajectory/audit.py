@@ -15,7 +15,6 @@ from analysis.trajectory.discretisation import inside
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.railway import EffortCurve
-from trainlog.railway.motion import in_parts
 from trainlog.units import GRAVITY
 
 _PARTS, _FEWEST, _MOST = 12_000, 8, 24
@@ -159,12 +158,9 @@ def audit(
     pull_speeds, pull_efforts = _table(train.traction_curve)
     shares = np.array([[c.max_power / train.max_traction_power] for c in run.configurations])
     brake_table = np.stack(_table(train.dynamic_braking_curve))
-    speeds, times, found = in_parts(
-        len(run.configurations),
-        lambda part: _roll(
-            run.initial_speed, step, traction, taper, braking[part], constants[part], brakes, track,
-            tunnel, limit, adhesion, shares[part] * pull_speeds, pull_efforts, brake_table,
-        ),
+    speeds, times, found = _roll(
+        run.initial_speed, step, traction, taper, braking, constants, brakes, track, tunnel, limit,
+        adhesion, shares * pull_speeds, pull_efforts, brake_table,
     )  # fmt: skip
     early, tardy, slow = _passed(run, positions, speeds, times)
     wheel = np.full(len(run.configurations), float(traction @ step))
@@ -232,7 +228,7 @@ def _force(v: float, constant: float, linear: float, quadratic: float) -> float:
     return constant + (linear + quadratic * v) * v
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _roll(
     initial_speed: float, step: FloatArray, traction: FloatArray, taper: FloatArray,
     braking: FloatArray, constants: FloatArray, brakes: FloatArray, track: FloatArray,

@@ -25,7 +25,6 @@ from trainlog.railway.motion import (
     Traction,
     brake_backwards,
     effort_at,
-    in_parts,
     speed_of,
 )
 from trainlog.railway.resistance import arrays_of
@@ -123,13 +122,8 @@ def fastest_run(run: TrajectoryProblem, cruising: float = np.inf) -> Envelope:
     middles = problem.positions[:-1] + 0.5 * problem.step
     limits = 0.5 * np.minimum(run.permitted_speed(middles), cruising) ** 2
     ceiling, brakes = np.minimum(problem.ceiling, 0.5 * cruising**2), _brakes_of(problem)
-    curve, z, seconds = in_parts(
-        problem.shape[0],
-        lambda part: fastest_below(
-            ceiling, limits, (problem.initial, problem.final), traction.rows(part),
-            brakes.rows(part), motion.rows(part),
-        ),
-    )  # fmt: skip
+    ends = problem.initial, problem.final
+    curve, z, seconds = fastest_below(ceiling, limits, ends, traction, brakes, motion)
     _check_brakes(run, problem, curve)
     stands = (z[:, 1:-1] <= 0.0) & (curve[:, 1:-1] > 0.0)
     for a in np.flatnonzero(stands.any(axis=1)).tolist():
@@ -241,14 +235,7 @@ def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None)
             highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
             ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
     brakes, motion = _brakes_of(problem), _motion_of(problem)
-    return in_parts(
-        problem.shape[0],
-        lambda part: (
-            brake_backwards(
-                ceiling[part], problem.final, traction, brakes.rows(part), motion.rows(part)
-            ),
-        ),
-    )[0]
+    return brake_backwards(ceiling, problem.final, traction, brakes, motion)
 
 
 def _motion_of(problem: DiscreteProblem) -> Motion:
@@ -327,7 +314,7 @@ def _time_through(z: float, middle: float, after: float, h: float) -> float:
     return float((4.0 * halves - whole) / 3.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def fastest_below(
     ceiling: FloatArray, limits: FloatArray, ends: tuple[float, float], traction: Traction,
     brakes: Brakes, motion: Motion,

@@ -16,7 +16,7 @@ from numba import njit
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, taper_along
 from analysis.trajectory.envelope import braking_curves
 from trainlog.arrays import FloatArray
-from trainlog.railway.motion import advance, effort_at, in_parts, landing, speed_of, traverse
+from trainlog.railway.motion import advance, effort_at, landing, speed_of, traverse
 from trainlog.railway.resistance import NO_CURVE
 
 _TRIALS = 6
@@ -185,14 +185,7 @@ def cell_times(problem: DiscreteProblem, plan: Plan) -> FloatArray:
 def integrate_cells(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Each cell by itself: ``z`` at its end, and the time in it [s]; (q, n)."""
     effort = problem.gain[:, None] * (plan.traction - plan.braking)
-    reached, times = in_parts(
-        problem.shape[0],
-        lambda part: traverse(
-            plan.z[part], effort[part], problem.drag0[part], problem.drag1[part],
-            problem.drag2[part], problem.step,
-        ),
-    )  # fmt: skip
-    return reached, times
+    return traverse(plan.z, effort, problem.drag0, problem.drag1, problem.drag2, problem.step)
 
 
 def drive(problem: DiscreteProblem, plan: Plan) -> Plan:
@@ -320,14 +313,10 @@ def _brake_below(
     problem: DiscreteProblem, curves: FloatArray, effort: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """``z`` under given efforts, (q, n), and what the brake adds to stay below the `curves`."""
-    z, braking = in_parts(
-        problem.shape[0],
-        lambda part: brake_below(
-            curves[part], effort[part], problem.initial, problem.gain[part], problem.drag0[part],
-            problem.drag1[part], problem.drag2[part], problem.step,
-        ),
+    return brake_below(
+        curves, effort, problem.initial, problem.gain, problem.drag0, problem.drag1, problem.drag2,
+        problem.step,
     )  # fmt: skip
-    return z, braking
 
 
 def energy_of(problem: DiscreteProblem, plan: Plan) -> float:
@@ -455,7 +444,7 @@ def cruise(
     return z, effort, brake
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def brake_below(
     curves: FloatArray, effort: FloatArray, initial: float, gain: FloatArray,
     drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,

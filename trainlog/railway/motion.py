@@ -19,11 +19,7 @@ every speed limit and the end.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -42,9 +38,6 @@ TIMETABLE_STEP = 5.0
 
 SLOWEST = 0.5
 """Speed [m/s] that a timetable counts on where full traction does not overcome the line."""
-
-_FEWEST_ROWS = 16
-"""Configurations for which a second thread pays."""
 
 
 class Motion(NamedTuple):
@@ -67,12 +60,6 @@ class Motion(NamedTuple):
     drag1: FloatArray
     drag2: FloatArray
     step: FloatArray
-
-    def rows(self, part: slice) -> Motion:
-        """The same for some of the trains."""
-        return Motion(
-            self.gain[part], self.drag0[part], self.drag1[part], self.drag2[part], self.step
-        )
 
 
 class Traction(NamedTuple):
@@ -100,10 +87,6 @@ class Traction(NamedTuple):
         speeds, efforts = arrays_of(curve)
         return Traction(limit, power, np.tile(speeds, (power.size, 1)), efforts)
 
-    def rows(self, part: slice) -> Traction:
-        """The same for some of the trains."""
-        return self._replace(power=self.power[part], speeds=self.speeds[part])
-
 
 class Brakes(NamedTuple):
     """Largest braking efforts, over the reference inertia.
@@ -123,32 +106,6 @@ class Brakes(NamedTuple):
     dynamic_power: float
     speeds: FloatArray = NO_CURVE[0]
     efforts: FloatArray = NO_CURVE[1]
-
-    def rows(self, part: slice) -> Brakes:
-        """The same for some of the trains."""
-        return self._replace(
-            limit=self.limit[part], friction=self.friction[part], dynamic=self.dynamic[part]
-        )
-
-
-def in_parts(rows: int, work: Callable[[slice], tuple[FloatArray, ...]]) -> tuple[FloatArray, ...]:
-    """What `work` makes of all configurations, done in parts on every core.
-
-    Parameters
-    ----------
-    rows : int
-        Number of configurations.
-    work : callable
-        From some configurations to arrays whose first axis counts them; must leave Python's lock
-        to the others while it computes.
-    """
-    threads = min(os.cpu_count() or 1, rows // _FEWEST_ROWS)
-    if threads < 2:
-        return work(slice(0, rows))
-    edges = np.linspace(0, rows, threads + 1).astype(int).tolist()
-    with ThreadPoolExecutor(threads) as pool:
-        parts = list(pool.map(work, (slice(*pair) for pair in pairwise(edges))))
-    return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 @njit(cache=True, error_model="numpy")
@@ -230,7 +187,7 @@ def landing(
     return float(effort)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def traverse(
     z: FloatArray,
     effort: FloatArray,
@@ -262,7 +219,7 @@ def traverse(
     return end, time
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def brake_backwards(
     ceiling: FloatArray, final: float, traction: FloatArray, brakes: Brakes, motion: Motion
 ) -> FloatArray:
@@ -337,7 +294,7 @@ def _pull(
     return float(gain * effort - drag0 - drag1 * v - 2.0 * drag2 * z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def pull_forwards(
     curve: FloatArray, initial: float, traction: Traction, motion: Motion,
     order: int = 4, least: float = 0.0,
