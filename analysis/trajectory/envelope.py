@@ -235,7 +235,8 @@ def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None)
             highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
             ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
     brakes, motion = _brakes_of(problem), _motion_of(problem)
-    return brake_backwards(ceiling, problem.final, traction, brakes, motion)
+    curve: FloatArray = brake_backwards(ceiling, problem.final, traction, brakes, motion)
+    return curve
 
 
 def _motion_of(problem: DiscreteProblem) -> Motion:

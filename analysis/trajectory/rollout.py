@@ -185,7 +185,10 @@ def cell_times(problem: DiscreteProblem, plan: Plan) -> FloatArray:
 def integrate_cells(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Each cell by itself: ``z`` at its end, and the time in it [s]; (q, n)."""
     effort = problem.gain[:, None] * (plan.traction - plan.braking)
-    return traverse(plan.z, effort, problem.drag0, problem.drag1, problem.drag2, problem.step)
+    reached, times = traverse(
+        plan.z, effort, problem.drag0, problem.drag1, problem.drag2, problem.step
+    )
+    return reached, times
 
 
 def drive(problem: DiscreteProblem, plan: Plan) -> Plan:
@@ -313,10 +316,11 @@ def _brake_below(
     problem: DiscreteProblem, curves: FloatArray, effort: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """``z`` under given efforts, (q, n), and what the brake adds to stay below the `curves`."""
-    return brake_below(
+    z, braking = brake_below(
         curves, effort, problem.initial, problem.gain, problem.drag0, problem.drag1, problem.drag2,
         problem.step,
     )  # fmt: skip
+    return z, braking
 
 
 def energy_of(problem: DiscreteProblem, plan: Plan) -> float:
