@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         LinearGaussian as LinearGaussian,
         random_walk_slope as random_walk_slope,
     )
-    from estimators.motion import smooth_motion as smooth_motion
+    from estimators.motion import LastingError as LastingError, smooth_motion as smooth_motion
     from estimators.odometry import OdometryFilter as OdometryFilter
     from estimators.rls import (
         RecursiveLeastSquares as RecursiveLeastSquares,

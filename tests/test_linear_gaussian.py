@@ -8,6 +8,7 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings, strategies as st
 
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
+from estimators.motion import LastingError, smooth_motion
 from trainlog.arrays import FloatArray
 
 
@@ -135,3 +136,20 @@ def test_blocks_go_on_where_the_last_one_ended() -> None:
 def test_nothing_in_nothing_out() -> None:
     model = LinearGaussian(np.empty((0, 1, 1)), np.empty((0, 1, 1)), np.ones((1, 1, 1)))
     assert model.smooth(np.empty((0, 1)), 1.0, [0.0], [[1.0]]).means.shape == (0, 1)
+
+
+def test_bands_hold_errors_that_last_and_only_with_them() -> None:
+    """Errors are drawn for each trip: no averaging removes them."""
+    time = np.arange(0.0, 200.0)
+    truth, speed = 10.0 * time - 100.0 * np.sin(time / 20.0), 10.0 - 5.0 * np.cos(time / 20.0)
+    held: dict[bool, list[float]] = {True: [], False: []}
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        place = truth + 0.2 * rng.standard_normal(200) + rng.standard_normal()
+        shown = speed + 0.2 * rng.standard_normal(200)
+        for stated, within in held.items():
+            errors = [LastingError(1.0, np.inf)] if stated else []
+            found = smooth_motion(time, shown, 0.2, place, 0.2, errors=errors)
+            within.append(np.mean(np.abs(found.position - truth) <= 1.96 * found.position_std))
+    assert 0.9 < np.mean(held[True]) < 1.0
+    assert np.mean(held[False]) < 0.5

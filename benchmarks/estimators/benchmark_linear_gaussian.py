@@ -16,13 +16,14 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from estimators.linear_gaussian import LinearGaussian
-from estimators.motion import ACCELERATION_STD, WHEEL_ERROR_STD, motion_model
+from estimators.motion import ACCELERATION_STD, LastingError, motion_model
 from trainlog.arrays import FloatArray
 
 COUNT = 5_000
 STD = np.array([3.0, 0.1])
 START = np.zeros(6)
-SPREAD = np.diag(np.square([10.0, 50.0, ACCELERATION_STD, 1.0, WHEEL_ERROR_STD, 1.0]))
+SPREAD = np.diag(np.square([10.0, 50.0, ACCELERATION_STD, 1.0, 1.0, 1.0]))
+LASTING = (LastingError(1.0), LastingError(0.1, of="speed"), LastingError(1.0, np.inf))
 
 
 def samples() -> tuple[FloatArray, FloatArray]:
@@ -42,13 +43,13 @@ def observation() -> FloatArray:
 
 def own(steps: FloatArray, measured: FloatArray) -> FloatArray:
     """The smoothed states, (n, 6)."""
-    model = LinearGaussian(*motion_model(steps), observation())
+    model = LinearGaussian(*motion_model(steps, errors=LASTING), observation())
     return model.smooth(measured, STD**2, START, SPREAD).means
 
 
 def by_filterpy(steps: FloatArray, measured: FloatArray) -> FloatArray:
     """The same by filterpy."""
-    transition, noise = motion_model(steps)
+    transition, noise = motion_model(steps, errors=LASTING)
     peer = KalmanFilter(dim_x=6, dim_z=2)
     peer.x, peer.P, peer.H, peer.R = START.copy(), SPREAD.copy(), observation()[0], np.diag(STD**2)
     means, covariances, _, _ = peer.batch_filter(measured, Fs=list(transition), Qs=list(noise))
