@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -505,3 +506,21 @@ def test_sections_make_up_a_trip_whose_position_is_recorded_in_whole_metres() ->
         driven = driven_trip(trip)
         table = section_table(driven, sections_between(driven.line, *driven.covered))
         assert table["running_time"].sum() == pytest.approx(driven.running[-1], abs=1e-6)
+
+
+def test_a_section_ends_where_the_train_stood_not_at_the_station_beside_it() -> None:
+    trip = read_log(sample("stopping.mcap"))
+    driven = driven_trip(trip)
+    sections = sections_between(driven.line, *driven.covered)
+    table = section_table(driven, sections)
+    truth = trip["/truth"]
+    seconds = (truth.index.asi8 - truth.index.asi8[0]) / 1e9
+    moving = np.diff(seconds, prepend=0.0) * (truth["speed"].to_numpy() > 0.0)
+    edges = [0.0]
+    for edge in sections.edges[1:-1]:
+        stood = (truth["speed"] == 0.0) & (np.abs(truth["position"] - edge) < 200.0)
+        edges.append(float(truth["position"][stood].iloc[0]))
+    place = truth["position"].to_numpy()
+    for row, (low, high) in enumerate(pairwise([*edges, np.inf])):
+        expected = moving[(place > low) & (place <= high)].sum()
+        assert table["running_time"].iloc[row] == pytest.approx(expected, abs=1.0)

@@ -20,11 +20,19 @@ from analysis.adhesion.slip import SlipAnalysis, adhesion_noise, slip, wheel_noi
 from analysis.estimates import estimate_log
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
-from trainlog.formats.railway import line_of, line_to_bytes, train_to_bytes, with_passport
+from trainlog.formats.railway import (
+    line_of,
+    line_to_bytes,
+    read_line,
+    read_train,
+    train_to_bytes,
+    with_passport,
+)
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Axles, Quantity, RunningResistance
 from trainlog.resampling import interpolated
-from trainlog.simulation import Scenario, draw_scenarios
+from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.sensors import Sensors
 from trainlog.spans import runs_of
@@ -749,3 +757,36 @@ def test_values_that_rest_for_a_minute_are_left_out(trips: list[Seen]) -> None:
         abs(before["start"].to_numpy() - after["start"].to_numpy()) < pd.Timedelta("0.3s")
     ).all()
     np.testing.assert_allclose(before["adhesion"], after["adhesion"], rtol=0.07)
+
+
+def with_total_effort(trip: Trip) -> Trip:
+    """What a data logger keeps of a trip: 5 Hz, wheel speeds, the total effort; no satellites."""
+    kept = {
+        "/train/state": ("position", "speed"),
+        "/train/controls": ("lever", "tractive_effort", "dynamic_braking_effort"),
+        "/train/axles": ("wheel_speed",),
+    }
+    topics = {}
+    for name, columns in kept.items():
+        frame = trip[name].iloc[::2].copy()
+        frame = frame.drop(columns=[each for each in frame if each.startswith("wheel_effort")])
+        for column in frame:
+            if not column.startswith(columns):
+                frame[column] = np.nan
+            elif "speed" in column:
+                frame[column] = np.round(36.0 * frame[column]) / 36.0
+        frame.attrs = trip[name].attrs
+        topics[name] = frame
+    return replace(trip, topics=topics)
+
+
+@pytest.mark.parametrize(("seed", "number"), [(77, 10), (77, 2), (5, 10)])
+def test_driven_wheels_are_not_said_to_slip_in_braking(seed: int, number: int) -> None:
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    trip = simulate(draw_scenarios(line, train, count=12, seed=seed)[number])
+    found, whole = slip(with_total_effort(trip)), slip(trip)
+    braking = found.events[found.events["kind"] == "braking"]
+    at = trip["/train/controls"]["tractive_effort"].reindex(braking["onset"], method="nearest")
+    assert np.count_nonzero(at.to_numpy() > 20e3) <= 0.05 * len(braking)
+    left_out = [note for note in found.notes if "against the effort of the motors" in note]
+    assert left_out or len(found.events) > 0.9 * len(whole.events)

@@ -57,6 +57,10 @@ a few seconds of a run-up, from the maximum to little in half a second of slip."
 REFERENCES = {"/gnss/motion": "speed_accuracy", "/estimates/state": "speed_std"}
 """Topics with a speed that does not come from the powered wheels, and what states its accuracy."""
 
+MEMORY, FEWEST_APART = 1.0, 3
+"""A recorded speed of the train that is slower than all powered wheels were for so long before and
+after [s], or faster, in so many samples, does not come from them."""
+
 UNSEEN_CREEP = 1.0
 """Standard deviation of what all powered wheels slip alike [m/s] where no such speed is recorded:
 at the maximum adhesion wheels slip 0.2 to 3 m/s."""
@@ -423,7 +427,7 @@ def _slip(view: TripView) -> SlipAnalysis:
         (_force(each, train, noise)[0] / loads, _share(each, train.axles.rotating_mass, loads))
         for each in axles.at_other_delays()
     )
-    creep_std = 0.0 if _reference_is_known(trip) else UNSEEN_CREEP
+    creep_std = 0.0 if np.isfinite(_reference(trip, axles)[0]).any() else UNSEEN_CREEP
     motion = Motion(
         axles, position, speed.speed, speed.std, slip_speed, std, loads, adhesion,
         train.axles.geometry is not None, creep_std, share, later,
@@ -432,7 +436,10 @@ def _slip(view: TripView) -> SlipAnalysis:
     slipping |= small_slips(motion, slipping)
     slipping &= np.isfinite(axles.wheel_speed)
     least = least_slip(motion)
-    events = event_rows(motion, slipping)
+    events, against = event_rows(motion, slipping), 0
+    if share is not None:
+        against = _without_contradicted(motion, slipping)
+        events = event_rows(motion, slipping) if against else events
     adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
     adhesion[~axles.shown] = adhesion_std[~axles.shown] = np.nan
     if share is not None:
@@ -462,6 +469,7 @@ def _slip(view: TripView) -> SlipAnalysis:
             *axles.notes,
             *_delay_notes(axles, events),
             *_noise_notes(noise, least),
+            *_contradicted_notes(against),
             *_frozen_notes(frozen),
         ),
         complete=axles.complete and least < SLIP_THRESHOLD,
@@ -524,6 +532,16 @@ def _noise_notes(noise: float, least: float) -> list[str]:
     ]
 
 
+def _contradicted_notes(count: int) -> list[str]:
+    """That wheels seem to slip against the effort on them, where the train's speed is not known."""
+    if not count:
+        return []
+    return [
+        f"{counted(count, 'slip')} against the effort of the motors left out: all wheels slipped,"
+        " and nothing else measures the train's speed there; efforts by axle or satellites would"
+    ]
+
+
 def _frozen_notes(frozen: Sequence[Finding]) -> list[str]:
     """What a recorder repeated, which is left out, by column."""
     counts = Counter[str]()
@@ -562,7 +580,7 @@ def _train_speed(
     mass = axles.mass + train.rotating_mass - wheels.shape[1] * train.axles.rotating_mass
     total = axles.total_effort[:, None]
     gained = impulse(time, whole, total, other, train.axles.rotating_mass) / mass
-    reference, reference_std = _reference(trip, axles.clock)
+    reference, reference_std = _reference(trip, axles)
     standing = np.median(whole, axis=1) <= STANDSTILL
     reference[standing], reference_std[standing] = 0.0, STANDSTILL
     factor = np.ones(wheels.shape[1])
@@ -616,14 +634,9 @@ def _brake_is_known(trip: Trip) -> bool:
     return controls is not None and bool(controls["pneumatic_braking_effort"].notna().any())
 
 
-def _reference_is_known(trip: Trip) -> bool:
-    """Whether any speed was recorded that does not come from the powered wheels."""
-    frames = [trip.topics.get(topic) for topic in REFERENCES]
-    return any(frame is not None and bool(frame["speed"].notna().any()) for frame in frames)
-
-
-def _reference(trip: Trip, clock: pd.DatetimeIndex) -> tuple[FloatArray, FloatArray]:
+def _reference(trip: Trip, axles: PoweredAxles) -> tuple[FloatArray, FloatArray]:
     """Speed that does not come from the powered wheels, at the axles' nearest samples, else NaN."""
+    clock = axles.clock
     speed, std = np.full(len(clock), np.nan), np.full(len(clock), np.nan)
     for topic, column in REFERENCES.items():
         frame = trip.topics.get(topic)
@@ -637,7 +650,26 @@ def _reference(trip: Trip, clock: pd.DatetimeIndex) -> tuple[FloatArray, FloatAr
         speed[at] = known["speed"].to_numpy()
         std[at] = known[column].fillna(SATELLITE_STD).to_numpy()
         return speed, np.maximum(std, 1e-2)
+    state = trip.topics.get("/train/state")
+    if state is not None and state["speed"].notna().any():
+        recorded = interpolated(state, "speed", clock)
+        if _is_apart(recorded, axles):
+            return recorded, np.full(len(clock), SATELLITE_STD)
     return speed, std
+
+
+def _is_apart(speed: FloatArray, axles: PoweredAxles) -> bool:
+    """Whether a recorded speed of the train does not come from its powered wheels.
+
+    Slower than all of these, or faster, within `MEMORY` of the sample: no filter of theirs gives
+    it.
+    """
+    around = 2 * max(1, round(MEMORY / axles.sampling)) + 1
+    slowest = pd.Series(axles.wheel_speed.min(axis=1)).rolling(around, center=True).min()
+    fastest = pd.Series(axles.wheel_speed.max(axis=1)).rolling(around, center=True).max()
+    beyond = SLIP_THRESHOLD + 0.02 * speed
+    apart = (slowest.to_numpy() - speed > beyond) | (speed - fastest.to_numpy() > beyond)
+    return bool(np.count_nonzero(apart) >= FEWEST_APART)
 
 
 def _position(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray:
@@ -817,6 +849,24 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
         frame["measured"] &= ~later
         frame.loc[later, ["energy", "energy_std"]] = np.nan
     return frame
+
+
+def _without_contradicted(motion: Motion, slipping: BoolArray) -> int:
+    """Take out slips against the effort of the motors, in place; how many there were.
+
+    A wheel that is driven cannot run slower than the train by more than what rolling takes: where
+    it seems to, all wheels slipped, and the train's speed was taken from them.
+    """
+    count, share = 0, motion.share
+    assert share is not None
+    for axle in range(slipping.shape[1]):
+        for start, stop in runs_of(slipping[:, axle]):
+            peak = start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
+            sign = np.sign(motion.slip_speed[peak, axle])
+            if sign * float(np.median(share[start : peak + 1, axle])) < -COASTING_ADHESION:
+                slipping[start:stop, axle] = False
+                count += 1
+    return count
 
 
 def _after_others(events: pd.DataFrame) -> BoolArray:

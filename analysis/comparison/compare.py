@@ -67,6 +67,9 @@ from trainlog.units import KMH, clock
 EXCESS = 1.0 / KMH
 """Speed over the limit [m/s] from which it is stated: less is within what speeds are known to."""
 
+MOVED_WITH = 150.0
+"""So far [m] around a station cells move with the place where a train stood there."""
+
 STOPPING_REACH = 50.0
 """A trip that goes so far into a section [m] stopped at the station before it."""
 
@@ -127,6 +130,28 @@ class Sections:
         near = np.flatnonzero(np.abs(self.edges - stand.position) <= 2.0 * STATION_REACH)
         return next((int(edge) for edge in near if self.ends[edge] == stand.station), None)
 
+    def edges_of(self, trip: DrivenTrip) -> FloatArray:
+        """The edges, where the trip stood at a station of them at its own place there [m].
+
+        A train that stops short of a station, or beyond it, ends the section before nevertheless.
+        """
+        own = self.edges.copy()
+        for stand in trip.stands:
+            edge = self.edge_of(stand)
+            if edge is not None and 0 < edge < own.size - 1:
+                own[edge] = stand.position
+        return np.maximum.accumulate(own)
+
+    def nodes_of(self, trip: DrivenTrip, nodes: FloatArray) -> FloatArray:
+        """Nodes of cells, those about a station moved with the place where the trip stood there."""
+        found, own = nodes.copy(), self.edges_of(trip)
+        for edge in np.flatnonzero(own != self.edges).tolist():
+            shift, half = own[edge] - self.edges[edge], 0.5 * np.diff(self.edges)
+            reach = min(max(MOVED_WITH, 2.0 * abs(shift)), half[edge - 1], half[edge])
+            near = np.maximum(1.0 - np.abs(nodes - self.edges[edge]) / reach, 0.0)
+            found += shift * near
+        return np.maximum.accumulate(found)
+
 
 def sections_between(line: Line, first: float, last: float) -> Sections:
     """The line's sections from one position to another.
@@ -183,8 +208,8 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     >>> found["dwell"].round(1).tolist()
     [41.5, 43.8, 41.2, 0.0]
     """
-    low = np.clip(sections.edges[:-1], *trip.covered)
-    high = np.clip(sections.edges[1:], *trip.covered)
+    edges = sections.edges_of(trip)
+    low, high = np.clip(edges[:-1], *trip.covered), np.clip(edges[1:], *trip.covered)
     ran = np.flatnonzero(high - low > STOPPING_REACH)
     low, high = low[ran], high[ran]
     if ran.size and abs(trip.covered[0] - low[0]) <= STOPPING_REACH:
@@ -192,7 +217,7 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     if ran.size and abs(trip.covered[1] - high[-1]) <= STOPPING_REACH:
         high[-1] = trip.covered[1]
     index = pd.Index([sections.names[row] for row in ran], name="section")
-    whole = sections.edges[ran + 1] - sections.edges[ran]
+    whole = edges[ran + 1] - edges[ran]
     stood, dwell = np.zeros(ran.size), np.zeros(ran.size)
     rows = {int(section): row for row, section in enumerate(ran)}
     for stand in trip.stands:
@@ -488,7 +513,9 @@ def lost_time(
         The losses sum up to the total, those of a section to what was lost in it.
     """
     nodes = _nodes(common, sections)
-    mine, other = _Cells.of(trip, nodes, common), _Cells.of(reference, nodes, common)
+    mine, other = (
+        _Cells.of(each, sections.nodes_of(each, nodes), common) for each in (trip, reference)
+    )
     lost = mine.running - other.running
     causes = _causes(mine, other, lost)
     rows, started = _of_stands(mine, other, sections), 0.0
