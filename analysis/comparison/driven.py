@@ -27,6 +27,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from analysis.adhesion.axles import protection_onsets
+from analysis.adhesion.slip import slip
 from analysis.view import (
     LARGEST_SETBACK,
     SHORTEST_STOP,
@@ -37,7 +38,7 @@ from analysis.view import (
 )
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of, recorded_load
 from trainlog.railway import Line, Train, Trajectory
 from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
@@ -695,7 +696,23 @@ def _driven(view: TripView, line: Line | None = None) -> DrivenTrip:
     if slips is not None and "slip" not in flags:
         since = parts.time - np.append(-np.inf, slips)[np.searchsorted(slips, parts.time, "right")]
         flags["slip"] = since <= SLIP_LASTS
+    if slips is None and "slip" not in flags:
+        flags |= _slipping(view, parts)
     return replace(parts, mass=mass, slips=slips, flags=flags)
+
+
+def _slipping(view: TripView, parts: DrivenTrip) -> dict[str, BoolArray]:
+    """Samples up to which a powered axle slipped, by its wheel speed; nothing where none shows."""
+    if TRAIN_AXLES.name not in view.trip or parts.train is None:
+        return {}
+    try:
+        found = slip(view)
+    except TrainlogError:
+        return {}
+    seconds = (found.time.asi8 - parts.departure) / NANOSECONDS
+    total = np.concatenate(([0], np.cumsum(found.slipping.any(axis=1))))
+    until = total[np.searchsorted(seconds, parts.time, side="right")]
+    return {"slip": np.diff(until, prepend=until[0]) > 0}
 
 
 def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None) -> DrivenTrip:

@@ -131,7 +131,8 @@ def _losses(trip: TripView, sections: Sections) -> tuple[list[dict[str, float]],
         return [unknown] * count, [float("nan")] * count
     common = CommonRange(*driven.covered, starts=True, ends=True)
     lost = lost_time(driven, reference, common, sections)
-    rows = [dict.fromkeys(unknown, 0.0) for _ in range(count)]
+    none = dict.fromkeys(unknown, 0.0) | ({} if "slip" in driven.flags else {"lost_slip": np.nan})
+    rows = [dict(none) for _ in range(count)]
     for section, cause, seconds in lost.losses[["section", "cause", "lost"]].to_numpy().tolist():
         if cause in LOST:
             rows[section][f"lost_{cause.replace(' ', '_')}"] += seconds

@@ -97,7 +97,7 @@ class RunningResistance:
 
         Examples
         --------
-        >>> RunningResistance.of(np.array([2000.0, 50.0, 10.0])).r1
+        >>> RunningResistance.of([2000.0, 50.0, 10.0]).r1
         50.0
         """
         return RunningResistance(*map(float, coefficients))
