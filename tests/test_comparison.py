@@ -530,14 +530,13 @@ def test_time_lost_by_slip_is_found_by_the_wheels_where_no_protection_is_recorde
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     drawn = draw_scenarios(line, train, count=12, seed=77)
     wet, dry = simulate(drawn[2]), simulate(drawn[4])
-    bare = {name: frame for name, frame in wet.topics.items() if name != "/train/slip_protection"}
-    bare["/events"] = wet["/events"].iloc[:0]
+    protection = ("/train/slip_protection", "/events")
+    bare = {name: frame for name, frame in wet.topics.items() if name not in protection}
     lost = []
     for trip in (wet, replace(wet, topics=bare)):
-        found = compare(
-            [dry, replace(trip, metadata=trip.metadata | {"trip": "wet"})], reference=dry
-        )
-        losses = next(each.lost for each in found.trips if each.lost is not None).losses
+        compared = compare([dry, trip], reference=dry).trip(trip.name).lost
+        assert compared is not None
+        losses = compared.losses
         lost.append(float(losses["lost"][losses["cause"] == "slip"].sum()))
     assert lost[0] > 20.0
     assert lost[1] == pytest.approx(lost[0], rel=0.2)
