@@ -94,7 +94,8 @@ def limiting_factors(run: TrajectoryProblem, fastest: Envelope, row: int) -> str
     Returns
     -------
     str
-        Such as "62 % of the time at the speed limits, 30 % at full power, 8 % braking".
+        Such as "62 % of the time at the limits or the train's own top speed, 30 % at full power,
+        8 % braking".
     """
     alone = replace(run, configurations=run.configurations[row : row + 1], weights=())
     problem = discretise(alone, fastest.positions)
@@ -109,7 +110,7 @@ def limiting_factors(run: TrajectoryProblem, fastest: Envelope, row: int) -> str
     adhesive &= problem.traction < _NEARLY * _without_map(alone, fastest.positions)
     full = effort >= _NEARLY * problem.traction
     held = {
-        "at the speed limits": limited,
+        "at the limits or the train's own top speed": limited,
         "braking": effort < 0.0,
         "at the adhesion of the map": full & adhesive,
         "at full tractive effort": full,

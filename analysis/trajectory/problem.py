@@ -32,6 +32,9 @@ Braking = Literal["recourse", "common"]
 Direction = Literal["forward", "reverse"]
 Objective = Literal["wheel", "line", "expected"]
 
+MOST_RESERVE = 5.0
+"""Largest reserve over the least time: a larger one is meant in per cent."""
+
 FEWEST_CELLS, MOST_CELLS = 20, 20_000
 """Of the grid; more cells than a line has metres cost hours and gain nothing."""
 
@@ -258,9 +261,9 @@ class TrajectoryProblem:
                 f"{where}: the running time must be above 0 and finite, not {time} s",
                 remedy="give the timetable's running time in seconds",
             )
-        if not (reserve >= 0.0 and np.isfinite(reserve)):
+        if not 0.0 <= reserve <= MOST_RESERVE:
             raise InputError(
-                f"{where}: the reserve must be 0 or more, not {100.0 * reserve:g}%",
+                f"{where}: the reserve must be 0 to {MOST_RESERVE:.0%}, not {100.0 * reserve:g}%",
                 remedy="7 per cent over the least time are 0.07 in Python, 7 on the command line",
             )
 

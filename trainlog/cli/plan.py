@@ -343,6 +343,9 @@ def _configurations(
     if parameters is None:
         carried = load or 0.0
         check_load(carried, train)
+        if 0.0 < train.max_load < carried:
+            largest = f"{train.max_load / 1e3:g} t"
+            console.print(f"  the load is above the largest of the train's file, {largest}")
         return trainlog.ParameterSet(train.name, (trainlog.Configuration.of(train, carried),))
     refuse_rivals("the parameter set holds the masses", {"--set load": load})
     observed = trainlog.read_parameters(parameters)
