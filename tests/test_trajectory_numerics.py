@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, optimised, steps
 
-from analysis.trajectory import active_set, attempts, convex, optimiser
+from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.sqp import Solution
@@ -77,14 +77,14 @@ def test_iterations_that_do_not_converge_begin_again_too(
 def test_an_answer_that_was_tampered_with_is_not_returned(
     factor: float, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    search = attempts.search
+    search = active_set.search
 
     def tampered(*arguments: Any, **options: Any) -> Answer:
         answer = search(*arguments, **options)
         plan = answer.plan
         return replace(answer, plan=replace(plan, traction=factor * plan.traction))
 
-    monkeypatch.setattr(attempts, "search", tampered)
+    monkeypatch.setattr(active_set, "search", tampered)
     monkeypatch.setattr(optimiser, "_paced", lambda *_: None)
     with pytest.raises(TrainlogError, match=f"does not pass its audit: .* {words}"):
         optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
