@@ -295,6 +295,9 @@ BRAKED = 0.05
 """Deceleration [m/s²] without traction, beyond resistance and gradient, that a brake which is not
 recorded has caused."""
 
+SAID_GAIN = 0.005
+"""Gain of recorded efforts beside 1 from which it is stated."""
+
 UNCALIBRATED = Quantity(1.0, 0.06, "assumed", "no load is recorded")
 """Recorded over true effort of ordinary converters."""
 
@@ -471,6 +474,7 @@ class Cells:
         trip, model = inputs.driven, inputs.model
         first, last = trip.covered
         sections = sections_between(trip.line, first, last)
+        sections = replace(sections, edges=sections.edges_of(trip))
         inner = np.arange(first + STEP, last - 0.5 * STEP, STEP)
         nodes = sections.with_edges(inner, STEP)
         middle, step = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(nodes)
@@ -1035,14 +1039,20 @@ def calculate(
 
 
 def _notes(inputs: Inputs, cells: Cells) -> list[str]:
-    """Which efforts the comparison takes from the motion."""
-    brakes = inputs.unrecorded_brakes
+    """What the recorded efforts are divided by, and which are taken from the motion."""
+    found, brakes = list[str](), inputs.unrecorded_brakes
+    if inputs.efforts and abs(inputs.gain.value - 1.0) > SAID_GAIN:
+        found.append(
+            f"recorded efforts are divided by their gain, {inputs.gain.value:.3f}, found by the"
+            " motion at the mass of the train's file: the measured energy is theirs after that"
+        )
     if not brakes:
-        return []
+        return found
     length = float(cells.step[cells.inferred].sum()) / 1e3
     return [
+        *found,
         f"the effort of the {brakes} brake is not recorded: over {length:.1f} km of braking it"
-        " follows from the motion and the model, which are not compared there"
+        " follows from the motion and the model, which are not compared there",
     ]
 
 
