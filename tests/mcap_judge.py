@@ -30,9 +30,8 @@ from mcap_trips import trip_of
 
 from trainlog.errors import LogError, TrainlogError
 from trainlog.mcap import account_of, describe, read_log, recover, write_log
-from trainlog.mcap.account import Account, DamageWarning
 from trainlog.mcap.contents import check_is_mcap, contents_of, fetched, index_in, scanned
-from trainlog.mcap.records import Source, message_data, opened
+from trainlog.mcap.records import Account, DamageWarning, Source, message_data, opened
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_STATE
 from trainlog.trip import Trip
 

@@ -91,7 +91,7 @@ def test_an_import_counts_however_it_is_written(
     (package / "rest").mkdir(parents=True)
     (package / "__init__.py").write_text("")
     (package / "rest" / "__init__.py").write_text(
-        "from trainlog.public import names_on_first_use\n"
+        "from trainlog.extras import names_on_first_use\n"
         "if TYPE_CHECKING:\n    from trainlog.other import one\n"
         "    from trainlog.third import second as second\n    first = one\n"
         "__all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)\n"

@@ -198,7 +198,7 @@ def test_names_of_packages_that_load_on_first_use_are_followed(
     package.mkdir(parents=True)
     (tmp_path / "trainlog" / "__init__.py").write_text("")
     (package / "__init__.py").write_text(
-        "from trainlog.public import names_on_first_use\n"
+        "from trainlog.extras import names_on_first_use\n"
         "if TYPE_CHECKING:\n    from trainlog.numbers.one import one\n"
         "    from trainlog.numbers.two import two as two\n    first = one\n"
         "__all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)\n"

@@ -14,7 +14,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from trainlog.errors import LogError
 from trainlog.mcap import frames_of
-from trainlog.mcap.account import DamageWarning
+from trainlog.mcap.records import DamageWarning
 
 
 def test_of_a_damaged_file_what_is_readable_comes(tmp_path):

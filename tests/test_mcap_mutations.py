@@ -23,7 +23,7 @@ from mcap_mutations import MUTATIONS, mutated
 
 from trainlog.errors import LogError
 from trainlog.mcap import account_of, read_log, recover
-from trainlog.mcap.account import DamageWarning
+from trainlog.mcap.records import DamageWarning
 
 KEPT = Path(__file__).parent / "data" / "damaged"
 FLOOR = 64 * 2**20

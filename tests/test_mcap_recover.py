@@ -34,9 +34,8 @@ from trainlog.mcap import (
     recover,
     write_log,
 )
-from trainlog.mcap.account import Loss, Unfinished
 from trainlog.mcap.contents import scanned
-from trainlog.mcap.records import RECOVERY_RECORD, Source
+from trainlog.mcap.records import RECOVERY_RECORD, Loss, Source, Unfinished
 from trainlog.topics import EVENTS, TRAIN_STATE
 
 

@@ -12,7 +12,7 @@ from simulated_line import flirt, level_line
 from trajectory_cases import observed
 
 from analysis.adhesion.condition_map import SETTINGS
-from analysis.adhesion.demonstrated import (
+from analysis.adhesion.map_state import (
     demonstrated_adhesion,
     risk_of_run,
     typical_adhesion,

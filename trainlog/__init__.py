@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trainlog.public import names_on_first_use
+from trainlog.extras import names_on_first_use
 from trainlog.version import __version__ as __version__
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from trainlog.public import names_for_types
+from trainlog.extras import names_for_types
 
 __version__ = "0.1.0"
 
@@ -141,7 +141,7 @@ def _whole(module: str) -> Iterator[str]:
 
 @cache
 def _on_first_use(package: str) -> dict[str, tuple[str, str]]:
-    """The names that `trainlog.public.names_on_first_use` finds, without importing the package."""
+    """The names that `trainlog.extras.names_on_first_use` finds, without importing the package."""
     file = _file_of(package)
     text = "" if file is None or file.name != "__init__.py" else file.read_text("utf-8")
     return names_for_types(text) if "names_on_first_use" in text else {}

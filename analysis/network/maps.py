@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
     from analysis.network.edges import EdgeOfLine
     from trainlog.identity import TripIdentity
-    from trainlog.railway.forecast import AdhesionForecast
+    from trainlog.railway.condition import AdhesionForecast
     from trainlog.railway.weather import Weather
 
 NETWORK_FILE = "network.json"

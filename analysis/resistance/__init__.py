@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trainlog.public import names_on_first_use
+from trainlog.extras import names_on_first_use
 
 if TYPE_CHECKING:
     from analysis.resistance.combination import (

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from pandas import Timestamp
 
-from analysis.adhesion.demonstrated import UsableAdhesion, risk_of_run, usable_adhesion
+from analysis.adhesion.map_state import UsableAdhesion, risk_of_run, usable_adhesion
 from trainlog.arrays import FloatArray
 from trainlog.condition import setting
 from trainlog.display import as_text, counted
@@ -99,7 +99,7 @@ class TrajectoryProblem:
         with a risk, else its lasting condition.
     assumed_adhesion : float
         Where the map has no estimate, unless more was demonstrated there without slip; infinite for
-        no limit there. See `analysis.adhesion.demonstrated`.
+        no limit there. See `analysis.adhesion.map_state`.
     protected_length : float [m]
         Length of train to which a speed limit applies: 0 for its front, ``train.length`` for all.
     windows : sequence of TimingPoint

@@ -12,9 +12,13 @@ from analysis.verification.verify import Forecaster
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import known_before, layer_before
 from trainlog.errors import InputError
-from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
+from trainlog.railway.condition import (
+    AdhesionEstimate,
+    AdhesionForecast,
+    ConditionLayer,
+    TrackConditionMap,
+)
 from trainlog.railway.evidence import day_of
-from trainlog.railway.forecast import AdhesionForecast
 from trainlog.units import NANOSECONDS
 
 SHARES = np.array([

@@ -35,9 +35,8 @@ from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
 from trainlog.mcap import read_log
 from trainlog.presentation import Presented, WordTable, new_table
-from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
+from trainlog.railway.condition import AdhesionEstimate, AdhesionForecast, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence, day_of
-from trainlog.railway.forecast import AdhesionForecast
 from trainlog.railway.weather import Weather, check_condition
 
 MOST_NAMED = 3
@@ -385,7 +384,7 @@ def score_forecast(
 
     Examples
     --------
-    >>> from trainlog.railway.forecast import AdhesionForecast
+    >>> from trainlog.railway.condition import AdhesionForecast
     >>> import numpy as np
     >>> import pandas as pd
     >>> span = [np.array([pd.Timestamp(f"2024-10-{day}").value]) for day in ("07", "08", "06")]

@@ -2,8 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from trainlog.extras import require
-from trainlog.public import names_on_first_use
+from trainlog.extras import names_on_first_use, require
 
 require("sqlalchemy", "sqlglot")
 

@@ -30,7 +30,7 @@ from trainlog.formats.declared import built
 from trainlog.formats.files import check_written, csv_bytes, read_bytes, write_bytes
 from trainlog.formats.tracks import Account, Limit, LimitChoice, Stretch, TrackData, curvature_of
 from trainlog.railway import Line, Station
-from trainlog.railway.forecast import AdhesionForecast
+from trainlog.railway.condition import AdhesionForecast
 from trainlog.railway.line import LineReference
 from trainlog.railway.resistance import EffortCurve
 from trainlog.railway.weather import LONGEST_HOLD, MILLIMETRE_PER_HOUR, Weather, check_condition
@@ -740,7 +740,7 @@ def write_forecast(forecast: AdhesionForecast, path: str | Path) -> None:
     Examples
     --------
     >>> from pathlib import Path
-    >>> from trainlog.railway.forecast import AdhesionForecast
+    >>> from trainlog.railway.condition import AdhesionForecast
     >>> import numpy as np
     >>> import tempfile
     >>> day = np.array([0]), np.array([86_400 * 10**9]), np.array([0])

@@ -1,6 +1,5 @@
 """The log: trips as MCAP files."""
 
-from trainlog.mcap.account import Account as Account, DamageWarning as DamageWarning, Loss as Loss
 from trainlog.mcap.convert import account_of as account_of, recover as recover
 from trainlog.mcap.description import (
     AttachmentDescription as AttachmentDescription,
@@ -20,4 +19,5 @@ from trainlog.mcap.recorder import (
     RecordingAccount as RecordingAccount,
     record as record,
 )
+from trainlog.mcap.records import Account as Account, DamageWarning as DamageWarning, Loss as Loss
 from trainlog.mcap.writer import LogWriter as LogWriter, write_log as write_log

@@ -27,16 +27,20 @@ from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
-from trainlog.mcap.account import NOT_CLOSED, Account, DamageWarning, Loss, Unfinished
 from trainlog.mcap.records import (
     DECLARATIONS,
     KINDS,
     MESSAGE,
+    NOT_CLOSED,
     RECORD_HEAD,
     RECORDING_RECORD,
+    Account,
     Chunk,
+    DamageWarning,
     Index,
+    Loss,
     Source,
+    Unfinished,
     checksum,
     chunk_at,
     damaged,

@@ -26,7 +26,6 @@ from trainlog.formats.trip_tables import (
     read_parquet,
     trip_index,
 )
-from trainlog.mcap.account import Account
 from trainlog.mcap.contents import (
     ChunkPlace,
     Contents,
@@ -44,6 +43,7 @@ from trainlog.mcap.records import (
     PROVENANCE_RECORD,
     RECORD_HEAD,
     RECOVERY_RECORD,
+    Account,
     Chunk,
     Index,
     Source,

@@ -19,11 +19,17 @@ from trainlog.display import counted, in_brief
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import sha256
 from trainlog.formats.railway import travelled_line
-from trainlog.mcap.account import Account
 from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, contents_used, index_in
 from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, position_span, read_log
-from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
+from trainlog.mcap.records import (
+    FORMAT_RECORD,
+    PROVENANCE_RECORD,
+    TRIP_RECORD,
+    Account,
+    Source,
+    in_file,
+)
 from trainlog.presentation import Presented, WordTable, facts_table, new_table
 from trainlog.railway.line import Line, in_km
 from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Bounds, Field, Topic

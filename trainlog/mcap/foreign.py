@@ -33,7 +33,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from trainlog.arrays import IntArray
 from trainlog.errors import LogError
 from trainlog.extras import load
-from trainlog.mcap.account import Account
 from trainlog.mcap.contents import (
     Contents,
     MisplacedError,
@@ -45,6 +44,7 @@ from trainlog.mcap.contents import (
 from trainlog.mcap.records import (
     MESSAGE,
     RECORD_HEAD,
+    Account,
     Source,
     in_file,
     index_of,

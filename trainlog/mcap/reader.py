@@ -22,7 +22,6 @@ from mcap.records import Metadata
 
 from trainlog.errors import InputError, LogError
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
-from trainlog.mcap.account import Account, DamageWarning, Loss
 from trainlog.mcap.codec import Range, decoded, range_of
 from trainlog.mcap.contents import (
     AttachmentPlace,
@@ -43,6 +42,9 @@ from trainlog.mcap.records import (
     RECORDING_RECORD,
     RECOVERY_RECORD,
     TRIP_RECORD,
+    Account,
+    DamageWarning,
+    Loss,
     Source,
     in_file,
     shown,

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.adhesion.condition_map import adhesion_map
-from analysis.adhesion.demonstrated import UsableAdhesion, typical_adhesion, usable_adhesion
+from analysis.adhesion.map_state import UsableAdhesion, typical_adhesion, usable_adhesion
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN, LeverTrain
 from analysis.studies.hauck_2023.reference import reference
 from analysis.studies.hauck_2023.section import (
