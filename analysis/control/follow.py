@@ -53,6 +53,9 @@ from trainlog.units import NANOSECONDS, clock
 STOPPING_TOLERANCE = 0.3
 """A train that stands no more than this short of its stop has arrived [m]."""
 
+ARRIVING = 0.1
+"""Speed [m/s] below which the train is held there: it stands within a centimetre."""
+
 SHORTEST = 3
 """Steps of the horizon that remain at the stop."""
 
@@ -200,7 +203,7 @@ class Follower:
     def demand(self, observation: Observation) -> Demand:
         """The efforts wanted now."""
         distance = self._route.end - observation.position
-        if observation.speed < AT_REST and distance <= STOPPING_TOLERANCE:
+        if observation.speed < ARRIVING and distance <= STOPPING_TOLERANCE:
             self._arrived = True
         if self._arrived or observation.time < self._release:
             return Demand(0.0, HOLDING * self._limits.mass)
