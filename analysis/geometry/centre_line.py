@@ -390,19 +390,20 @@ def _matched(one: _Pass, geometry: Geometry, *, gated: bool) -> _Pass:
     """The pass with its fixes on the line, in whichever direction it runs."""
     length = float(geometry.positions[-1])
     track = track_of(geometry)
-    near, apart = nearest_on(track, track.plane(one.fixes.latitude, one.fixes.longitude))
-    near = near[apart < 2.0 * NEAR]
+    near, away = nearest_on(track, track.plane(one.fixes.latitude, one.fixes.longitude))
+    near = near[away < 2.0 * NEAR]
     backwards = float(np.clip(np.diff(near), -GAP, GAP).sum()) < 0.0
     travelled = geometry.reversed(length) if backwards else geometry
     try:
         matched = chainage_of(travelled, one.fixes, gated=gated)
     except InputError as error:
         return replace(one, matched=None, reason=error.problem)
-    if matched.misfit > NEAR:
-        reason = f"its fixes lie {matched.misfit:.0f} m from the line that the others make"
-        return replace(one, matched=None, reason=reason)
     # Fixes of a train that stands at the line's end scatter beyond it; the line ends where it is.
     kept = np.isfinite(matched.chainage)
+    apart = max(matched.misfit, float(np.median(away[kept])) if kept.any() else np.inf)
+    if apart > NEAR:
+        reason = f"its fixes lie {apart:.0f} m from the line that the others make"
+        return replace(one, matched=None, reason=reason)
     reached = matched.motion.position[kept]
     # Replayed fixes count at other rows there.
     own = np.where(np.isfinite(one.points), matched.chainage, np.nan)

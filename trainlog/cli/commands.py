@@ -48,7 +48,7 @@ PANELS = {
         "import": "files",
         "new": "files",
         "ingest": "ingest",
-        "record": "live",
+        "record": "ingest",
         "convert": "files",
     },
     "Look": {"show": "files", "compare": "look", "replay": "look", "report": "look"},
