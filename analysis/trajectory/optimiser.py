@@ -185,10 +185,14 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
 
 
 def _first_cells(problem: TrajectoryProblem, cells: int) -> int:
-    """Cells of the first grid: fewer where all of many configurations are in the program."""
-    if problem.objective != "expected":
+    """Cells of the first grid: fewer where all of many configurations are in the program.
+
+    Not where the line's own steps make most of the cells.
+    """
+    few = max(COARSE_CELLS, TOGETHER // len(problem.configurations))
+    if problem.objective != "expected" or 2 * problem.breakpoints.size > few:
         return cells
-    return min(cells, max(COARSE_CELLS, TOGETHER // len(problem.configurations)))
+    return min(cells, few)
 
 
 def _running_time(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> float:
@@ -293,6 +297,9 @@ def _renewed(
     few = _first_cells(found.problem.run, options.cells) < options.cells
     most = options.cells if few else MOST_CELLS
     tolerance = options.tolerance
+    if found.problem.run.objective == "expected" and np.prod(found.problem.shape) > 2 * TOGETHER:
+        # A program takes ten seconds and more there.
+        tolerance = 2.0 * tolerance
     bound = best_bound(found.answer, fastest, running_time)
     last, excess = found, bound.excess
     for number in range(RENEWALS + FINER_RENEWALS):
