@@ -653,6 +653,10 @@ def _reference(trip: Trip, axles: PoweredAxles) -> tuple[FloatArray, FloatArray]
     state = trip.topics.get("/train/state")
     if state is not None and state["speed"].notna().any():
         recorded = interpolated(state, "speed", clock)
+        # A value that repeats itself while the wheels turn faster may be frozen.
+        for start, stop in runs_of(np.diff(recorded) == 0.0):
+            if axles.time[stop] - axles.time[start] >= MEMORY:
+                recorded[start : stop + 1] = np.nan
         if _is_apart(recorded, axles):
             return recorded, np.full(len(clock), SATELLITE_STD)
     return speed, std
