@@ -417,7 +417,11 @@ def _slip(view: TripView) -> SlipAnalysis:
     force, force_std = _force(axles, train, noise)
     loads = _loads(train, axles, force, other, line.gradient(place))
     adhesion, adhesion_std = force / loads, force_std / loads
-    speed, factor = _train_speed(trip, train, axles, adhesion, noise, wheels.to_numpy(), other)
+    reference = _reference(trip, axles)
+    is_measured = bool(np.isfinite(reference[0]).any())
+    speed, factor = _train_speed(
+        trip, train, axles, adhesion, noise, wheels.to_numpy(), other, reference
+    )
     slip_speed = axles.wheel_speed / factor - speed.speed[:, None]
     backwards = trip.metadata.get("direction") == "reverse"
     position = line.length - travelled if backwards else travelled
@@ -427,7 +431,7 @@ def _slip(view: TripView) -> SlipAnalysis:
         (_force(each, train, noise)[0] / loads, _share(each, train.axles.rotating_mass, loads))
         for each in axles.at_other_delays()
     )
-    creep_std = 0.0 if np.isfinite(_reference(trip, axles)[0]).any() else UNSEEN_CREEP
+    creep_std = 0.0 if is_measured else UNSEEN_CREEP
     motion = Motion(
         axles, position, speed.speed, speed.std, slip_speed, std, loads, adhesion,
         train.axles.geometry is not None, creep_std, share, later,
@@ -436,10 +440,8 @@ def _slip(view: TripView) -> SlipAnalysis:
     slipping |= small_slips(motion, slipping)
     slipping &= np.isfinite(axles.wheel_speed)
     least = least_slip(motion)
-    events, against = event_rows(motion, slipping), 0
-    if share is not None:
-        against = _without_contradicted(motion, slipping)
-        events = event_rows(motion, slipping) if against else events
+    against = 0 if share is None else _without_contradicted(motion, slipping, share)
+    events = event_rows(motion, slipping)
     adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
     adhesion[~axles.shown] = adhesion_std[~axles.shown] = np.nan
     if share is not None:
@@ -574,13 +576,14 @@ def _train_speed(
     noise: float,
     whole: FloatArray,
     other: FloatArray,
+    known: tuple[FloatArray, FloatArray],
 ) -> tuple[TrainSpeed, FloatArray]:
     """Train speed, and what each wheel measures over what is true, (k,)."""
     time, wheels = axles.time, axles.wheel_speed
     mass = axles.mass + train.rotating_mass - wheels.shape[1] * train.axles.rotating_mass
     total = axles.total_effort[:, None]
     gained = impulse(time, whole, total, other, train.axles.rotating_mass) / mass
-    reference, reference_std = _reference(trip, axles)
+    reference, reference_std = known
     standing = np.median(whole, axis=1) <= STANDSTILL
     reference[standing], reference_std[standing] = 0.0, STANDSTILL
     factor = np.ones(wheels.shape[1])
@@ -808,7 +811,7 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
     rows = []
     for axle in range(slipping.shape[1]):
         for start, stop in runs_of(slipping[:, axle]):
-            peak = start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
+            peak = _peak_of(motion, axle, start, stop)
             at, found = _onset_of(motion, axle, start, peak, noise)
             began = max(start, at)
             if not np.isfinite(motion.position[began]):
@@ -855,22 +858,26 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
     return frame
 
 
-def _without_contradicted(motion: Motion, slipping: BoolArray) -> int:
+def _without_contradicted(motion: Motion, slipping: BoolArray, share: FloatArray) -> int:
     """Take out slips against the effort of the motors, in place; how many there were.
 
     A wheel that is driven cannot run slower than the train by more than what rolling takes: where
     it seems to, all wheels slipped, and the train's speed was taken from them.
     """
-    count, share = 0, motion.share
-    assert share is not None
+    count = 0
     for axle in range(slipping.shape[1]):
         for start, stop in runs_of(slipping[:, axle]):
-            peak = start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
+            peak = _peak_of(motion, axle, start, stop)
             sign = np.sign(motion.slip_speed[peak, axle])
             if sign * float(np.median(share[start : peak + 1, axle])) < -COASTING_ADHESION:
                 slipping[start:stop, axle] = False
                 count += 1
     return count
+
+
+def _peak_of(motion: Motion, axle: int, start: int, stop: int) -> int:
+    """Sample of the largest slip of one event."""
+    return start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
 
 
 def _after_others(events: pd.DataFrame) -> BoolArray:
