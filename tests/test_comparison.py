@@ -540,3 +540,14 @@ def test_time_lost_by_slip_is_found_by_the_wheels_where_no_protection_is_recorde
         lost.append(float(losses["lost"][losses["cause"] == "slip"].sum()))
     assert lost[0] > 20.0
     assert lost[1] == pytest.approx(lost[0], rel=0.2)
+
+
+def test_the_course_of_lost_time_has_no_spike_where_two_trips_stood_at_a_station() -> None:
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    drawn = draw_scenarios(line, train, count=12, seed=77)
+    first, second = simulate(drawn[10]), simulate(drawn[2])
+    lost = compare([first, second], reference=first).trip(second.name).lost
+    assert lost is not None
+    steps = np.diff(lost.behind)
+    # A spike is a step and its opposite at the next cell: as long as a dwell of the other trip.
+    assert np.all((np.abs(steps[1:]) < 15.0) | (np.abs(steps[1:] + steps[:-1]) > 15.0))

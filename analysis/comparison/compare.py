@@ -532,9 +532,10 @@ def lost_time(
     words = losses["cause"].map(CAUSES), losses["cause"].map(GAINED)
     losses["words"] = words[0].where(losses["lost"] >= 0.0, words[1])
     behind = started + np.concatenate(([0.0], np.cumsum(lost)))
-    for stands, sign in ((mine.stands, 1.0), (other.stands, -1.0)):
-        for stand in stands:
-            behind = behind + sign * stand.duration * (nodes > min(stand.position, nodes[-2]))
+    for each, sign in ((mine, 1.0), (other, -1.0)):
+        for stand in each.stands:
+            beyond = each.nodes > min(stand.position, each.nodes[-2])
+            behind = behind + sign * stand.duration * beyond
     return Lost(total, losses, nodes, behind)
 
 
