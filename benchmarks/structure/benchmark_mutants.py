@@ -3,25 +3,39 @@
     python benchmarks/structure/benchmark_mutants.py --count 200 --seed 1
 
 A mutant is a copy of the checkout in which one operator, comparison, number or statement of one
-module is another one; it is killed if the tests nearest to that module fail. Those that survive are
-listed with their place, and go through the wider tests where ``--wider`` asks for it: some are
-equivalent to the original, the others show which behaviour no test asks for.
+module is another one; it is killed if the tests nearest to that module fail. The tests that ran the
+line of the mutant come first, the quickest first; then the others of their files. Those that
+survive are listed with their place, and go through the wider tests where ``--wider`` asks for it:
+some are equivalent to the original, the others show which behaviour no test asks for.
+
+Each run of tests is a fork of this process, which has loaded the packages that the tests need.
+Kernels of the module are not compiled in the first run of a mutant: a failed assertion there kills
+it; any other failure is asked of the compiled kernels.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import importlib
+import json
 import os
 import random
-import subprocess
+import resource
+import shutil
+import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -61,8 +75,14 @@ OPERATORS = {
 NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all",
          "all": "any", "argmin": "argmax", "argmax": "argmin"}  # fmt: skip
 
-WAIT = 900.0
-"""Most that the tests of one mutant may take [s]: one that never ends is killed."""
+SPARE = 60.0
+"""Time [s] that tests may take beyond three times theirs without a change: else it is killed."""
+
+MEMORY = 12 << 30
+"""Most memory of one run [bytes]."""
+
+LOADED = ("numpy", "scipy", "pandas", "numba", "llvmlite", "pyarrow", "sqlalchemy", "matplotlib")
+"""Packages that are loaded before the forks: they take most of the time of a start."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +127,9 @@ def _changes(tree: ast.AST) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
             isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
         ):
             yield node, "pass"
-        if isinstance(node, ast.FunctionDef):
-            for each in [*node.body, *node.args.defaults]:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            defaults = node.args.defaults if isinstance(node, ast.FunctionDef) else []
+            for each in [*node.body, *defaults]:
                 yield from _changes(ast.Expression(each))  # type: ignore[arg-type]
         elif isinstance(node, ast.AnnAssign):
             if node.value is not None:
@@ -145,34 +166,234 @@ def _number(value: float | bool) -> str:
 
 
 def _copy(folder: Path) -> None:
-    """The checkout's files, as they are now, in another folder."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z"], cwd=CHECKOUT, capture_output=True, check=True
-    ).stdout.decode()
-    for name in filter(None, listed.split("\0")):
-        source, target = CHECKOUT / name, folder / name
-        if source.is_file():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(source.read_bytes())
+    """The checkout's files and compiled kernels, as they are now, in another folder."""
+    left_out = shutil.ignore_patterns(".git", ".venv", "build", "dist", ".*_cache", ".hypothesis")
+    shutil.copytree(CHECKOUT, folder, ignore=left_out, symlinks=True)
     shared = CHECKOUT.parent / "shared"
     if shared.exists():
         (folder.parent / "shared").symlink_to(shared)
 
 
-def _passes(folder: Path, tests: str) -> tuple[bool, str]:
-    """Whether tests pass in a copy, and the first that fails."""
-    files = [f"tests/test_{each}.py" for each in tests.split()]
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files]
+class Watcher:
+    """A plugin of pytest: times of tests, the lines of a module that each ran, the first failure.
+
+    Parameters
+    ----------
+    module : str, optional
+        The file whose lines are watched; None: only failures.
+    """
+
+    def __init__(self, module: str | None = None) -> None:
+        self.module = module
+        self.lines: dict[str, set[int]] = {}
+        self.seconds: dict[str, float] = {}
+        self.failed, self.error = "", ""
+        self._now = ""
+
+    def _calls(self, frame: FrameType, *_: object) -> Any:
+        if frame.f_code.co_filename == self.module:
+            return self._steps(frame)
+        return None
+
+    def _steps(self, frame: FrameType, *_: object) -> Any:
+        self.lines.setdefault(self._now, set()).add(frame.f_lineno)
+        return self._steps
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """Watch a test."""
+        began, self._now = time.monotonic(), item.nodeid
+        if self.module is not None:
+            sys.settrace(self._calls)
+        result = yield
+        sys.settrace(None)
+        self.seconds[item.nodeid] = time.monotonic() - began
+        return result
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
+        """Watch a fixture: what one of several tests runs is of all tests of the file."""
+        before = self._now
+        if fixturedef.scope != "function":
+            self._now = ""
+        try:
+            return (yield)
+        finally:
+            self._now = before
+
+    def pytest_exception_interact(self, node: Any, call: Any) -> None:
+        """Keep the first failure."""
+        self.failed = self.failed or node.nodeid
+        self.error = self.error or call.excinfo.typename
+
+
+@dataclass(frozen=True)
+class Run:
+    """What became of a run of tests.
+
+    Attributes
+    ----------
+    passed : bool
+    failed, error : str
+        The first test that failed, and its exception.
+    seconds : dict
+        Time of each test.
+    lines : dict
+        Lines of the module that each test ran; those of fixtures of several tests under "".
+    packages : list of str
+        Modules of `LOADED` that the tests need.
+    """
+
+    passed: bool
+    failed: str = ""
+    error: str = ""
+    seconds: dict[str, float] | None = None
+    lines: dict[str, list[int]] | None = None
+    packages: tuple[str, ...] = ()
+
+
+def run_tests(
+    folder: Path, tests: Sequence[str], limit: float, module: str = "", compiled: bool = True
+) -> Run:
+    """Run tests of a copy in a fork; `module` is the file whose lines are watched.
+
+    Without `compiled` the kernels of `module` run as Python and no line is watched.
+    """
+    answer = folder.parent / "answer.json"
+    answer.unlink(missing_ok=True)
+    child = os.fork()
+    if child == 0:
+        status = 70
+        try:
+            os.setsid()
+            status = _in_child(folder, tests, module, compiled, answer)
+        except BaseException:  # noqa: BLE001 - nothing of a fork comes back into this process
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+    ends = time.monotonic() + limit
+    while not (ended := os.waitpid(child, os.WNOHANG))[0]:
+        if time.monotonic() > ends:
+            os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return Run(False, "not ended", "AssertionError")
+        time.sleep(0.02)
+    if os.waitstatus_to_exitcode(ended[1]) == 70:
+        raise SystemExit(f"a run of tests went wrong: {answer.with_suffix('.txt').read_text()}")
+    if not answer.exists():
+        return Run(False, f"process ended with status {ended[1]}", "AssertionError")
+    return Run(**json.loads(answer.read_bytes()))
+
+
+def _in_child(folder: Path, tests: Sequence[str], module: str, compiled: bool, to: Path) -> int:
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    os.chdir(folder)
+    sys.path.insert(0, str(folder))
+    os.environ |= {"PYTHONPATH": str(folder), "CI": "1"}
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    said = os.open(to.with_suffix(".txt"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+    watcher = Watcher(str(folder / module) if module and compiled else None)
+    if not compiled:
+        _without_compiling(module)
+    status = pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests], plugins=[watcher])
+    found = {
+        "passed": status == 0,
+        "failed": watcher.failed,
+        "error": watcher.error,
+        "seconds": watcher.seconds,
+        "lines": {test: sorted(lines) for test, lines in watcher.lines.items()},
+        "packages": [name for name in sys.modules if name.split(".")[0] in LOADED],
+    }
+    to.write_text(json.dumps(found))
+    return 0
+
+
+def _without_compiling(module: str) -> None:
+    """Import a module with its kernels as they are written; they warn as little as compiled."""
+    import numba
+    import numpy as np
+
+    def kept(*_: object, **__: object) -> Callable[[Any], Any]:
+        return lambda function: function
+
+    np.seterr(all="ignore")
+    usual, numba.njit = numba.njit, kept
     try:
-        ended = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=WAIT
-        )
-    except subprocess.TimeoutExpired:
-        return False, "not ended"
-    failed = [line for line in ended.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return ended.returncode == 0, (failed[0].split(" - ")[0] if failed else "")
+        importlib.import_module(module.removesuffix(".py").replace("/", "."))
+    finally:
+        numba.njit = usual
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The tests nearest to a module: which lines each runs, and how long they take.
+
+    Attributes
+    ----------
+    lines, seconds : dict
+        Of each test.
+    kernels : bool
+        Whether the module has compiled functions, whose lines are not seen.
+    """
+
+    lines: dict[str, set[int]]
+    seconds: dict[str, float]
+    kernels: bool
+
+    def of(self, line: int) -> list[list[str]]:
+        """Tests that run a line, the quickest first; then the other tests of their files."""
+        order = sorted(self.seconds, key=self.seconds.__getitem__)
+        hit = [each for each in order if line in self.lines[each]] or order
+        names = {each.split("::")[0] for each in hit}
+        rest = [each for each in order if each not in hit and each.split("::")[0] in names]
+        return [part for part in (hit, rest) if part]
+
+    def limit(self, tests: Sequence[str]) -> float:
+        """Most time that tests may take [s]."""
+        return SPARE + 3.0 * sum(self.seconds[each] for each in tests)
+
+
+def _files(names: str) -> list[str]:
+    return [f"tests/test_{each}.py" for each in names.split()]
+
+
+def nearest(folder: Path, module: str) -> Nearest:
+    """Run the nearest tests of a module without a change."""
+    lines, seconds, packages = dict[str, set[int]](), dict[str, float](), list[str]()
+    for file in _files(NEAREST[module]):
+        run = run_tests(folder, [file], 900.0, module)
+        if not run.passed:
+            raise SystemExit(f"{file} fails without a change: {run.failed} {run.error}")
+        seconds |= run.seconds or {}
+        found = run.lines or {}
+        for test in run.seconds or {}:
+            lines[test] = {*found.get(test, ()), *found.get("", ())}
+        packages += run.packages
+    for name in packages:
+        try:
+            importlib.import_module(name)
+        except ImportError:  # it is loaded in each fork then
+            continue
+    return Nearest(lines, seconds, b"njit(" in (CHECKOUT / module).read_bytes())
+
+
+def _killed_by(folder: Path, mutant: Mutant, tests: Nearest, wider: bool) -> str:
+    """The first test that fails with a mutant; empty if none does."""
+    for part in tests.of(mutant.line):
+        if tests.kernels:
+            near = [each for each in part if each.startswith(_files(NEAREST[mutant.module])[0])]
+            run = run_tests(folder, near, tests.limit(near), mutant.module, compiled=False)
+            if not run.passed and run.error == "AssertionError":
+                return run.failed
+        run = run_tests(folder, part, tests.limit(part))
+        if not run.passed:
+            return run.failed
+    if wider:
+        run = run_tests(folder, _files(WIDER[mutant.module]), 1800.0)
+        return "" if run.passed else run.failed
+    return ""
 
 
 def main() -> None:
@@ -180,41 +401,41 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--module", help="only of this module")
+    parser.add_argument("--module", nargs="*", help="only of these modules")
     parser.add_argument("--wider", action="store_true", help="wider tests for survivors")
-    parser.add_argument("--line", type=int, help="only of this line")
+    parser.add_argument("--line", type=int, nargs="*", help="only of these lines")
     given = parser.parse_args()
-    modules = [given.module] if given.module else list(NEAREST)
-    texts = {each: (CHECKOUT / each).read_bytes() for each in modules}
-    possible = [mutant for each in modules for mutant in mutants_of(each, texts[each])]
-    if given.line:
-        possible = [each for each in possible if each.line == given.line]
+    texts = {each: (CHECKOUT / each).read_bytes() for each in NEAREST}
+    possible = [mutant for each in NEAREST for mutant in mutants_of(each, texts[each])]
     drawn = random.Random(given.seed).sample(possible, min(given.count, len(possible)))
+    modules = given.module or list(NEAREST)
     count, killed, survivors = Counter[str](), Counter[str](), list[Mutant]()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "checkout"
         _copy(folder)
-        for each in modules:
-            passed, first = _passes(folder, NEAREST[each])
-            if not passed:
-                raise SystemExit(f"the tests of {each} fail without a change: {first}")
-        for number, mutant in enumerate(drawn, 1):
-            began = time.monotonic()
-            text = mutant.applied(texts[mutant.module])
-            (folder / mutant.module).write_bytes(text)
-            passed, first = _passes(folder, NEAREST[mutant.module])
-            if passed and given.wider:
-                passed, first = _passes(folder, WIDER[mutant.module])
-            (folder / mutant.module).write_bytes(texts[mutant.module])
-            count[mutant.module] += 1
-            killed[mutant.module] += not passed
-            survivors += [mutant] if passed else []
-            state = "survives" if passed else f"killed by {first}"
-            print(
-                f"{number:4d} {mutant.module}:{mutant.line} {mutant.before[:60]!r} ->"
-                f" {mutant.after[:60]!r}: {state} ({time.monotonic() - began:.0f} s)",
-                flush=True,
-            )
+        for module in modules:
+            chosen = [
+                each
+                for each in (possible if given.line else drawn)
+                if each.module == module and (not given.line or each.line in given.line)
+            ]
+            if not chosen:
+                continue
+            tests = nearest(folder, module)
+            for mutant in sorted(chosen, key=lambda each: each.start):
+                began = time.monotonic()
+                (folder / module).write_bytes(mutant.applied(texts[module]))
+                by = _killed_by(folder, mutant, tests, given.wider)
+                count[module] += 1
+                killed[module] += bool(by)
+                survivors += [] if by else [mutant]
+                print(
+                    f"{module}:{mutant.line} {mutant.before[:60]!r} -> {mutant.after[:60]!r}:"
+                    f" {f'killed by {by}' if by else 'survives'}"
+                    f" ({time.monotonic() - began:.0f} s)",
+                    flush=True,
+                )
+            (folder / module).write_bytes(texts[module])
     print(f"\n{'module':40s} mutants killed")
     for each in modules:
         print(f"{each:40s} {count[each]:7d} {killed[each]:6d}")
