@@ -17,13 +17,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Chunk
 from mcap_trips import ATTACHMENTS, METADATA, START, assert_same, trip_of
 from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import OverloadWarning, Recording, read_log, write_log, writer
-from trainlog.mcap.writer import Chunk
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -196,10 +196,10 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     opened = threading.Event()
     compress = writer.packed
 
-    def held(chunk: Chunk) -> Chunk:
+    def held(content: memoryview, start: int, end: int) -> Chunk:
         if threading.current_thread().name == "trainlog.record":
             assert opened.wait(30)
-        return compress(chunk)
+        return compress(content, start, end)
 
     monkeypatch.setattr(writer, "packed", held)
     return opened

@@ -3,30 +3,33 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Attachment, Channel, Chunk, Schema
 from mcap.stream_reader import StreamReader
 
+from trainlog.arrays import UintArray
 from trainlog.mcap.records import MESSAGE
-from trainlog.mcap.writer import Chunk, Sink, packed
+from trainlog.mcap.writer import Sink, packed
 
 TIMES = [5, 3, 9]
 
 
-def raw_chunk(channel: int = 7, times: list[int] | None = None) -> Chunk:
+def raw(channel: int = 7, times: list[int] | None = None) -> bytes:
     """Messages of four bytes, as a program might write them: not in the order of time."""
-    times = TIMES if times is None else times
-    data = b"".join(MESSAGE.pack(5, 26, channel, n, t, t) + b"data" for n, t in enumerate(times))
-    index = [[t, 35 * n] for n, t in enumerate(times)]
-    return Chunk(
-        data, min(times), max(times), {channel: np.array(index, dtype=np.uint64).reshape(-1, 2)}
-    )
+    numbered = enumerate(TIMES if times is None else times)
+    return b"".join(MESSAGE.pack(5, 26, channel, n, t, t) + b"data" for n, t in numbered)
+
+
+def chunk(channel: int = 7) -> tuple[Chunk, dict[int, UintArray]]:
+    """A chunk of these messages, and its index."""
+    index = [[t, 35 * n] for n, t in enumerate(TIMES)]
+    made = packed(raw(channel), min(TIMES), max(TIMES))
+    return made, {channel: np.array(index, dtype=np.uint64).reshape(-1, 2)}
 
 
 def declare(sink: Sink, channel: int = 7) -> None:
@@ -47,13 +50,11 @@ def messages(data: bytes) -> list[tuple[str, int, int]]:
 
 def test_chunks_may_be_copied_as_they_are() -> None:
     """Uncompressed here, as some programs write them; the index goes along."""
-    raw = raw_chunk()
     stream = BytesIO()
     sink = Sink(stream, profile="ros2")
     declare(sink)
-    plain = replace(raw, size=len(raw.data))
-    sink.put_chunk(plain)
-    sink.put_chunk(replace(packed(raw_chunk(times=[2, 4])), index={}))
+    sink.put_chunk(Chunk("", raw(), 9, 3, 0, len(raw())), chunk()[1])
+    sink.put_chunk(packed(raw(times=[2, 4]), 2, 4), {})
     sink.put_attachment(Attachment(1, 2, "notes", "text/plain", b"words"))
     sink.put_metadata("facts", {"a": "b"})
     sink.finish()
@@ -76,12 +77,12 @@ def test_channels_may_come_between_chunks_and_are_written_once() -> None:
     stream = BytesIO()
     sink = Sink(stream)
     declare(sink)
-    sink.put_chunk(packed(raw_chunk()))
+    sink.put_chunk(*chunk())
     declare(sink, 8)
     at = sink.position
     declare(sink, 8)
     assert sink.position == at
-    sink.put_chunk(packed(raw_chunk(8)))
+    sink.put_chunk(*chunk(8))
     sink.finish()
     topics = [topic for topic, _, _ in messages(stream.getvalue())]
     assert topics == ["/7"] * 3 + ["/8"] * 3
@@ -112,11 +113,11 @@ def test_after_a_failure_the_file_can_still_be_finished(space: int) -> None:
     disk = Disk()
     sink = Sink(disk)
     declare(sink)
-    sink.put_chunk(packed(raw_chunk()))
+    sink.put_chunk(*chunk())
     before = sink.position
     disk.space = space
     with pytest.raises(OSError, match="No space"):
-        sink.put_chunk(packed(raw_chunk()))
+        sink.put_chunk(*chunk())
     assert sink.position == before
     disk.truncate(sink.position)
     disk.seek(sink.position)
@@ -130,7 +131,7 @@ def test_the_official_index_of_a_chunk(tmp_path: Path) -> None:
     stream = BytesIO()
     sink = Sink(stream)
     declare(sink)
-    sink.put_chunk(packed(raw_chunk()))
+    sink.put_chunk(*chunk())
     end = sink.position
     entries = stream.getvalue()[end - 48 :]
     assert list(struct.iter_unpack("<QQ", entries)) == [(5, 0), (3, 35), (9, 70)]

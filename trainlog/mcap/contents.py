@@ -22,7 +22,17 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Metadata, Schema, Statistics
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    Schema,
+    Statistics,
+)
 from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
@@ -35,12 +45,12 @@ from trainlog.mcap.records import (
     RECORD_HEAD,
     RECORDING_RECORD,
     Account,
-    Chunk,
     DamageWarning,
     Index,
     Loss,
     Source,
     Unfinished,
+    attachment_at,
     checksum,
     chunk_at,
     damaged,
@@ -49,20 +59,12 @@ from trainlog.mcap.records import (
     index_of,
     opened,
     parsed,
-    record_head,
     records,
-    shown,
     stored_index,
 )
 
 MAGIC: bytes = MCAP0_MAGIC
 """The first and the last eight bytes of every MCAP file."""
-
-_PIECE = 2**22
-"""Read at once for a checksum [bytes]."""
-
-_LONGEST_HEAD = 65_536
-"""Longer names and media types of attachments are refused [bytes]."""
 
 _FOOTER_LENGTH = 20
 _DATA_END_LENGTH = 4
@@ -126,30 +128,6 @@ class ChunkPlace(NamedTuple):
         return self._replace(counts=counts, indexes=indexes)
 
 
-class AttachmentPlace(NamedTuple):
-    """Where an attachment stands; `data` and `size` are those of its content.
-
-    Attributes
-    ----------
-    offset, length : int
-        Where its record begins, and the record's length with its head [bytes].
-    name, media_type : str
-    log_time, create_time : int
-        [ns since 1970 UTC]
-    data, size : int
-        Where its content begins, and the content's length [bytes].
-    """
-
-    offset: int
-    length: int
-    name: str
-    media_type: str
-    log_time: int
-    create_time: int
-    data: int
-    size: int
-
-
 @dataclass
 class Contents:
     """What an MCAP file holds, as far as it can be read.
@@ -158,7 +136,8 @@ class Contents:
     ----------
     schemas, channels : dict by id
     metadata : list of mcap.records.Metadata
-    attachments : list of AttachmentPlace
+    attachments : list of (int, int)
+        Where the record of each begins and ends.
     chunks : list of ChunkPlace
         In the order of the file.
     data_section : (int, int) or None
@@ -180,7 +159,7 @@ class Contents:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: list[Metadata] = field(default_factory=list)
-    attachments: list[AttachmentPlace] = field(default_factory=list)
+    attachments: list[tuple[int, int]] = field(default_factory=list)
     chunks: list[ChunkPlace] = field(default_factory=list)
     data_section: tuple[int, int] | None = None
     indexed: bool = False
@@ -290,36 +269,33 @@ def summary_of(source: Source) -> Summary | None:
 
 
 def _summary(source: Source) -> Summary | None:
-    footer_at = source.size - len(MAGIC) - _FOOTER_LENGTH - RECORD_HEAD
-    closing = source.read(footer_at, source.size - footer_at) if footer_at > 0 else b""
+    at = source.size - len(MAGIC) - _FOOTER_LENGTH - RECORD_HEAD
+    closing = source.read(at, source.size - at) if at > 0 else b""
     opening = struct.pack("<BQ", Opcode.FOOTER, _FOOTER_LENGTH)
     if not closing.startswith(opening) or not closing.endswith(MAGIC):
         return None
-    footer = parsed(Footer, closing[RECORD_HEAD : -len(MAGIC)], footer_at)
+    footer = parsed(Footer, source.read, at, source.size - len(MAGIC))
     found = Summary(Contents(), footer.summary_start)
-    if not len(MAGIC) <= found.data_end < found.start <= footer_at:
+    if not len(MAGIC) <= found.data_end < found.start <= at:
         return None
-    stored = source.read(found.start, footer_at - found.start)
-    if footer.summary_crc and footer.summary_crc != checksum(
-        closing[: RECORD_HEAD + 16], checksum(stored)
-    ):
+    if footer.summary_crc not in (0, source.checksum(found.start, at + RECORD_HEAD + 16)):
         return None
     countable = True
-    for at, opcode, content in records(memoryview(stored)):
+    for place, opcode, end in records(source.read, found.start, at):
         if opcode == Opcode.CHUNK_INDEX:
             try:
-                index = parsed(ChunkIndex, content, found.start + at)
-                found.contents.chunks.append(_chunk_place(index, found.start + at))
+                index = parsed(ChunkIndex, source.read, place, end)
+                found.contents.chunks.append(_chunk_place(index, place))
             except LogError:
                 countable = False
         elif opcode in DECLARATIONS:
-            found.contents.declare(parsed(KINDS[opcode], content, at))
+            found.contents.declare(parsed(KINDS[opcode], source.read, place, end))
         elif opcode == Opcode.STATISTICS:
-            found.counts = _counts(parsed(Statistics, content, at))
+            found.counts = _counts(parsed(Statistics, source.read, place, end))
         elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
-            found.listed.append(int.from_bytes(content[:8], "little"))
-    found.contents.chunks.sort()
+            found.listed.append(int.from_bytes(source.read(place + RECORD_HEAD, 8), "little"))
     chunks = found.contents.chunks
+    chunks.sort()
     countable &= bool(chunks) and all(chunk.indexes for chunk in chunks)
     if found.counts is None and countable:
         found.counts = found.contents.counts()
@@ -370,10 +346,10 @@ def fetched(source: Source, place: ChunkPlace) -> Chunk:
     """
     if place.loose:
         data = source.read(place.offset, place.length)
-        return Chunk(data, place.start, place.end, size=place.size)
+        return Chunk("", data, place.end, place.start, 0, place.size)
     try:
-        chunk = chunk_at(source, place.offset, place.length - RECORD_HEAD)
-        if (chunk.compression, chunk.size) == (place.compression, place.size):
+        chunk = chunk_at(source, place.offset)
+        if (chunk.compression, chunk.uncompressed_size) == (place.compression, place.size):
             return chunk
     except LogError as error:
         raise MisplacedError(error.problem, place=error.place, remedy=error.remedy) from error
@@ -392,16 +368,12 @@ def fetched_index(source: Source, place: ChunkPlace, channels: Iterable[int]) ->
     LogError
         If it cannot be read, or lists another number of messages than it should.
     """
-    wanted = [channel for channel in channels if channel in place.indexes]
-    first = min((place.indexes[channel] for channel in wanted), default=place.behind)
-    stored = memoryview(source.read(first, place.behind - first))
     found: Index = {}
-    for channel in wanted:
-        at, size = place.indexes[channel] - first, 16 * place.counts[channel]
-        head = struct.pack("<HI", channel, size)
-        if stored[at] != Opcode.MESSAGE_INDEX or stored[at + RECORD_HEAD :][:6] != head:
-            raise damaged(first + at, "the message index record cannot be read")
-        found[channel] = stored_index(stored[at + RECORD_HEAD :][: 6 + size], first + at)[1]
+    for channel in channels:
+        if channel in place.indexes:
+            number, found[channel], _ = stored_index(source, place.indexes[channel])
+            if (number, len(found[channel])) != (channel, place.counts[channel]):
+                raise damaged(place.indexes[channel], "the message index is of other messages")
     return found
 
 
@@ -418,66 +390,6 @@ def index_in(source: Source, place: ChunkPlace) -> Index:
             return fetched_index(source, place, place.counts)
     index = index_of(opened(fetched(source, place), place.offset), place.offset)
     return {channel: entries for channel, entries in index.items() if channel in place.counts}
-
-
-def attachment_place(source: Source, offset: int, length: int) -> AttachmentPlace:
-    """Where the attachment's content stands whose record of `length` bytes begins at `offset`.
-
-    Raises
-    ------
-    LogError
-        If the record is no attachment.
-    """
-    texts = []
-    head = source.read(offset + RECORD_HEAD, min(length - RECORD_HEAD, _LONGEST_HEAD))
-    try:
-        log_time, create_time = struct.unpack_from("<QQ", head)
-        at = 16
-        for _ in range(2):
-            (width,) = struct.unpack_from("<I", head, at)
-            at += 4 + width
-            texts.append(str(head[at - width : at], "utf-8"))
-        (size,) = struct.unpack_from("<Q", head, at)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise damaged(offset, "the attachment record cannot be read") from error
-    data = offset + RECORD_HEAD + at + 8
-    if data + size + 4 > offset + length:
-        raise damaged(offset, "the attachment's length contradicts its record's")
-    return AttachmentPlace(offset, length, texts[0], texts[1], log_time, create_time, data, size)
-
-
-def attachment_data(source: Source, place: AttachmentPlace) -> bytes:
-    """The content of an attachment, checked.
-
-    Raises
-    ------
-    LogError
-        If it fails its checksum.
-    """
-    check_attachment(source, place)
-    return source.read(place.data, place.size)
-
-
-def check_attachment(source: Source, place: AttachmentPlace) -> None:
-    """Verify the checksum of an attachment, if it has one.
-
-    Raises
-    ------
-    LogError
-        If it fails.
-    """
-    end = place.data + place.size
-    expected = int.from_bytes(source.read(end, 4), "little")
-    if expected and checksum_of(source, place.offset + RECORD_HEAD, end) != expected:
-        raise damaged(place.offset, f"attachment {shown(place.name)} fails its checksum")
-
-
-def checksum_of(source: Source, start: int, end: int) -> int:
-    """CRC-32 of the file from `start` to `end`."""
-    found = 0
-    for at in range(start, end, _PIECE):
-        found = checksum(source.read(at, min(_PIECE, end - at)), found)
-    return found
 
 
 _T = TypeVar("_T")
@@ -544,7 +456,7 @@ def check_data_section(source: Source, contents: Contents) -> None:
     if contents.losses:
         raise MisplacedError(contents.losses[0].reason, place=f"byte {contents.losses[0].start}")
     end, expected = contents.data_section
-    if expected and checksum_of(source, 0, end) != expected:
+    if expected and source.checksum(0, end) != expected:
         raise MisplacedError("the data section fails its checksum", place=f"byte {end}")
 
 
@@ -561,7 +473,7 @@ def checksum_holds(source: Source, contents: Contents) -> bool:
     It is so of a file that states none, and of one whose records were gone through.
     """
     end, expected = contents.data_section or (0, 0)
-    return not (contents.indexed and expected) or checksum_of(source, 0, end) == expected
+    return not (contents.indexed and expected) or source.checksum(0, end) == expected
 
 
 def check_is_mcap(source: Source) -> None:
@@ -575,7 +487,7 @@ def check_is_mcap(source: Source) -> None:
     if converted is not None:
         raise LogError(converted[0], place="byte 0", remedy=converted[1])
     searched = min(source.size, _SEARCHED)
-    if Finder(source).search(0, searched) == searched:
+    if search(source, 0, searched) == searched:
         what, remedy = mistaken_log(start)
         raise LogError(what, place="byte 0", remedy=remedy)
 
@@ -626,7 +538,6 @@ class _Scan:
 
     def __init__(self, source: Source, summary: Summary | None, *, indexed: bool = False) -> None:
         self._source = source
-        self._finder = Finder(source)
         self._summary = summary
         self._found = Contents(indexed=indexed, closed=False)
         self._listed: dict[int, ChunkPlace] = {}
@@ -655,17 +566,17 @@ class _Scan:
         LogError
             If the summary was to be gone by and does not say what there is.
         """
-        found, finder, size = self._found, self._finder, self._source.size
-        at = doubtful = min(len(MAGIC), size)
-        if finder.read(0, len(MAGIC)) != MAGIC:
+        found, source = self._found, self._source
+        at = doubtful = min(len(MAGIC), source.size)
+        if source.read(0, len(MAGIC)) != MAGIC:
             self._lose(0, at, "the file does not begin as an MCAP file does")
-        stop = self._summary.start if found.indexed and self._summary else size
+        stop = self._summary.start if found.indexed and self._summary else source.size
         while at < stop:
             if found.indexed and at in self._listed:
                 found.chunks.append(self._listed[at])
                 at = self._listed[at].behind
                 continue
-            kind = finder.read(at, 1)[0]
+            kind = source.read(at, 1)[0]
             try:
                 behind = self._step(at)
                 doubtful = behind if kind in _SURE else at
@@ -674,7 +585,7 @@ class _Scan:
                     raise
                 # Where bytes are missing, the record before may have taken the head of a chunk.
                 doubtful = max(doubtful, *(loss.end for loss in found.losses[-1:]), 0)
-                behind = finder.search(doubtful + 1, at)
+                behind = search(source, doubtful + 1, at)
                 if behind < at:
                     at = doubtful
                 else:
@@ -692,7 +603,7 @@ class _Scan:
         """Where to go on behind damage."""
         number, chunks = bisect_left(self._places, start), self._found.chunks
         stop = self._places[number] if number < len(self._places) else self._source.size
-        return self._finder.search(start, stop, messages=bool(chunks) and chunks[-1].loose)
+        return search(self._source, start, stop, messages=bool(chunks) and chunks[-1].loose)
 
     def _lose(self, start: int, end: int, reason: str, messages: int | None = None) -> None:
         """Note a loss; one that adjoins the last continues it."""
@@ -709,19 +620,18 @@ class _Scan:
 
     def _step(self, at: int) -> int:
         """Take the record at `at`; returns where the next begins; LogError if it is damaged."""
-        finder, found = self._finder, self._found
-        if finder.begins(at):
+        source, found = self._source, self._found
+        if begins(source, at):
             return self._join(at)
-        if finder.read(at, len(MAGIC)) == MAGIC:
+        if source.read(at, len(MAGIC)) == MAGIC:
             behind = at + len(MAGIC)
             if self._footer is None:
                 raise damaged(at, NOT_CLOSED)
-            if behind < self._source.size and not finder.begins(behind):
+            if behind < source.size and not begins(source, behind):
                 raise damaged(at, "the file does not end where its footer does")
             found.closed = True
             return behind
-        opcode, length = finder.head(at)
-        end = at + RECORD_HEAD + length
+        opcode, end = source.head(at)
         if opcode == Opcode.CHUNK:
             return self._take_chunk(at, end)
         if at in self._listed:
@@ -735,7 +645,7 @@ class _Scan:
         elif opcode in KINDS:
             if end - at > _LONGEST_RECORD:
                 raise damaged(at, f"a record of {end - at:,} bytes begins")
-            self._take(at, parsed(KINDS[opcode], finder.read(at + RECORD_HEAD, length), at))
+            self._take(at, parsed(KINDS[opcode], source.read, at, end))
         return end
 
     def _take(self, at: int, record: object) -> None:
@@ -759,13 +669,12 @@ class _Scan:
             found.profile = record.profile
 
     def _take_attachment(self, at: int, end: int) -> None:
-        place = attachment_place(self._source, at, end - at)
         try:
             if not self._found.indexed:
-                check_attachment(self._source, place)
-            self._found.attachments.append(place)
+                attachment_at(self._source, at)
+            self._found.attachments.append((at, end))
         except LogError as error:
-            if not self._finder.follows(end):
+            if not follows(self._source, end):
                 raise
             self._lose(at, end, error.problem, 0)
 
@@ -775,9 +684,9 @@ class _Scan:
             raise damaged(at, "a message is shorter than it can be")
         if self._data_end is not None or self._found.indexed:
             raise damaged(at, "a message stands behind the end of the data section")
-        if not self._finder.follows(end):
+        if not follows(self._source, end):
             raise damaged(at, "a record is longer or shorter than it can be")
-        _, _, channel, _, time, _ = MESSAGE.unpack(self._finder.read(at, MESSAGE.size))
+        _, _, channel, _, time, _ = MESSAGE.unpack(self._source.read(at, MESSAGE.size))
         chunks = self._found.chunks
         last = chunks[-1] if chunks else None
         if last is None or not last.loose or last.behind != at or last.length > _LONGEST_RUN:
@@ -793,11 +702,11 @@ class _Scan:
             raise damaged(at, "a chunk is not listed")
         given, places, behind = self._indexes(end)
         try:
-            chunk = chunk_at(self._source, at, end - at - RECORD_HEAD)
+            chunk = chunk_at(self._source, at)
             content = opened(chunk, at)
             index, declared = (given, []) if fills(content, given) else gone_through(content, at)
         except LogError as error:
-            if not given or self._finder.search(at + 1, behind) < behind:
+            if not given or search(self._source, at + 1, behind) < behind:
                 raise
             self._lose(at, behind, error.problem)
             return behind
@@ -806,7 +715,7 @@ class _Scan:
         right = given.keys() == index.keys() and all(
             np.array_equal(index[number], entries) for number, entries in given.items()
         )
-        following = behind if right or not given else self._finder.search(end, behind)
+        following = behind if right or not given else search(self._source, end, behind)
         times = np.concatenate([np.empty(0, np.uint64), *(each[:, 0] for each in index.values())])
         start, last = (int(times.min()), int(times.max())) if index else (0, 0)
         place = ChunkPlace(
@@ -814,7 +723,7 @@ class _Scan:
             end - at,
             chunk.compression,
             len(chunk.data),
-            chunk.size,
+            chunk.uncompressed_size,
             start,
             last,
             places if right else {},
@@ -835,21 +744,18 @@ class _Scan:
         index: Index = {}
         places: dict[int, int] = {}
         with suppress(LogError):
-            while self._finder.read(at, 1) == bytes([Opcode.MESSAGE_INDEX]):
-                length = self._finder.head(at)[1]
-                content = memoryview(self._finder.read(at + RECORD_HEAD, length))
-                channel, entries = stored_index(content, at)
+            while self._source.read(at, 1) == bytes([Opcode.MESSAGE_INDEX]):
+                channel, entries, end = stored_index(self._source, at)
                 if channel in places:
                     break
                 if len(entries):
                     index[channel], places[channel] = entries, at
-                at += RECORD_HEAD + length
+                at = end
         return index, places, at
 
     def _pass_index(self, at: int, end: int) -> None:
         """Pass over a message index that does not follow its chunk at once."""
-        content = memoryview(self._finder.read(at + RECORD_HEAD, end - at - RECORD_HEAD))
-        channel, entries = stored_index(content, at)
+        channel, entries, _ = stored_index(self._source, at)
         counts = self._found.chunks[-1].counts if self._found.chunks else {}
         listed = self._found.chunks[-1].indexes if counts else {}
         if len(entries) and (channel in listed or counts.get(channel) != len(entries)):
@@ -934,7 +840,7 @@ class _Scan:
             return found.indexed
         if any(loss.start <= end for loss in found.losses):
             return False
-        if checksum_of(self._source, 0, end) == expected:
+        if self._source.checksum(0, end) == expected:
             return True
         reason = "a record outside of the chunks, or their order, fails the checksum"
         if any(chunk.loose for chunk in found.chunks):
@@ -949,7 +855,7 @@ class _Scan:
         start = end + RECORD_HEAD + _DATA_END_LENGTH
         at, footer = self._footer or (start, Footer(0, 0, 0))
         if self._summary is None and start < at and not any(start < each.end for each in losses):
-            stated = checksum_of(self._source, start, at + RECORD_HEAD + 16)
+            stated = self._source.checksum(start, at + RECORD_HEAD + 16)
             if footer.summary_crc not in (0, stated):
                 losses.append(Loss(start, at, "the summary fails its checksum", 0))
                 self._counts = None
@@ -988,9 +894,6 @@ def _run(start: int, end: int, first: int, last: int, counts: dict[int, int]) ->
 _LONGEST = 2**40
 """No record is as long [bytes]."""
 
-_KEPT = 2**16
-"""Kept of the file where it is read in small pieces [bytes]."""
-
 _BLOCK = 2**20
 """Searched at once for the next record behind damage [bytes]."""
 
@@ -998,86 +901,64 @@ _FOLLOWING = 3
 """So many records must follow each other where a message outside of chunks is found."""
 
 
-class Finder:
-    """Where the records of a file are, and where the next one is behind damage."""
+def begins(source: Source, at: int) -> bool:
+    """Whether a file begins at `at`."""
+    opening: bytes = MAGIC + bytes([Opcode.HEADER])
+    return source.read(at, len(opening)) == opening
 
-    def __init__(self, source: Source) -> None:
-        self.source = source
-        self.size = source.size
-        self._start = 0
-        self._kept = b""
 
-    def read(self, offset: int, length: int) -> bytes:
-        """The bytes from `offset`; a window of the file is kept for small pieces."""
-        length = min(length, self.size - offset)
-        within = offset - self._start
-        if not 0 <= within <= len(self._kept) - length:
-            if length > _KEPT:
-                return self.source.read(offset, length)
-            self._start, within = offset, 0
-            self._kept = self.source.read(offset, _KEPT)
-        return self._kept[within : within + length]
+def follows(source: Source, at: int) -> bool:
+    """Whether at `at` the file ends, even inside a record, or a record begins, by its head."""
+    head = source.read(at, RECORD_HEAD)
+    if len(head) < RECORD_HEAD or head.startswith(MAGIC):
+        return True
+    opcode, length = head[0], int.from_bytes(head[1:], "little")
+    least = MESSAGE.size - RECORD_HEAD if opcode == Opcode.MESSAGE else 0
+    longest = _LONGEST if opcode <= Opcode.DATA_END else source.size - at - RECORD_HEAD + 1
+    return opcode > 0 and least <= length < longest
 
-    def head(self, at: int) -> tuple[int, int]:
-        """Opcode and length of the record at `at`; a LogError if none can stand there."""
-        return record_head(self.read(at, RECORD_HEAD), at, self.size)
 
-    def follows(self, at: int) -> bool:
-        """Whether at `at` the file ends, even inside a record, or a record begins, by its head."""
-        head = self.read(at, RECORD_HEAD)
-        if len(head) < RECORD_HEAD or head.startswith(MAGIC):
-            return True
-        opcode, length = head[0], int.from_bytes(head[1:], "little")
-        rest = self.size - at - RECORD_HEAD
-        least = MESSAGE.size - RECORD_HEAD if opcode == Opcode.MESSAGE else 0
-        longest = _LONGEST if opcode <= Opcode.DATA_END else rest + 1
-        return opcode > 0 and least <= length < longest
+def search(source: Source, start: int, stop: int, *, messages: bool = False) -> int:
+    """The first place from `start` where something stands that is bound to be right; or `stop`.
 
-    def begins(self, at: int) -> bool:
-        """Whether a file begins at `at`."""
-        opening: bytes = MAGIC + bytes([Opcode.HEADER])
-        return self.read(at, len(opening)) == opening
+    That is a chunk or an attachment whose checksum holds, the end of the data section, and the
+    beginning of another file; if asked for, messages outside of chunks.
+    """
+    kinds = [Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END]
+    kinds += [Opcode.MESSAGE] if messages else []
+    for base in range(start, stop, _BLOCK):
+        data = np.frombuffer(source.read(base, _BLOCK + RECORD_HEAD - 1), np.uint8)
+        heads = len(data) - RECORD_HEAD + 1
+        if heads <= 0:
+            return stop
+        likely = np.isin(data[:heads], kinds)
+        for byte in (8, 7, 6):  # shorter than `_LONGEST`
+            likely &= data[byte : byte + heads] == 0
+        likely |= data[:heads] == MAGIC[0]
+        for at in (base + np.flatnonzero(likely)).tolist():
+            if at < stop and _is_right(source, at):
+                return at
+    return stop
 
-    def search(self, start: int, stop: int, *, messages: bool = False) -> int:
-        """The first place from `start` where something stands that is bound to be right; or `stop`.
 
-        That is a chunk or an attachment whose checksum holds, the end of the data section, and the
-        beginning of another file; if asked for, messages outside of chunks.
-        """
-        kinds = [Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END]
-        kinds += [Opcode.MESSAGE] if messages else []
-        for base in range(start, stop, _BLOCK):
-            data = np.frombuffer(self.source.read(base, _BLOCK + RECORD_HEAD - 1), np.uint8)
-            heads = len(data) - RECORD_HEAD + 1
-            if heads <= 0:
-                return stop
-            likely = np.isin(data[:heads], kinds)
-            for byte in (8, 7, 6):  # shorter than `_LONGEST`
-                likely &= data[byte : byte + heads] == 0
-            likely |= data[:heads] == MAGIC[0]
-            for at in (base + np.flatnonzero(likely)).tolist():
-                if at < stop and self._is_right(at):
-                    return at
-        return stop
-
-    def _is_right(self, at: int) -> bool:
-        if self.begins(at):
-            return True
-        with suppress(LogError):
-            opcode, length = self.head(at)
-            if opcode == Opcode.DATA_END:
-                return bool(length == _DATA_END_LENGTH and self.follows(at + RECORD_HEAD + length))
-            if opcode == Opcode.CHUNK:
-                chunk = chunk_at(self.source, at, length)
-                index_of(opened(chunk, at), at)
-                return chunk.size > 0
-            if opcode == Opcode.ATTACHMENT:
-                place = attachment_place(self.source, at, RECORD_HEAD + length)
-                check_attachment(self.source, place)
-                return any(self.source.read(place.data + place.size, 4))
-            for _ in range(_FOLLOWING if opcode == Opcode.MESSAGE else 0):
-                if at == self.size or not self.follows(at):
-                    return at == self.size
-                at += RECORD_HEAD + self.head(at)[1]
-            return bool(opcode == Opcode.MESSAGE)
-        return False
+def _is_right(source: Source, at: int) -> bool:
+    """Whether what stands at `at` is bound to be right."""
+    if begins(source, at):
+        return True
+    with suppress(LogError):
+        opcode, end = source.head(at)
+        if opcode == Opcode.DATA_END:
+            return end - at == RECORD_HEAD + _DATA_END_LENGTH and follows(source, end)
+        if opcode == Opcode.CHUNK:
+            content = opened(chunk_at(source, at), at)
+            index_of(content, at)
+            return bool(content)
+        if opcode == Opcode.ATTACHMENT:
+            attachment_at(source, at)
+            return any(source.read(end - 4, 4))
+        for _ in range(_FOLLOWING if opcode == Opcode.MESSAGE else 0):
+            if at == source.size or not follows(source, at):
+                return at == source.size
+            _, at = source.head(at)
+        return bool(opcode == Opcode.MESSAGE)
+    return False

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from mcap.records import Attachment
+from mcap.records import Chunk
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write, sha256_of
@@ -29,7 +29,6 @@ from trainlog.formats.trip_tables import (
 from trainlog.mcap.contents import (
     ChunkPlace,
     Contents,
-    attachment_data,
     check_is_mcap,
     fetched,
     index_in,
@@ -44,9 +43,9 @@ from trainlog.mcap.records import (
     RECORD_HEAD,
     RECOVERY_RECORD,
     Account,
-    Chunk,
     Index,
     Source,
+    attachment_at,
     checksum,
     fills,
     in_file,
@@ -585,12 +584,10 @@ def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Si
                 values = {key: text for key, text in values.items() if step_of(text) is not None}
             sink.put_metadata(record.name, values)
     sink.put_metadata(RECOVERY_RECORD, steps)
-    for place in contents.attachments:
-        data = attachment_data(source, place)
-        times = place.create_time, place.log_time
-        sink.put_attachment(Attachment(*times, place.name, place.media_type, data))
+    for at, _ in contents.attachments:
+        sink.put_attachment(attachment_at(source, at))
     for chunk in contents.chunks:
-        sink.put_chunk(_chunk(source, chunk))
+        sink.put_chunk(*_chunk(source, chunk))
 
 
 def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, str]:
@@ -613,8 +610,8 @@ def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, st
     return steps | {f"{number:04d}": text}
 
 
-def _chunk(source: Source, place: ChunkPlace) -> Chunk:
-    """The chunk as it is stored, or made again without messages that no channel explains."""
+def _chunk(source: Source, place: ChunkPlace) -> tuple[Chunk, Index]:
+    """The chunk as it is stored, or without messages that no channel explains, and its index."""
     chunk = fetched(source, place)
     content = opened(chunk, place.offset)
     index = index_in(source, place)
@@ -622,11 +619,12 @@ def _chunk(source: Source, place: ChunkPlace) -> Chunk:
         index = index_of(content, place.offset)
     kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
     if place.loose or len(kept) < len(index):
-        return packed(_only(content, kept))
-    return replace(chunk, start=place.start, end=place.end, index=kept, checksum=checksum(content))
+        return _only(content, kept)
+    times = {"message_start_time": place.start, "message_end_time": place.end}
+    return replace(chunk, **times, uncompressed_crc=checksum(content)), kept
 
 
-def _only(content: bytes, index: Index) -> Chunk:
+def _only(content: bytes, index: Index) -> tuple[Chunk, Index]:
     """A chunk of nothing but the messages that the index lists, in the order they had."""
     view = memoryview(content)
     data = b"".join(
@@ -634,4 +632,4 @@ def _only(content: bytes, index: Index) -> Chunk:
         for at in sorted(int(at) for entries in index.values() for at in entries[:, 1])
     )
     times = [time for entries in index.values() for time in entries[:, 0].tolist()]
-    return Chunk(data, min(times, default=0), max(times, default=0), index_of(data, 0))
+    return packed(data, min(times, default=0), max(times, default=0)), index_of(data, 0)

@@ -286,11 +286,11 @@ def describe(path: str | Path) -> LogDescription:
             for number, channel in contents.channels.items()
         )
         attachments, lines = list[AttachmentDescription](), list[bytes]()
-        for place, data in attachments_of(source, contents):
+        for each in attachments_of(source, contents):
             attachments.append(
-                AttachmentDescription(place.name, place.media_type, place.size, sha256(data))
+                AttachmentDescription(each.name, each.media_type, len(each.data), sha256(each.data))
             )
-            lines += [data] * (place.name == LINE_ATTACHMENT)
+            lines += [each.data] * (each.name == LINE_ATTACHMENT)
     account = contents.account
     problem = problem or refusal
     if not account.whole:

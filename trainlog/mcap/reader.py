@@ -18,17 +18,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
-from mcap.records import Metadata
+from mcap.records import Attachment, Metadata
 
 from trainlog.errors import InputError, LogError
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.codec import Range, decoded, range_of
 from trainlog.mcap.contents import (
-    AttachmentPlace,
     ChunkPlace,
     Contents,
     MisplacedError,
-    attachment_data,
     check_data_section,
     contents_of,
     contents_used,
@@ -46,6 +44,7 @@ from trainlog.mcap.records import (
     DamageWarning,
     Loss,
     Source,
+    attachment_at,
     in_file,
     shown,
     unusable,
@@ -255,20 +254,19 @@ def bare_trip(source: Source, contents: Contents) -> Trip:
         topics={},
         metadata=metadata.get(TRIP_RECORD, {}),
         provenance=_provenance(metadata, contents),
-        attachments={place.name: data for place, data in attachments_of(source, contents)},
+        attachments={each.name: each.data for each in attachments_of(source, contents)},
     )
 
 
-def attachments_of(source: Source, contents: Contents) -> list[tuple[AttachmentPlace, bytes]]:
-    """Each attachment with its content; those that fail their checksum are dropped."""
+def attachments_of(source: Source, contents: Contents) -> list[Attachment]:
+    """The attachments; those that fail their checksum are dropped from the contents."""
     found = []
     for place in list(contents.attachments):
         try:
-            found.append((place, attachment_data(source, place)))
+            found.append(attachment_at(source, place[0]))
         except LogError as error:
             contents.attachments.remove(place)
-            end = place.offset + place.length
-            contents.losses.append(Loss(place.offset, end, error.problem, messages=0))
+            contents.losses.append(Loss(*place, error.problem, messages=0))
     return found
 
 

@@ -36,7 +36,6 @@ from trainlog.mcap.records import RECORDING_RECORD, in_file
 from trainlog.mcap.writer import (
     Sink,
     Stream,
-    chunks_of,
     declared,
     event_stream,
     known_topic,
@@ -495,12 +494,11 @@ class Recording:
         self._sink.declare(*declared(streams))
         topics = {stream.channel.id: stream.channel.topic for stream in streams}
         plan = plan_of(streams, period=_UNBOUNDED)
-        for chunk in chunks_of(plan, len(plan)):
-            self._sink.put_chunk(chunk)
+        for number in range(len(plan)):
+            chunk, index, positions = plan.chunk(number)
+            self._sink.put_chunk(chunk, index, positions)
             with self._lock:
-                self._written.update(
-                    {topics[channel]: len(entries) for channel, entries in chunk.index.items()}
-                )
+                self._written.update({topics[each]: len(rows) for each, rows in index.items()})
         if self._sync:
             os.fsync(self._file.fileno())
         here, there = os.fstat(self._file.fileno()), self._path.stat()

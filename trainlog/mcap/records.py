@@ -10,11 +10,10 @@ import os
 import struct
 import threading
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from io import BytesIO
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, TypeVar
 
@@ -26,7 +25,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
     Channel,
+    Chunk,
     DataEnd,
     Footer,
     Header,
@@ -307,7 +308,7 @@ def in_file(path: str | Path) -> Iterator[None]:
 
 
 class Source:
-    """A file open for reading at any place, by one thread.
+    """A file open for reading at any place, by one thread; small pieces by a window that is kept.
 
     It is a context manager that closes the file.
 
@@ -329,6 +330,7 @@ class Source:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._start, self._window = 0, b""
         try:
             if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
                 # Opening a pipe would wait for its other end.
@@ -358,8 +360,17 @@ class Source:
             If the file cannot be read any more, or has become shorter than it was.
         """
         length = max(0, min(length, self.size - offset))
+        within = offset - self._start
+        if not 0 <= within <= len(self._window) - length:
+            if length > _WINDOW:
+                return self._read(offset, length)
+            self._start, within = offset, 0
+            self._window = self._read(offset, min(_WINDOW, self.size - offset))
+        return self._window[within : within + length]
+
+    def _read(self, offset: int, length: int) -> bytes:
         parts = []
-        while length:
+        while length > 0:
             try:
                 self._file.seek(offset)
                 part = self._file.read(length)
@@ -376,6 +387,17 @@ class Source:
             offset += len(part)
             length -= len(part)
         return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def head(self, at: int) -> tuple[int, int]:
+        """Opcode and end of the record at `at`; a LogError if none can stand there."""
+        return record_head(self.read, at, self.size)
+
+    def checksum(self, start: int, end: int) -> int:
+        """CRC-32 of the file from `start` to `end`."""
+        found = 0
+        for at in range(start, end, _PIECE):
+            found = checksum(self.read(at, min(_PIECE, end - at)), found)
+        return found
 
     def _refuse(self, error: OSError | ValueError) -> NoReturn:
         if isinstance(error, OSError):
@@ -432,14 +454,19 @@ _HEAD = np.dtype(
 )
 """What is compared of a message with its index."""
 
-_AT_ONCE = 2**18
-"""Longer chunks are read when their heads are right [bytes]."""
+_WINDOW = 2**14
+"""Kept of a file that is read in small pieces [bytes]."""
+
+_PIECE = 2**22
+"""Read at once for a checksum [bytes]."""
+
+_ATTACHMENT_NUMBERS = 32
+"""Bytes of an attachment before its checksum, but for its texts and its content."""
 
 _RECORD_HEAD = struct.Struct("<BQ")
-CHUNK_HEAD = struct.Struct("<BQQQQII")
-"""Opcode, length, first and last log time, size, checksum, length of the compression's name."""
 
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
+Read = Callable[[int, int], bytes]
+"""What gives the bytes at an offset, as many as a length."""
 
 _R_co = TypeVar("_R_co", covariant=True)
 
@@ -450,122 +477,114 @@ class _Readable(Protocol[_R_co]):
     def read(self, stream: ReadDataStream) -> _R_co: ...
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """A chunk of a file, as it was read or as it will stand there.
-
-    Attributes
-    ----------
-    data : bytes-like
-        Its content: message records (and, in files of other programs, schemas and channels).
-    start, end : int
-        Earliest and latest log time of its messages [ns].
-    index : dict of int to (n, 2) uint64 array
-        Log time and offset of each message by channel id, for the channels it holds.
-    positions : dict of str to (float, float)
-        Least and greatest position [m] by topic, for the topics that have one.
-    compression : str
-        Of `data`: ``"zstd"``, ``"lz4"`` or ``""``.
-    size, checksum : int
-        Length [bytes] and CRC-32 of its content before compression, zero until that is packed; a
-        checksum of zero in a file stands for none.
-    """
-
-    data: bytes | bytearray | memoryview
-    start: int
-    end: int
-    index: Index = field(default_factory=dict)
-    positions: dict[str, tuple[float, float]] = field(default_factory=dict)
-    compression: str = ""
-    size: int = 0
-    checksum: int = 0
-
-
-def records(data: memoryview, start: int = 0) -> Iterator[tuple[int, int, memoryview]]:
-    """Offset, opcode and content of each record from `start` to the end of `data`.
+def records(read: Read, at: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Offset, opcode and end of each record from `at` to `end`.
 
     Raises
     ------
     LogError
-        Where a record leads out of `data`.
+        Where a record leads beyond `end`.
     """
-    at = start
-    while at < len(data):
-        opcode, length = record_head(data[at : at + RECORD_HEAD], at, len(data))
-        behind = at + RECORD_HEAD + length
-        yield at, opcode, data[at + RECORD_HEAD : behind]
+    while at < end:
+        opcode, behind = record_head(read, at, end)
+        yield at, opcode, behind
         at = behind
 
 
-def record_head(head: bytes | memoryview, at: int, end: int) -> tuple[int, int]:
-    """Opcode and length of the content of the record that begins with `head`, at byte `at`.
+def record_head(read: Read, at: int, end: int) -> tuple[int, int]:
+    """Opcode and end of the record at byte `at`.
 
     Raises
     ------
     LogError
         If none can stand there, before `end`.
     """
-    if len(head) < RECORD_HEAD or at + RECORD_HEAD > end:
+    rest = end - at - RECORD_HEAD
+    if rest < 0:
         raise damaged(at, "the file ends inside a record")
-    opcode, length = _RECORD_HEAD.unpack(head)
+    opcode, length = _RECORD_HEAD.unpack(read(at, RECORD_HEAD))
     if opcode == 0:
         raise damaged(at, "there is no record with opcode 0")
-    rest = end - at - RECORD_HEAD
     if length > rest:
         raise damaged(at, f"a record of {length:,} bytes begins and only {rest:,} bytes follow")
-    return opcode, length
+    return opcode, at + RECORD_HEAD + length
 
 
-class _Exact(ReadDataStream):  # type: ignore[misc]
-    """A stream that ends with an error: the package's own gives what is left instead."""
+class _Content:
+    """The content of a record as a stream: no more is read than its fields say, none beyond it."""
+
+    def __init__(self, read: Read, at: int, end: int) -> None:
+        self._read, self.at, self._end = read, at + RECORD_HEAD, end
 
     def read(self, length: int) -> bytes:
-        data: bytes = super().read(length)
-        if len(data) < length:
+        if length > self._end - self.at:
             raise EndOfFile
-        return data
+        self.at += length
+        return self._read(self.at - length, length)
 
 
-def parsed(kind: _Readable[_R_co], content: bytes | memoryview, offset: int) -> _R_co:
-    """The record whose content this is, as a class of the mcap package.
+def parsed(kind: _Readable[_R_co], read: Read, at: int, end: int, *, exact: bool = False) -> _R_co:
+    """The record from `at` to `end`, as a class of the mcap package.
 
     What is behind its fields belongs to a later version of the format, and is passed over.
+
+    Parameters
+    ----------
+    kind : class
+    read : callable
+    at, end : int
+    exact : bool
+        Whether nothing may be behind its fields.
 
     Raises
     ------
     LogError
         If the content does not parse.
     """
+    content = _Content(read, at, end)
     try:
-        return kind.read(_Exact(BytesIO(content)))
+        found = kind.read(ReadDataStream(content))
+        if exact and content.at < end:
+            raise EndOfFile
     except (McapError, struct.error, ValueError, OverflowError, MemoryError) as error:
         name = getattr(kind, "__name__", "record").lower()
-        raise damaged(offset, f"the {name} record cannot be read") from error
+        raise damaged(at, f"the {name} record cannot be read") from error
+    return found
 
 
-def chunk_at(source: Source, offset: int, length: int) -> Chunk:
-    """The chunk whose record begins at `offset` of a file and has a content of `length` bytes.
+def chunk_at(source: Source, at: int) -> Chunk:
+    """The chunk whose record begins at byte `at` of a file.
 
     Raises
     ------
     LogError
         If there is none; what a damaged length claims is not read.
     """
-    piece = memoryview(source.read(offset, RECORD_HEAD + min(length, _AT_ONCE)))
-    try:
-        opcode, _, start, end, size, expected, width = CHUNK_HEAD.unpack_from(piece)
-        at = CHUNK_HEAD.size + width
-        compression = str(piece[CHUNK_HEAD.size : at], "utf-8")
-        (stored,) = struct.unpack_from("<Q", piece, at)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise damaged(offset, "the chunk record cannot be read") from error
-    if opcode != Opcode.CHUNK or at + 8 + stored != RECORD_HEAD + length:
-        raise damaged(offset, "the chunk's length contradicts its record's")
-    if size > _LARGEST_CHUNK:
-        raise damaged(offset, f"a chunk claims to hold {size:,} bytes")
-    whole = length <= _AT_ONCE
-    data = piece[at + 8 :] if whole else source.read(offset + at + 8, stored)
-    return Chunk(data, start, end, compression=compression, size=size, checksum=expected)
+    opcode, end = source.head(at)
+    if opcode != Opcode.CHUNK:
+        raise damaged(at, "there is no chunk")
+    chunk: Chunk = parsed(Chunk, source.read, at, end, exact=True)
+    if chunk.uncompressed_size > _LARGEST_CHUNK:
+        raise damaged(at, f"a chunk claims to hold {chunk.uncompressed_size:,} bytes")
+    return chunk
+
+
+def attachment_at(source: Source, at: int) -> Attachment:
+    """The attachment whose record begins at byte `at` of a file, its checksum verified.
+
+    Raises
+    ------
+    LogError
+        If there is none, or it fails its checksum.
+    """
+    found: Attachment = parsed(Attachment, source.read, at, source.head(at)[1])
+    texts = f"{found.name}{found.media_type}".encode()
+    start = at + RECORD_HEAD
+    end = start + _ATTACHMENT_NUMBERS + len(texts) + len(found.data)
+    expected = int.from_bytes(source.read(end, 4), "little")
+    if expected not in (0, source.checksum(start, end)):
+        raise damaged(at, f"attachment {shown(found.name)} fails its checksum")
+    return found
 
 
 def opened(chunk: Chunk, offset: int) -> bytes:
@@ -586,9 +605,9 @@ def opened(chunk: Chunk, offset: int) -> bytes:
             place=f"byte {offset}",
             remedy="compress it with zstd or lz4",
         )
-    if len(content) != chunk.size:
+    if len(content) != chunk.uncompressed_size:
         raise damaged(offset, "a chunk has another length than it declares")
-    if chunk.checksum and checksum(content) != chunk.checksum:
+    if chunk.uncompressed_crc not in (0, checksum(content)):
         raise damaged(offset, "a chunk fails its checksum")
     return content
 
@@ -605,32 +624,35 @@ _decompressor = _Decompressor()
 
 def _decompressed(chunk: Chunk) -> bytes | None:
     """The content; None if the compression is not known."""
+    size = chunk.uncompressed_size
     if chunk.compression == "zstd":
         declared = zstandard.get_frame_parameters(chunk.data).content_size
         unknown = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
-        if declared not in (chunk.size, *unknown):
+        if declared not in (size, *unknown):
             raise ValueError("content size")
         return _decompressor.zstd.decompress(
-            chunk.data, max_output_size=chunk.size, allow_extra_data=False
+            chunk.data, max_output_size=size, allow_extra_data=False
         )
     if chunk.compression == "lz4":
         # One byte more than declared shows that there is more.
         decompressor = lz4.frame.LZ4FrameDecompressor()
-        content: bytes = decompressor.decompress(chunk.data, chunk.size + 1)
+        content: bytes = decompressor.decompress(chunk.data, size + 1)
         if not decompressor.eof or decompressor.unused_data:
             raise ValueError("length")
         return content
     return bytes(chunk.data) if chunk.compression == "" else None
 
 
-def stored_index(content: memoryview, offset: int) -> tuple[int, UintArray]:
-    """Channel and entries of the message index record whose content this is."""
-    if len(content) >= 6:
+def stored_index(source: Source, at: int) -> tuple[int, UintArray, int]:
+    """Channel and entries of the message index record that begins at byte `at`, and its end."""
+    opcode, end = source.head(at)
+    content = source.read(at + RECORD_HEAD, end - at - RECORD_HEAD)
+    if opcode == Opcode.MESSAGE_INDEX and len(content) >= 6:
         channel, length = struct.unpack_from("<HI", content)
         if length <= len(content) - 6 and length % 16 == 0:
             entries = np.frombuffer(content, dtype="<u8", offset=6, count=length // 8)
-            return channel, entries.reshape(-1, 2)
-    raise damaged(offset, "the message index record cannot be read")
+            return channel, entries.reshape(-1, 2), end
+    raise damaged(at, "the message index record cannot be read")
 
 
 def index_of(content: bytes, offset: int) -> Index:
@@ -656,17 +678,23 @@ def gone_through(content: bytes, offset: int) -> tuple[Index, list[Schema | Chan
 
     Parameters and errors as `index_of`.
     """
+
+    def read(at: int, length: int) -> bytes:
+        return content[at : at + length]
+
     entries: dict[int, array[int]] = {}
     declared = []
     try:
-        for at, opcode, body in records(memoryview(content)):
+        for at, opcode, behind in records(read, 0, len(content)):
             if opcode == Opcode.MESSAGE:
-                channel, _, time, _ = _MESSAGE_HEAD.unpack_from(body)
+                _, length, channel, _, time, _ = MESSAGE.unpack_from(content, at)
+                if length < MESSAGE.size - RECORD_HEAD:
+                    raise damaged(at, "a message is shorter than it can be")
                 if channel not in entries:
                     entries[channel] = array("Q")
                 entries[channel].extend((time, at))
             elif opcode in DECLARATIONS:
-                declared.append(parsed(KINDS[opcode], body, offset))
+                declared.append(parsed(KINDS[opcode], read, at, behind))
     except (LogError, struct.error) as error:
         raise damaged(offset, "a chunk does not hold one record after the other") from error
     index = {

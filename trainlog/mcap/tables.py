@@ -296,7 +296,7 @@ def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel
         # An index that does not fit the chunk is made again from the chunk's records.
         return _pieces(content, index_of(content, place.offset), place, ours)
     except LogError as error:
-        if chunk.checksum and not isinstance(error, MisplacedError):
+        if chunk.uncompressed_crc and not isinstance(error, MisplacedError):
             # These are the bytes that were written.
             raise
         return error.problem

@@ -28,6 +28,7 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -49,6 +50,7 @@ from trainlog.mcap.codec import (
     SEQUENCE,
     Codec,
     Entry,
+    Range,
     channel_of,
     codec_for,
     encode_events,
@@ -59,12 +61,11 @@ from trainlog.mcap.codec import (
     table_of,
 )
 from trainlog.mcap.records import (
-    CHUNK_HEAD,
     FORMAT_RECORD,
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
     TRIP_RECORD,
-    Chunk,
+    Index,
     checksum,
     in_file,
 )
@@ -308,15 +309,22 @@ class _Compressor(threading.local):
 _compressor = _Compressor()
 
 
-def packed(chunk: Chunk) -> Chunk:
-    """The chunk compressed, with its checksum. Runs in any thread, mostly without the GIL."""
-    return replace(
-        chunk,
-        data=_compressor.zstd.compress(chunk.data),
-        compression="zstd",
-        size=len(chunk.data),
-        checksum=checksum(chunk.data),
-    )
+def packed(content: bytes | memoryview, start: int, end: int) -> Chunk:
+    """A chunk, compressed. Runs in any thread, mostly without the GIL.
+
+    Parameters
+    ----------
+    content : bytes-like
+        Its messages.
+    start, end : int
+        Earliest and latest log time of these [ns].
+    """
+    data = _compressor.zstd.compress(content)
+    return Chunk("zstd", data, end, start, checksum(content), len(content))
+
+
+Ranges = dict[str, Range]
+"""Least and greatest position [m] by topic."""
 
 
 @dataclass(frozen=True)
@@ -343,8 +351,8 @@ class Plan:
         """How many chunks there are."""
         return len(self.sizes)
 
-    def chunk(self, number: int) -> Chunk:
-        """Lay out one chunk."""
+    def chunk(self, number: int) -> tuple[Chunk, Index, Ranges]:
+        """Lay out one chunk: it, its message index, and the positions in it by topic."""
         parts = [
             (stream, slice(int(cut[number]), int(cut[number + 1])), offsets)
             for stream, cut, offsets in zip(self.streams, self.cuts, self.offsets, strict=True)
@@ -362,7 +370,7 @@ class Plan:
             for stream, rows, _ in parts
             if stream.codec is not None and stream.channel.topic in POSITION_TOPICS
         }
-        return Chunk(data.data, start, end, index, positions)
+        return packed(data.data, start, end), index, positions
 
     def behind(self, number: int) -> list[Stream]:
         """The messages of the streams from chunk `number` on."""
@@ -424,12 +432,6 @@ def _cuts(time: IntArray, ends: IntArray, period: int, largest: int) -> IntArray
         late = int(np.searchsorted(time, min(int(time[first]) + period, 2**63 - 1), side="left"))
         cuts.append(max(first + 1, min(full, late if late > first else time.size)))
     return np.array(cuts)
-
-
-def chunks_of(plan: Plan, count: int) -> Iterator[Chunk]:
-    """The first chunks of a plan, compressed, in order."""
-    for number in range(count):
-        yield packed(plan.chunk(number))
 
 
 _INDEX_HEAD = struct.Struct("<BQHI")
@@ -589,8 +591,8 @@ class LogWriter:
             return
         self._sink.declare(*declared(self._pending.values()))
         full = len(plan) if last else max(0, len(plan) - 1)
-        for chunk in chunks_of(plan, full):
-            self._sink.put_chunk(chunk)
+        for number in range(full):
+            self._sink.put_chunk(*plan.chunk(number))
         if full:
             self._pending = dict(zip(self._pending, plan.behind(full), strict=True))
         if last:
@@ -744,43 +746,39 @@ class Sink:
             )
         )
 
-    def put_chunk(self, chunk: Chunk) -> None:
+    def put_chunk(self, chunk: Chunk, index: Index, positions: Ranges | None = None) -> None:
         """Write a chunk, just compressed or taken from another file, and its message indexes."""
-        name = chunk.compression.encode()
-        length = CHUNK_HEAD.size - 9 + len(name) + 8 + len(chunk.data)
-        head = CHUNK_HEAD.pack(
-            Opcode.CHUNK, length, chunk.start, chunk.end, chunk.size, chunk.checksum, len(name)
-        )
-        parts = [head + name + struct.pack("<Q", len(chunk.data)), chunk.data]
-        at = self.position + 9 + length
-        offsets = {}
-        for channel, entries in chunk.index.items():
+        parts: list[bytes | memoryview] = [record_bytes(chunk)]
+        start, length = self.position, len(parts[0])
+        at, offsets = start + length, {}
+        for channel, entries in index.items():
             # A MessageIndex record; its class of the mcap package takes a Python tuple a message.
             listed = np.ascontiguousarray(entries, dtype="<u8").reshape(-1).view(np.uint8).data
             size = len(listed)
             parts += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size), listed]
             offsets[channel] = at
             at += _INDEX_HEAD.size + size
-        start = self._put(*parts)
+        self._put(*parts)
+        first, last = chunk.message_start_time, chunk.message_end_time
         self._chunks.append(
             ChunkIndex(
-                chunk_length=9 + length,
+                chunk_length=length,
                 chunk_start_offset=start,
                 compression=chunk.compression,
                 compressed_size=len(chunk.data),
-                message_end_time=chunk.end,
-                message_index_length=self.position - start - 9 - length,
+                message_end_time=last,
+                message_index_length=at - start - length,
                 message_index_offsets=offsets,
-                message_start_time=chunk.start,
-                uncompressed_size=chunk.size,
+                message_start_time=first,
+                uncompressed_size=chunk.uncompressed_size,
             )
         )
-        self._counts.update({channel: len(entries) for channel, entries in chunk.index.items()})
-        for topic, (least, greatest) in chunk.positions.items():
-            self._positions.setdefault(topic, []).append((start, chunk.start, least, greatest))
-        if chunk.index:
-            first, last = self._span or (chunk.start, chunk.end)
-            self._span = min(first, chunk.start), max(last, chunk.end)
+        self._counts.update({channel: len(entries) for channel, entries in index.items()})
+        for topic, span in (positions or {}).items():
+            self._positions.setdefault(topic, []).append((start, first, *span))
+        if index:
+            least, greatest = self._span or (first, last)
+            self._span = min(least, first), max(greatest, last)
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer. The stream stays open."""
