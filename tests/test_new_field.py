@@ -26,8 +26,10 @@ topics.TOPICS[topic.name] = topics.TRAIN_SUPPLY
 import trainlog
 from trainlog.formats.samples import sample
 from trainlog.ingest import ingest, propose_profile
-from trainlog.mcap.description import topics_table
 from trainlog.replay.samples import curves_of, panels_of
+
+sys.path.insert(0, sys.argv[2])
+from topic_table import topics_table
 
 folder = Path(sys.argv[1])
 lines = sample("recorder.csv").read_text("utf-8").splitlines()[:1500]
@@ -58,8 +60,14 @@ assert "| `oil_flow` | m^3/s |" in topics_table() and "0 to 1200 l/min" in topic
 """
 
 
+TOOLS = Path(__file__).parents[1] / "docs" / "tools"
+
+
 def test_a_new_field_is_one_entry(tmp_path: Path) -> None:
     run = subprocess.run(
-        [sys.executable, "-c", ADDED, str(tmp_path)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", ADDED, str(tmp_path), str(TOOLS)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert run.returncode == 0, run.stdout + run.stderr

@@ -32,9 +32,8 @@ from trainlog.mcap.records import (
 )
 from trainlog.presentation import Presented, WordTable, facts_table, new_table
 from trainlog.railway.line import Line, in_km
-from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Bounds, Field, Topic
+from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Field
 from trainlog.trip import LINE_ATTACHMENT, Trip
-from trainlog.units import factor
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
@@ -520,50 +519,6 @@ def _holds(field: Field, columns: set[str]) -> bool:
     if not field.each:
         return field.name in columns
     return any(re.fullmatch(rf"{field.name}_\d+", each) for each in columns)
-
-
-def topics_table() -> str:
-    """Every topic with its fields, units, meanings, interpolation and limits, as Markdown."""
-    return "\n".join(_section(topic) for topic in TOPICS.values())
-
-
-def _section(topic: Topic) -> str:
-    rows = [
-        f"### `{topic.name}`",
-        "",
-        f"{topic.meaning} Message `{topic.message}`.",
-        "",
-        "| field | unit | meaning |",
-        "|---|---|---|",
-    ]
-    limited = any(item.bounds != Bounds() for item in topic.fields)
-    if limited:
-        rows[-2] += " limits |"
-        rows[-1] += "---|"
-    for item in topic.fields:
-        name = f"`{item.name}`, per {item.each}" if item.each else f"`{item.name}`"
-        if item.interpolation != "linear":
-            name += f" ({item.interpolation})"
-        meaning = item.meaning.replace("|", "\\|")
-        row = f"| {name} | {item.unit or '–'} | {meaning} |"
-        rows.append(f"{row} {_limits(item)} |" if limited else row)
-    return "\n".join(rows) + "\n"
-
-
-def _limits(item: Field) -> str:
-    """What a recorded value can be, in its usual unit."""
-    if item.bounds == Bounds():
-        return ""
-    unit, bounds = item.usual_unit, item.bounds
-    slope, offset = factor(unit, item.unit)
-    low, high = (f"{(each - offset) / slope:g}" for each in (bounds.low, bounds.high))
-    shown = "" if unit == "1" else f" {unit}"
-    text = f"{low} to {high}{shown}"
-    if math.isfinite(bounds.rate):
-        text += (
-            f"; {bounds.rate / slope:g}{shown} per second over {bounds.tolerance / slope:g}{shown}"
-        )
-    return text
 
 
 # -------------------------------------------------------------------------------- for a terminal
