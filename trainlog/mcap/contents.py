@@ -460,11 +460,10 @@ def check_data_section(source: Source, contents: Contents) -> None:
         raise MisplacedError("the data section fails its checksum", place=f"byte {end}")
 
 
-def report_losses(path: str | Path, contents: Contents) -> None:
-    """Warn of what is lost of a file with a `DamageWarning` at the line that called trainlog."""
+def report_losses(path: str | Path, contents: Contents, called_by: int = 3) -> None:
+    """Warn of what is lost of a file, at the line that called trainlog, so many calls above."""
     if contents.losses:
-        # From here over the public function to its caller.
-        warnings.warn(DamageWarning(str(path), contents.account), stacklevel=3)
+        warnings.warn(DamageWarning(str(path), contents.account), stacklevel=called_by)
 
 
 def checksum_holds(source: Source, contents: Contents) -> bool:

@@ -125,13 +125,8 @@ def read_log(
     >>> len(stretch["/train/state"])
     32
     """
-    selection = selection_of(topics, time, position)
-    with Source(path) as source, in_file(path):
-        reading = _Reading(source, selection)
-        frames = reading.frames()
-        check_readable(reading.contents.account)
-    report_losses(path, reading.contents)
-    return replace(reading.bare, topics=frames)
+    (trip,) = _trips(path, selection_of(topics, time, position), None)
+    return trip
 
 
 def stream_log(
@@ -181,7 +176,7 @@ def stream_log(
     """
     if rows < 1:
         raise InputError(f"rows is {rows}", remedy="give the most rows of a piece, at least 1")
-    return _pieces(path, selection_of(topics, time, position), rows)
+    return _trips(path, selection_of(topics, time, position), rows)
 
 
 def about_log(path: str | Path) -> Trip:
@@ -359,72 +354,56 @@ def check_readable(account: Account) -> None:
 # ---------------------------------------------------------------------------------- in pieces
 
 
-def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]:
+def _trips(path: str | Path, selection: Selection, rows: int | None) -> Iterator[Trip]:
+    """The part of a log that is asked for: in pieces of so many rows, None: at once."""
     with Source(path) as source, in_file(path):
-        reading = _Reading(source, selection)
-        for span in reading.parts(rows):
-            frames = reading.frames(span)
-            yield replace(reading.bare, topics=frames)
-        check_readable(reading.contents.account)
-    report_losses(path, reading.contents)
+
+        def begun(contents: Contents) -> tuple[Trip, Spans]:
+            bare = bare_trip(source, contents)
+            bare = bare.with_slice(time=selection.time, position=selection.position)
+            return bare, spans_of(source, contents, selection)
+
+        def piece(span: tuple[int, int]) -> Trip:
+            """The rows of a span of time; all of the file is verified if all is asked for."""
+            within = overlapping(spans, np.array([span], dtype=np.int64))
+            chunks = chunks_within(contents.chunks, within)
+            trip = replace(bare, topics=frames_in(source, contents, chunks, selection.columns))
+            if span == ALWAYS and selection.whole:
+                check_data_section(source, contents)
+            uncut = span == ALWAYS and selection.time is None and selection.position is None
+            return with_losses(trip if uncut else trip.cut(within), contents)
+
+        contents, (bare, spans) = contents_used(source, begun)
+        for span in [ALWAYS] if rows is None else _parts(contents, spans, selection, rows):
+            try:
+                yield piece(span)
+            except MisplacedError:
+                # What was read before stays; a scan finds what of the rest there is.
+                contents = scanned(source)
+                bare, spans = begun(contents)
+                yield piece(span)
+        check_readable(contents.account)
+    report_losses(path, contents, called_by=3 if rows else 4)
 
 
-class _Reading:
-    """One reading of a part of a file: at once, or one span of time after the other."""
+def _parts(
+    contents: Contents, spans: Spans, selection: Selection, rows: int
+) -> list[tuple[int, int]]:
+    """Spans of time [ns] that follow each other, each with at most `rows` rows.
 
-    def __init__(self, source: Source, selection: Selection) -> None:
-        self._source = source
-        self._selection = selection
-        self.contents, (self._bare, self._spans) = contents_used(source, self._begin)
-
-    def _begin(self, contents: Contents) -> tuple[Trip, Spans]:
-        selection = self._selection
-        bare = bare_trip(self._source, contents)
-        bare = bare.with_slice(time=selection.time, position=selection.position)
-        return bare, spans_of(self._source, contents, selection)
-
-    @property
-    def bare(self) -> Trip:
-        """The trip without its topics; its provenance has the losses met so far."""
-        return with_losses(self._bare, self.contents)
-
-    def parts(self, rows: int) -> list[tuple[int, int]]:
-        """Spans of time [ns] that follow each other, each with at most `rows` rows.
-
-        Each begins where a chunk does, so that few chunks are read twice; one that holds more rows
-        is a part of its own.
-        """
-        borders, taken = [ALWAYS[0]], 0
-        chunks = chunks_within(self.contents.chunks, self._spans)
-        chunks.sort(key=lambda place: place.start)
-        rows_of = _rows(self.contents, chunks, self._selection.columns)
-        for place, count in zip(chunks, rows_of, strict=True):
-            if taken and taken + count > rows and borders[-1] < place.start <= ALWAYS[1]:
-                borders.append(place.start)
-                taken = 0
-            taken += count
-        return list(zip(borders, [*(each - 1 for each in borders[1:]), ALWAYS[1]], strict=True))
-
-    def frames(self, span: tuple[int, int] = ALWAYS) -> _Frames:
-        """The rows of a span of time; all of the file is verified if all of it is asked for."""
-        try:
-            return self._frames(span)
-        except MisplacedError:
-            # What was read before stays; a scan finds what of the rest there is.
-            self.contents = scanned(self._source)
-            self._bare, self._spans = self._begin(self.contents)
-            return self._frames(span)
-
-    def _frames(self, span: tuple[int, int]) -> _Frames:
-        selection, contents = self._selection, self.contents
-        spans = overlapping(self._spans, np.array([span], dtype=np.int64))
-        chunks = chunks_within(contents.chunks, spans)
-        found = frames_in(self._source, contents, chunks, selection.columns)
-        if span == ALWAYS and selection.whole:
-            check_data_section(self._source, contents)
-        if span == ALWAYS and selection.time is None and selection.position is None:
-            return found
-        return replace(self._bare, topics=found).cut(spans).topics
+    Each begins where a chunk does, so that few chunks are read twice; one that holds more rows is a
+    part of its own.
+    """
+    borders, taken = [ALWAYS[0]], 0
+    chunks = chunks_within(contents.chunks, spans)
+    chunks.sort(key=lambda place: place.start)
+    counts = _rows(contents, chunks, selection.columns)
+    for place, count in zip(chunks, counts, strict=True):
+        if taken and taken + count > rows and borders[-1] < place.start <= ALWAYS[1]:
+            borders.append(place.start)
+            taken = 0
+        taken += count
+    return list(zip(borders, [*(each - 1 for each in borders[1:]), ALWAYS[1]], strict=True))
 
 
 def _rows(
@@ -459,24 +438,32 @@ Topics = Iterable[str] | Mapping[str, Iterable[str] | None]
 """Names of topics, or the columns asked for by topic, None for all."""
 
 
-_AT_ONCE = 64
-"""Chunks whose positions are held at a time, where the file does not have them."""
+def position_ranges(
+    source: Source, contents: Contents, topic: str
+) -> list[tuple[ChunkPlace, Range]]:
+    """The chunks in which the train's position is known by a topic, each with its positions.
 
-
-def position_ranges(contents: Contents, topic: str) -> list[tuple[ChunkPlace, Range]] | None:
-    """The chunks with messages of a topic, each with its positions; None if any is not known."""
+    Raises
+    ------
+    LogError
+        If messages are not what their channel says.
+    MisplacedError
+        If something is not as the summary says.
+    """
     stored = [
         record.metadata[topic]
         for record in contents.metadata
         if record.name == POSITIONS_RECORD and topic in record.metadata
     ]
     known = {key: each for text in stored for key, each in decoded(text).items()}
-    found = []
-    for place in _with_topic(contents, topic):
-        if (place.offset, place.start) not in known:
-            return None
-        found.append((place, known[place.offset, place.start]))
-    return found
+    numbers = {each.channel.id for each in topic_channels(contents) if each.topic.name == topic}
+    places = [place for place in contents.chunks if not numbers.isdisjoint(place.counts)]
+    if any((place.offset, place.start) not in known for place in places):
+        for place in places:
+            frames = frames_in(source, contents, [place], {topic: frozenset(["position"])})
+            known[place.offset, place.start] = range_of(frames[topic]["position"].to_numpy())
+    found = [(place, known[place.offset, place.start]) for place in places]
+    return [(place, each) for place, each in found if not np.isnan(each[0])]
 
 
 def spans_in_log(source: Source, contents: Contents, stretch: tuple[float, float]) -> Spans:
@@ -496,52 +483,25 @@ def spans_in_log(source: Source, contents: Contents, stretch: tuple[float, float
     raise LogError("does not know where the train was", remedy=NO_POSITION)
 
 
-def position_span(source: Source, contents: Contents, topic: str) -> tuple[float, float] | None:
-    """Least and greatest position by a topic [m]; None if it has none.
-
-    Raises
-    ------
-    LogError
-        If messages are not what their channel says.
-    MisplacedError
-        If something is not as the summary says.
-    """
-    ranges = position_ranges(contents, topic)
-    if ranges is None:
-        ranges = []
-        places = _with_topic(contents, topic)
-        for at in range(0, len(places), _AT_ONCE):
-            group = places[at : at + _AT_ONCE]
-            frames = frames_in(source, contents, group, {topic: frozenset(["position"])})
-            position = frames[topic]["position"].to_numpy()
-            ranges.append((group[0], range_of(position)))
-    known_ranges = [each for _, each in ranges if not np.isnan(each[0])]
-    if not known_ranges:
-        return None
-    return min(least for least, _ in known_ranges), max(most for _, most in known_ranges)
-
-
 def _spans_by(
     source: Source, contents: Contents, topic: str, stretch: tuple[float, float]
 ) -> Spans | None:
     """The same by one topic; None if it knows no position."""
-    ranges = position_ranges(contents, topic)
-    if ranges is None or any(one.end > other.start for (one, _), (other, _) in pairwise(ranges)):
-        chunks, known = _with_topic(contents, topic), False
-    else:
-        located = [(place, each) for place, each in ranges if not np.isnan(each[0])]
-        chunks, known = _near(located, stretch), bool(located)
-    frames = frames_in(source, contents, chunks, {topic: frozenset(["position"])})
-    if topic not in frames:
+    ranges = position_ranges(source, contents, topic)
+    if not ranges:
         return None
-    position = frames[topic]["position"].to_numpy()
-    spans = spans_within(nanoseconds(frames[topic]), position, *stretch)
-    return merged_spans(spans) if known or np.isfinite(position).any() else None
+    overlap = any(one.end > other.start for (one, _), (other, _) in pairwise(ranges))
+    chunks = [place for place, _ in ranges] if overlap else _near(ranges, stretch)
+    found = frames_in(source, contents, chunks, {topic: frozenset(["position"])})[topic]
+    return merged_spans(spans_within(nanoseconds(found), found["position"].to_numpy(), *stretch))
 
 
-def _with_topic(contents: Contents, topic: str) -> list[ChunkPlace]:
-    numbers = {each.channel.id for each in topic_channels(contents) if each.topic.name == topic}
-    return [place for place in contents.chunks if not numbers.isdisjoint(place.counts)]
+def position_span(source: Source, contents: Contents, topic: str) -> tuple[float, float] | None:
+    """Least and greatest position by a topic [m]; None if none. Errors as `position_ranges`."""
+    ranges = [each for _, each in position_ranges(source, contents, topic)]
+    if not ranges:
+        return None
+    return min(least for least, _ in ranges), max(most for _, most in ranges)
 
 
 def _near(
@@ -552,8 +512,6 @@ def _near(
     Of two that follow each other and have others between them it was outside of the stretch at the
     end of the first and, on the same side, at the beginning of the second.
     """
-    if not located:
-        return []
     least, greatest = np.array([each for _, each in located]).T
     # Between the last sample of a chunk and the first of the next it was between both.
     joint = (np.minimum(least[1:], least[:-1]) <= stretch[1]) & (
@@ -577,19 +535,23 @@ class Selection:
     columns : Wanted
     time : (Any, Any) or None
         As given; checked.
-    span : (int, int)
-        The same [ns since 1970 UTC].
     position : (float, float) or None
         As given; checked.
-    whole : bool
-        Whether it leaves out nothing.
     """
 
     columns: Wanted
     time: tuple[Any, Any] | None
-    span: tuple[int, int]
     position: tuple[float | None, float | None] | None
-    whole: bool
+
+    @property
+    def whole(self) -> bool:
+        """Whether it leaves out nothing."""
+        return self.columns is None and self.time is None and self.position is None
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """The limits of its time [ns since 1970 UTC]."""
+        return ALWAYS if self.time is None else time_limits(*self.time)
 
     @property
     def stretch(self) -> tuple[float, float]:
@@ -611,13 +573,9 @@ def selection_of(
     InputError
         If a limit is no time or no position, or the limits are in the wrong order.
     """
-    ends = _pair("time", time)
-    stretch = _pair("position", position)
-    span = ALWAYS if ends is None else time_limits(*ends)
-    if stretch is not None:
-        position_limits(*stretch)
-    whole = topics is None and ends is None and stretch is None
-    return Selection(_columns(topics), ends, span, stretch, whole)
+    found = Selection(_columns(topics), _pair("time", time), _pair("position", position))
+    _ = found.span, found.stretch  # limits that are none are refused here
+    return found
 
 
 def _pair(name: str, limits: Sequence[Any] | None) -> tuple[Any, Any] | None:
@@ -662,18 +620,12 @@ def _known(topic: Topic | None, names: Iterable[str]) -> frozenset[str]:
 
 def chunks_within(chunks: Iterable[ChunkPlace], spans: Spans) -> list[ChunkPlace]:
     """The chunks that can hold messages in any of the spans of time."""
-    listed = list(chunks)
-    if len(spans) == 1 and tuple(spans[0]) == ALWAYS:
-        return listed
-    if not len(spans) or not listed:
-        return []
-    highest = np.iinfo(np.int64).max
-    first = np.array([min(place.start, highest) for place in listed], dtype=np.int64)
-    last = np.array([min(place.end, highest) for place in listed], dtype=np.int64)
+    listed, highest = list(chunks), ALWAYS[1]
+    ends = [(min(place.start, highest), min(place.end, highest)) for place in listed]
+    first, last = np.array(ends, dtype=np.int64).reshape(-1, 2).T
     # The first span that ends at or after the chunk's start must begin before its end.
-    number = np.searchsorted(spans[:, 1], first)
-    begins = np.append(spans[:, 0], highest)[number]
-    held = (number < len(spans)) & (begins <= last)
+    begins = np.append(spans[:, 0], highest)[np.searchsorted(spans[:, 1], first)]
+    held = (np.searchsorted(spans[:, 1], first) < len(spans)) & (begins <= last)
     return [listed[index] for index in np.flatnonzero(held)]
 
 
