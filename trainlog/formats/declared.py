@@ -5,6 +5,7 @@ What stands in a file follows from the declaration of the thing, see `trainlog.d
 
 from __future__ import annotations
 
+import datetime
 import json
 import tomllib
 from collections.abc import Callable, Mapping
@@ -112,6 +113,8 @@ def toml_value(value: Any) -> str:
     if isinstance(value, str):
         # What JSON escapes TOML reads alike, but for characters beyond the first 65,536.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, datetime.date):
+        return value.isoformat()
     return repr(value).lower() if isinstance(value, bool) else repr(value)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,7 +34,7 @@ SAMPLE = 200
 HEAD = 60
 """Lines in which the header must stand."""
 
-CODECS = ("cp1252", "cp850")
+CODECS = ("cp1252", "cp850", "latin-1")
 """Encodings of one byte a letter that recorders write, the likelier first."""
 
 _LETTERS = "äöüÄÖÜßéèàçêâîôûëïùÉÈÀ°²³‰µ·"
@@ -163,138 +164,127 @@ def _text_layout(path: Path, data: bytes) -> Layout:
             remedy="write it with semicolons between the cells",
         )
     header, units, first = _header(lines, delimiter, decimal, width, sample)
+    cells = [cell for row in _rows(sample, delimiter) for cell in row]
+    marks = [
+        sum(bool(re.match(rf"^[+-]?\d*{mark}\d+$", c)) for c in cells) for mark in (r"\.", ",")
+    ]
+    seen = f"{marks[0]} cells of the sample have a point, {marks[1]} a comma"
     readings = [
         Reading("encoding", encoding, why),
         Reading("delimiter", repr(delimiter), judged),
-        Reading("decimal mark", repr(decimal), _decimals_seen(sample, delimiter)),
+        Reading("decimal mark", repr(decimal), seen),
     ]
     options = FileOptions(
-        format="csv",
-        delimiter=delimiter,
-        decimal=decimal,
-        encoding=encoding,
-        header=header or (0 if header == 0 else None),
+        format="csv", delimiter=delimiter, decimal=decimal, encoding=encoding, header=header,
         skip_after_header=max(0, first - header - 1) if header else 0,
-    )
+    )  # fmt: skip
     opened = open_text(path, options)
-    unique = [name for name, count in Counter(opened.names).items() if name and count == 1]
-    table = opened.cells(unique).table
-    words, seen = _missing(table, decimal)
+    counts = Counter(opened.names)
+    unique = [name for name, count in counts.items() if name and count == 1]
+    words, seen = _missing(opened.cells(unique).table, decimal)
     if words:
         options = options.model_copy(update={"missing": (*MISSING, *words)})
         opened = open_text(path, options)
         readings.append(Reading("missing values", " ".join(map(repr, words)), seen))
-    cells = opened.cells(unique)
-    places = {name: place for place, name in enumerate(opened.names)}
-    stated = tuple(units[places[name]] if places[name] < len(units) else "" for name in unique)
+    table = opened.cells(unique)
+    spelt = dict(zip(opened.names, units, strict=False))
     where = f"line {header}" if header else "none: the columns are numbered"
-    readings.append(Reading("header", where, f"{len(unique)} columns, {cells.rows.size:,} rows"))
+    readings.append(Reading("header", where, f"{len(unique)} columns, {table.rows.size:,} rows"))
     if any(units):
         readings.append(Reading("units", f"line {header + 1}", " ".join(u or "-" for u in units)))
     unnamed = {
         name or "(no name)": f"the name stands {count} times in the header"
-        for name, count in Counter(opened.names).items()
+        for name, count in counts.items()
         if name and count > 1
     }
-    preamble = "\n".join(lines[: max(0, header - 1)])
     return Layout(
-        path, "csv", options, tuple(unique), stated, cells.table, cells.rows, preamble,
-        tuple(readings), unnamed,
+        path, "csv", options, tuple(unique), tuple(spelt.get(name, "") for name in unique),
+        table.table, table.rows, "\n".join(lines[: max(0, header - 1)]), tuple(readings), unnamed,
     )  # fmt: skip
 
 
 def _decoded(path: Path, data: bytes) -> tuple[str, str, str]:
     """The encoding, the text, and why."""
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return "utf-16", _strict(path, data, "utf-16"), "its byte order mark"
     head = data[:4096]
-    if head.count(b"\0") > len(head) // 3:
+    codec, why = "utf-8", "valid UTF-8"
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        codec, why = "utf-16", "its byte order mark"
+    elif head.count(b"\0") > len(head) // 3:
         codec = "utf-16-le" if head[1:2] == b"\0" else "utf-16-be"
-        return codec, _strict(path, data, codec), "every other byte is zero"
-    data = data.rstrip(b"\0")
-    if not data or data.isspace():
-        raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
-    if b"\0" in data:
-        raise InputError(
-            "is not text: it holds zero bytes",
-            file=path,
-            place=f"byte {data.index(0)}",
-            remedy="give the recorder's table, not its binary file",
-        )
+        why = "every other byte is zero"
+    else:
+        data = data.rstrip(b"\0")
+        why = "ASCII" if data.isascii() else why
+        if not data.strip():
+            raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
+        if b"\0" in data:
+            raise InputError(
+                "is not text: it holds zero bytes",
+                file=path,
+                place=f"byte {data.index(0)}",
+                remedy="give the recorder's table, not its binary file",
+            )
     try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        texts = {}
-        for codec in CODECS:
-            try:
-                texts[codec] = data.decode(codec)
-            except UnicodeDecodeError:
-                texts[codec] = data.decode("latin-1") if codec == "cp1252" else ""
-        counts = {
-            codec: sum(text.count(letter) for letter in _LETTERS) for codec, text in texts.items()
-        }
-        best = max(counts, key=lambda codec: counts[codec])
-        try:
-            data.decode(best)
-        except UnicodeDecodeError:
-            best, texts[best] = "latin-1", data.decode("latin-1")
-        shown = sorted({letter for letter in texts[best] if letter in _LETTERS})
-        return best, texts[best], f"not UTF-8; as {best} it holds {' '.join(shown)}"
-    plain_ascii = text.isascii()
-    return "utf-8", text.removeprefix("\ufeff"), "ASCII" if plain_ascii else "valid UTF-8"
-
-
-def _strict(path: Path, data: bytes, codec: str) -> str:
-    try:
-        return data.decode(codec).removeprefix("\ufeff")
+        return codec, data.decode(codec).removeprefix("\ufeff"), why
     except UnicodeDecodeError as error:
-        raise InputError(
-            f"is not {codec} text", file=path, place=f"byte {error.start}", remedy="copy it again"
-        ) from error
+        if codec != "utf-8":
+            raise InputError(
+                f"is not {codec} text",
+                file=path,
+                place=f"byte {error.start}",
+                remedy="copy it again",
+            ) from error
+    texts = {}
+    for codec in CODECS:
+        with suppress(UnicodeDecodeError):
+            texts[codec] = data.decode(codec)
+    best = max(texts, key=lambda codec: sum(map(texts[codec].count, _LETTERS)))
+    shown = " ".join(sorted(set(texts[best]) & set(_LETTERS)))
+    return best, texts[best], f"not UTF-8; as {best} it holds {shown}"
 
 
 def _sample(lines: list[str]) -> list[str]:
     """Lines of data to judge by: of the begin, without what may be a header, middle and end."""
     filled = [line for line in lines if line.strip() and not line.startswith("#")]
     body = filled[min(HEAD, len(filled) // 3) :]
-    third = SAMPLE // 3
+    third, middle = SAMPLE // 3, len(body) // 2
     if len(body) <= SAMPLE:
         return body
-    middle = len(body) // 2
     return [*body[:third], *body[middle : middle + third], *body[-third - 1 : -1]]
 
 
 def _separators(path: Path, sample: list[str]) -> tuple[str, str, int, str]:
     """Delimiter, decimal mark, cells a row, and the shares that decide."""
-    best: tuple[float, str, str, int, str] | None = None
+    best, found = 0.2, None
     for delimiter in DELIMITERS:
         rows = _rows(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
-        if width < 2:
-            continue
         cells = [cell for row in rows if len(row) == width for cell in row if cell]
-        even = count / len(rows)
-        for decimal in (".", ","):
-            if decimal == delimiter:
-                quoted = any(f'"{cell}"' in line for line in sample[:5] for cell in cells[:20])
-                if not quoted:
-                    continue
-            good = sum(bool(_NUMBER[decimal].match(c) or _TIME.match(c)) for c in cells)
-            share = good / max(1, len(cells))
-            score = even * share + (1e-6 if decimal == "." else 0.0)
-            if best is None or score > best[0] + 1e-9:
+        for decimal in _NUMBER if width > 1 else ():
+            if decimal == delimiter and not any(
+                f'"{cell}"' in line for line in sample[:5] for cell in cells[:20]
+            ):
+                continue
+            share = sum(_measured(cell, decimal) for cell in cells) / max(1, len(cells))
+            even = count / len(rows)
+            if even * share > best + 1e-6:
+                best = even * share
                 why = (
                     f"{even:.0%} of the rows have {width} cells,"
                     f" {share:.0%} of them numbers or times"
                 )
-                best = (score, delimiter, decimal, width, why)
-    if best is None or best[0] < 0.2:
+                found = delimiter, decimal, width, why
+    if found is None:
         raise InputError(
             "is no table: no delimiter leaves rows of equal length with numbers in them",
             file=path,
             remedy="expected text with ';', ',', '|' or tabulators between the cells",
         )
-    return best[1], best[2], best[3], best[4]
+    return found
+
+
+def _measured(cell: str, decimal: str) -> bool:
+    return bool(_NUMBER[decimal].match(cell) or _TIME.match(cell))
 
 
 def _rows(lines: list[str], delimiter: str) -> list[list[str]]:
@@ -304,53 +294,32 @@ def _rows(lines: list[str], delimiter: str) -> list[list[str]]:
         return [[cell.strip() for cell in line.split(delimiter)] for line in lines]
 
 
-def _decimals_seen(sample: list[str], delimiter: str) -> str:
-    cells = [cell for row in _rows(sample, delimiter) for cell in row]
-    points = sum(bool(re.match(r"^[+-]?\d*\.\d+$", cell)) for cell in cells)
-    commas = sum(bool(re.match(r"^[+-]?\d*,\d+$", cell)) for cell in cells)
-    return f"{points} cells of the sample have a point, {commas} a comma"
-
-
 def _header(
     lines: list[str], delimiter: str, decimal: str, width: int, sample: list[str]
 ) -> tuple[int, tuple[str, ...], int]:
     """Line of the names (0: none), units of the columns, and line of the first row of data."""
-    number = _NUMBER[decimal]
 
-    def measured(cell: str) -> bool:
-        return bool(number.match(cell) or _TIME.match(cell))
+    def mostly(cells: list[str]) -> bool:
+        return sum(_measured(cell, decimal) for cell in cells) > 0.5 * len(cells)
 
     body = [row for row in _rows(sample, delimiter) if len(row) == width]
-    filled = [[row[column] for row in body if row[column]] for column in range(width)]
-    numeric = [bool(cells) and sum(map(measured, cells)) > 0.5 * len(cells) for cells in filled]
-    candidates: list[tuple[int, list[str]]] = []
-    first = 0
-    for place, line in enumerate(lines[:HEAD], start=1):
-        if not line.strip():
-            continue
-        row = _rows([line], delimiter)[0]
-        if abs(len(row) - width) > 1 and len(row) < width:
-            continue
-        row = (row + [""] * width)[: max(width, len(row))]
-        cells = [cell for cell, wanted in zip(row, numeric, strict=False) if wanted and cell]
-        is_data = bool(cells) and sum(map(measured, cells)) > 0.5 * len(cells)
-        if is_data and any(numeric):
-            first = place
-            break
-        candidates.append((place, row))
-    if not first:
-        return 0, (), 1
-    units: tuple[str, ...] = ()
+    numeric = [mostly([cell for cell in column if cell]) for column in zip(*body, strict=True)]
     names = 0
-    for place, row in candidates:
+    units: tuple[str, ...] = ()
+    for place, line in enumerate(lines[:HEAD], start=1):
+        row = _rows([line], delimiter)[0] if line.strip() else []
+        if len(row) < max(1, width - 1):
+            continue
+        if mostly([cell for cell, wanted in zip(row, numeric, strict=False) if wanted and cell]):
+            return names, units, place
         words = [cell for cell in row if cell]
-        spelt = [unit_of(cell) or "" for cell in row]
+        spelt = tuple(unit_of(cell) or "" for cell in row)
         bracketed = sum(cell.startswith(("[", "(")) for cell in words)
         if names and words and sum(map(bool, spelt)) + bracketed > 0.6 * len(words):
-            units = tuple(spelt)
+            units = spelt
         elif len(words) >= max(2, width // 2):
             names, units = place, ()
-    return names, units, first
+    return 0, (), 1
 
 
 def _missing(table: pa.Table, decimal: str) -> tuple[tuple[str, ...], str]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import datetime
-from collections.abc import Hashable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Hashable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import Any
 
 import numpy as np
@@ -14,37 +14,36 @@ import pandas as pd
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.declared import toml_value
+from trainlog.ingest.motion import POSITION, speed_of
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
-from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, TimeOptions, parse_profile
-from trainlog.ingest.proposal.columns import EITHER_BRAKE, columns_of
-from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
-from trainlog.ingest.proposal.times import Clock, clock_of
-from trainlog.ingest.proposal.trips import PAUSE, trip_lines
+from trainlog.ingest.profile import FileOptions, Limits, Profile, Repair, parse_profile
+from trainlog.ingest.proposal.columns import (
+    EITHER_BRAKE,
+    Proposed,
+    Work,
+    columns_of,
+    keep_others,
+    refuse_no_motion,
+    said,
+)
+from trainlog.ingest.proposal.layout import Reading, layout_of
+from trainlog.ingest.proposal.times import clock_of
+from trainlog.ingest.proposal.trips import PAUSE, find_trips
 from trainlog.ingest.proposal.vocabulary import meaning_of
-from trainlog.ingest.proposal.work import Proposed, Work, said
-from trainlog.ingest.recording import NO_TIME, Recording, base_name, field_of
+from trainlog.ingest.recording import NO_TIME, Recording, field_of
 from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
 from trainlog.ingest.tabular import read_delimited, read_parquet
 from trainlog.presentation import Presented
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
-from trainlog.topics import RECORDED, TOPICS
+from trainlog.topics import TOPICS
 from trainlog.trip import RECORDED_BRAKE
-from trainlog.units import KMH, PER_MILLE
+from trainlog.units import factor
 
 TABLES = ("csv", "parquet")
 """Formats whose files a profile can be proposed for."""
-
-SHOWN = {
-    "m": ("km", 1e-3, 3), "m/s": ("km/h", KMH, 1), "N": ("kN", 1e-3, 1), "K": ("°C", 1.0, 1),
-    "deg": ("°", 1.0, 6), "V": ("kV", 1e-3, 2), "Pa": ("bar", 1e-5, 2), "m/s^2": ("m/s²", 1.0, 2),
-}  # fmt: skip
-"""Units of the preview: those of railway people, factor, decimals."""
-
-STATED = ("scale", "offset", "part", "sign", "meaning", "notation")
-"""Keys of a column that a profile holds where they are not the usual ones."""
 
 PREVIEW = 3
 """Rows of the preview from the file's begin, and from where the train is fast."""
@@ -65,7 +64,7 @@ class Proposal(Presented):
     evidence : DataFrame
         A row a field: column, field, unit, why, check (what physics says, in numbers), alternative.
     preview : DataFrame
-        First rows, and some of a moving train, as they would be read; km, km/h, kN.
+        First rows, and some of a moving train, as they would be read, in the usual units.
     readings : tuple of Reading
         How the file is written, and its time.
     not_used : dict of str to str
@@ -188,43 +187,38 @@ def propose_profile(
     """
     source = Path(path)
     layout = layout_of(source)
-    meanings = {
-        name: meaning_of(name, unit or None)
-        for name, unit in zip(layout.names, layout.units, strict=True)
-    }
+    units = zip(layout.names, layout.units, strict=True)
+    meanings = {name: meaning_of(name, unit or None) for name, unit in units}
     clock = clock_of(layout, meanings)
     work = columns_of(layout, clock, meanings, train)
-    # Those of a recorder's own come last.
-    known = [f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields]
-    places = {name: place for place, name in enumerate(known)}
-    proposed = sorted(work.proposed.values(), key=lambda each: places.get(each.field, len(known)))
-    not_used = layout.unnamed | {
-        name: work.left[name] for name in layout.names if name in work.left
-    }
-    readings = (*layout.readings, *clock.readings, *work.readings, *work.trips.readings)
+    find_trips(work)
+    keep_others(work)
+    refuse_no_motion(work)
+    readings = [*layout.readings, *clock.readings, *work.readings]
     read = read_parquet if layout.format == "parquet" else read_delimited
-
-    def stated(more: list[str]) -> tuple[str, Profile]:
-        text = "\n".join([_toml(work, proposed, readings, not_used), *more, ""])
-        name = f"the profile proposed for {source.name}"
-        return text, parse_profile(text.encode(), file=name)
-
-    text, profile = stated([])
+    text, profile = _stated(work, readings)
     recording = read(source, profile)
     pauses = _pauses(recording, profile, source.stem)
-    if pauses is not None:
-        readings = (*readings, pauses)
-        text, profile = stated(_pause_lines(pauses))
-    start = None if line is None else _start(parts_of(recording, profile, source.stem), line, train)
-    if start is not None:
-        readings = (*readings, start)
-        text, profile = stated([] if pauses is None else _pause_lines(pauses))
-    refused = _refused(parts_of(recording, profile, source.stem))
-    if refused is not None:
-        readings = (*readings, refused)
+    readings += pauses
+    text, profile = _stated(work, readings)
+    parts = parts_of(recording, profile, source.stem)
+    start = [] if line is None else _start(parts, line, train)
+    readings += start
+    if start:
+        text, profile = _stated(work, readings)
+    readings += _refused(parts)
+    rows = [
+        {
+            "column": ", ".join(each.column.names),
+            "field": each.field,
+            "unit": each.column.unit or "",
+        }
+        | {"why": each.why, "check": each.check, "alternative": each.alternative}
+        for each in _ordered(work)
+    ]
     return Proposal(
-        source, text, profile, _evidence(proposed), _preview(recording), readings, not_used,
-        clock.one_file, layout.names,
+        source, text, profile, pd.DataFrame(rows), _preview(recording), tuple(readings),
+        _not_used(work), clock.one_file, layout.names,
     )  # fmt: skip
 
 
@@ -239,240 +233,182 @@ def needs_profile(path: Path, format: str | None = None) -> bool:
     return format_of(path, format).name in TABLES and own_profile(path) is None
 
 
-def _evidence(proposed: list[Proposed]) -> pd.DataFrame:
-    names = ["field", "unit", "why", "check", "alternative"]
-    rows = [[", ".join(each.columns), *(getattr(each, n) for n in names)] for each in proposed]
-    return pd.DataFrame(rows, columns=["column", *names])
+def _ordered(work: Work) -> list[Proposed]:
+    """What is proposed, in the order of the table of topics; a recorder's own comes last."""
+    known = [f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields]
+    places = {name: place for place, name in enumerate(known)}
+    return sorted(work.proposed.values(), key=lambda each: places.get(each.field, len(known)))
 
 
-def _start(parts: list[Recording], line: Line, train: Train | None) -> Reading | None:
-    """Where the trips begin on the line, if their counter starts elsewhere; None if it does not."""
+def _not_used(work: Work) -> dict[str, str]:
+    left = {name: work.left[name] for name in work.layout.names if name in work.left}
+    return work.layout.unnamed | left
+
+
+def _start(parts: list[Recording], line: Line, train: Train | None) -> list[Reading]:
+    """Where the trips begin on the line, if their counter starts elsewhere; none if it does not."""
     shown = []
     for part in parts:
         try:
             table = repaired(part.tables[0], Limits(), Repair())[0]
         except InputError:
             continue
-        position = table.signals.get("/train/state.position")
+        position = table.signals.get(POSITION)
         if position is None or not np.isfinite(position).any():
-            return None
-        low, high = np.nanmin(position), np.nanmax(position)
-        if low > -OVERRUN and high < line.length + OVERRUN:
-            return None
+            return []
+        if np.nanmin(position) > -OVERRUN and np.nanmax(position) < line.length + OVERRUN:
+            return []
         try:
-            place = placed(table, line, train, None, by_stations=True)
+            shown.append(placed(table, line, train, None, by_stations=True).evidence)
         except InputError as error:
-            return Reading(
-                "start position", "as the counter has it", error.problem, error.remedy or ""
-            )
-        shown.append(place.evidence)
+            what, remedy = "as the counter has it", error.remedy or ""
+            return [Reading("start position", what, error.problem, remedy)]
     why = f"the counter starts elsewhere than line '{line.name}'; {'; '.join(shown[:4])}"
-    return Reading("start position", "stations", why) if shown else None
+    return [Reading("start position", "stations", why)] if shown else []
 
 
-def _pauses(recording: Recording, profile: Profile, stem: str) -> Reading | None:
-    """The trips that pauses part; None if there are no such pauses."""
+def _pauses(recording: Recording, profile: Profile, stem: str) -> list[Reading]:
+    """The trips that pauses part; none if there are no such pauses."""
     limits = profile.limits.model_copy(update={"pause": PAUSE})
     parts = parts_of(recording, profile.model_copy(update={"limits": limits}), stem)
     if len(parts) == len(parts_of(recording, profile, stem)):
-        return None
-    spans = [part.tables[0].time for part in parts]
-    known = [time[time != NO_TIME] for time in spans]
-    shown = ", ".join(
-        f"{pd.Timestamp(time.min()):%H:%M} to {pd.Timestamp(time.max()):%H:%M}"
-        for time in known[:6]
-    )
-    shown += ", ..." if len(known) > 6 else ""
-    return Reading(
-        "pauses", f"{len(parts)} trips (UTC): {shown}",
-        f"no rows, or standstill, for more than {PAUSE / 60.0:.0f} min between them",
-        "one trip: leave out pause under [limits]",
-    )  # fmt: skip
+        return []
+    spans = [part.tables[0].time for part in parts[:6]]
+    spans = [pd.to_datetime(time[time != NO_TIME]) for time in spans]
+    shown = ", ".join(f"{time.min():%H:%M} to {time.max():%H:%M}" for time in spans)
+    shown += ", ..." if len(parts) > 6 else ""
+    why = f"no rows, or standstill, for more than {PAUSE / 60.0:.0f} min between them"
+    other = "one trip: leave out pause under [limits]"
+    return [Reading("pauses", f"{len(parts)} trips (UTC): {shown}", why, other)]
 
 
-def _pause_lines(pauses: Reading) -> list[str]:
-    return [
-        "",
-        "[limits]",
-        *_wrapped(f"{pauses.why}: {pauses.taken}"),
-        *_wrapped(f"open: or {pauses.alternative}"),
-        f"pause = {PAUSE:.0f}  # s",
-    ]
-
-
-def _refused(parts: list[Recording]) -> Reading | None:
+def _refused(parts: list[Recording]) -> list[Reading]:
     """What the rules of repair would refuse of the file, read so."""
     for table in [table for part in parts for table in part.tables]:
         try:
             repaired(table, Limits(), Repair())
         except InputError as error:
-            return Reading("the file as a whole", "is refused", error.problem, error.remedy or "")
-    return None
+            what = "the file as a whole"
+            return [Reading(what, "is refused", error.problem, error.remedy or "")]
+    return []
 
 
 def _preview(recording: Recording) -> pd.DataFrame:
-    """Rows as they would be read, in units of railway people."""
+    """Rows as they would be read, in the usual units."""
     table = recording.tables[0]
-    count = len(table)
-    first = np.arange(min(PREVIEW, count))
-    middle = count // 2
-    speed = table.signals.get("/train/state.speed", table.signals.get("/gnss/motion.speed"))
-    if speed is not None and np.isfinite(speed).any():
-        middle = int(np.nanargmax(speed >= 0.9 * np.nanpercentile(speed, 98)))
-    later = np.arange(middle, min(middle + PREVIEW, count))
-    rows = np.unique(np.concatenate([first, later]))
+    fast = 0
+    speed = speed_of(table)
+    if speed is not None:
+        fast = int(np.nanargmax(speed >= 0.9 * np.nanpercentile(speed, 98)))
+    rows = np.unique(np.add.outer([0, fast], np.arange(PREVIEW)).clip(0, len(table) - 1))
     columns: dict[str, object] = {"row": table.rows[rows]}
     for name, values in table.signals.items():
-        if name.startswith(RECORDED):
-            columns[name.removeprefix(RECORDED)] = np.round(values[rows], 3)
-            continue
-        si = field_of(name)[2].unit
-        unit, size, digits = SHOWN.get(si, (si, 1.0, 3))
-        if base_name(name) == "/environment.gradient":
-            unit, size, digits = "‰", PER_MILLE, 1
-        elif name.startswith("/gnss/fix") and si == "m":
-            unit, size, digits = "m", 1.0, 1
-        shown = values[rows] * size - (273.15 if si == "K" else 0.0)
-        label = name.rpartition(".")[2]
-        label = f"gnss {label}" if name.startswith("/gnss/motion.speed") else label
-        columns[f"{label} [{unit}]" if unit not in ("", "1") else label] = np.round(shown, digits)
+        topic, label, item = field_of(name)
+        unit = item.usual_unit if item.unit else "1"
+        slope, offset = factor(unit, item.unit or "1")
+        label = f"gnss {label}" if topic.name == "/gnss/motion" else label
+        label = label if unit == "1" else f"{label} [{unit}]"
+        columns[label] = np.round((values[rows] - offset) / slope, 6 if unit == "deg" else 3)
     columns |= {name.rpartition(".")[2]: words[rows] for name, words in table.texts.items()}
-    known = np.where(table.time[rows] > 0, table.time[rows], np.iinfo(np.int64).min)
-    return pd.DataFrame(columns, index=pd.DatetimeIndex(known, tz="UTC", name="time"))
+    times = np.where(table.time[rows] > 0, table.time[rows], NO_TIME)
+    return pd.DataFrame(columns, index=pd.DatetimeIndex(times, tz="UTC", name="time"))
 
 
-def _toml(
-    work: Work, proposed: list[Proposed], readings: tuple[Reading, ...], not_used: dict[str, str]
-) -> str:
-    """The profile as commented TOML."""
-    layout, clock = work.layout, work.clock
-    found = {reading.what: reading for reading in readings}
-    lines = [
-        *_wrapped(
-            f"Proposed by trainlog from {layout.path.name}. Comments say what each line rests on;"
-            " 'open' marks what the data do not decide. docs/ingest.md explains the keys."
-        ),
-        'format = "trainlog/recorder-profile"',
-        "version = 1",
-        f"name = {toml_value('Proposed from ' + layout.path.name)}",
-        "",
-    ]
+# ------------------------------------------------------------------------------ the commented TOML
+
+
+def _stated(work: Work, readings: list[Reading]) -> tuple[str, Profile]:
+    """The profile as commented TOML, and as it is read."""
+    text = "\n".join(_toml(work, {reading.what: reading for reading in readings})) + "\n"
+    name = f"the profile proposed for {work.layout.path.name}"
+    return text, parse_profile(text.encode(), file=name)
+
+
+def _toml(work: Work, found: dict[str, Reading]) -> Iterator[str]:
+    layout, clock, trips = work.layout, work.clock, work.trips
+    proposed, not_used = _ordered(work), _not_used(work)
+    yield from _note(
+        f"Proposed by trainlog from {layout.path.name}. Comments say what each line rests on;"
+        " 'open' marks what the data do not decide. docs/ingest.md explains the keys."
+    )
+    title = f"Proposed from {layout.path.name}"
+    yield from _keys(format="trainlog/recorder-profile", version=1, name=title)
     if layout.format == "csv" and layout.options.header and not clock.one_file:
-        used = [*clock.options.names, *(name for each in proposed for name in each.columns)]
-        used += work.trips.columns.names
-        lines += [
-            "# Files with these columns are recognised (folder TRAINLOG_PROFILES).",
-            "[detect]",
-        ]
-        lines += [f"columns = {toml_value(tuple(dict.fromkeys(used)))}", ""]
-    lines += _file_section(layout, found)
-    lines += _time_section(clock)
-    lines.append("[columns]")
-    for reading in readings:
-        if reading.what.startswith("column "):
-            lines += _wrapped(f"{reading.what}: {reading.taken}: {reading.why}")
+        used = [*clock.options.names, *(name for each in proposed for name in each.column.names)]
+        yield "\n# Files with these columns are recognised (folder TRAINLOG_PROFILES)."
+        yield "[detect]"
+        yield from _keys(columns=tuple(dict.fromkeys([*used, *trips.names])))
+    yield "\n[file]"
+    written = layout.options.model_dump(include={*_IN_FILE})
+    usual = FileOptions(format="csv").model_dump(include={"skip_after_header", "missing"})
+    for key, value in written.items() if layout.format == "csv" else [("format", "parquet")]:
+        if value != usual.get(key, ""):
+            why = found[_IN_FILE[key]].why if _IN_FILE[key] in found else ""
+            yield from (f"{line}  # {why}" if why else line for line in _keys(**{key: value}))
+    yield "\n[time]"
+    yield from _notes(clock.readings)
+    options = clock.options.model_dump(exclude_defaults=True)
+    if clock.options.format != "epoch":
+        options["timezone"] = clock.options.timezone
+    yield from _keys(**options)
+    if "time zone" in found and found["time zone"].alternative:
+        yield "# Trips state this assumption. Correct timezone, or remove this line if it is right:"
+        yield from _keys(assumed_timezone=clock.options.timezone)
+    yield "\n[columns]"
+    yield from _notes(r for r in work.readings if r.what.startswith("column "))
     for each in proposed:
-        lines += _column_lines(each)
+        yield from _note(said(each.why, each.check), each.alternative)
+        column = toml_value(each.column.model_dump(exclude_defaults=True))
+        yield f"{toml_value(each.field)} = {column}"
     if not_used:
-        lines += ["", "# Not used:"]
-        lines += [f"#   {toml_value(name)}: {_plain(why)}" for name, why in not_used.items()]
+        yield "\n# Not used:"
+        yield from (f"#   {toml_value(n)}: {' '.join(why.split())}" for n, why in not_used.items())
     if any(EITHER_BRAKE in each.alternative for each in proposed):
-        lines += [
-            "",
-            "[metadata]",
-            "# Trips state what is open of the brake. Remove this if it is the dynamic brake's:",
-            f"{RECORDED_BRAKE} = {toml_value('may be ' + EITHER_BRAKE)}",
-        ]
-    lines += [
-        "",
-        "[trip]",
-        "# What the file does not state, and fit, slip and map need:",
-        '# load = { value = 12, unit = "t" }',
-        '# weather = "dry"',
-        '# direction = "forward"',
-    ]
+        yield "\n[metadata]"
+        yield "# Trips state what is open of the brake. Remove this if it is the dynamic brake's:"
+        yield from _keys(**{RECORDED_BRAKE: f"may be {EITHER_BRAKE}"})
+    yield "\n[trip]"
+    yield "# What the file does not state, and fit, slip and map need:"
+    yield '# load = { value = 12, unit = "t" }'
+    yield '# weather = "dry"'
+    yield '# direction = "forward"'
     start = found.get("start position")
-    if start is not None:
-        lines += _wrapped(f"{start.what}: {start.taken}: {start.why}")
-        lines += _wrapped(f"open: {start.alternative}") if start.alternative else []
+    yield from _notes([start] if start else [])
     if start is not None and not start.alternative:
-        lines.append('start_position = "stations"  # of each trip; or { value = 0.2, unit = "km" }')
+        yield 'start_position = "stations"  # of each trip; or { value = 0.2, unit = "km" }'
     else:
-        lines.append(
-            '# start_position = { value = 0.2, unit = "km" }  # or "stations": by its stops'
-        )
-    return "\n".join([*lines, *trip_lines(work.trips)])
+        yield '# start_position = { value = 0.2, unit = "km" }  # or "stations": by its stops'
+    if trips.names:
+        yield "\n[trip.columns]"
+        yield from _notes(found[what] for what in ("trips", "load", "weather") if what in found)
+        yield from _keys(**trips.model_dump(exclude_defaults=True))
+    if "pauses" in found:
+        yield "\n[limits]"
+        yield from _notes([found["pauses"]])
+        yield f"pause = {PAUSE:.0f}  # s"
 
 
-def _key(name: str, value: Any, why: str = "") -> str:
-    """A line that states a value, and why."""
-    return f"{name} = {toml_value(value)}" + (f"  # {_plain(why)}" if why else "")
+_IN_FILE = {
+    "format": "", "encoding": "encoding", "delimiter": "delimiter", "decimal": "decimal mark",
+    "header": "", "skip_after_header": "units", "missing": "missing values",
+}  # fmt: skip
+"""Keys under [file], and what is read to know each."""
 
 
-def _file_section(layout: Layout, found: dict[str, Reading]) -> list[str]:
-    options = layout.options
-    lines = ["[file]", _key("format", layout.format)]
-    if layout.format == "csv":
-        whats = {"encoding": "encoding", "delimiter": "delimiter", "decimal": "decimal mark"}
-        lines += [_key(key, getattr(options, key), found[what].why) for key, what in whats.items()]
-        lines.append(_key("header", 1 if options.header is None else options.header))
-        if options.skip_after_header:
-            note = f"a line of units: {found['units'].why}" if "units" in found else ""
-            lines.append(_key("skip_after_header", options.skip_after_header, note))
-        if options.missing != MISSING:
-            lines.append(_key("missing", options.missing, found["missing values"].why))
-    return [*lines, ""]
+def _keys(**values: Any) -> list[str]:
+    return [f"{name} = {toml_value(value)}" for name, value in values.items()]
 
 
-def _time_section(clock: Clock) -> list[str]:
-    lines = ["[time]"]
-    for reading in clock.readings:
-        lines += _wrapped(f"{reading.what}: {reading.taken}: {reading.why}")
-        if reading.alternative:
-            lines += _wrapped(f"open: or {reading.alternative}")
-    options = clock.options
-    single = options.column is not None
-    lines.append(_key("column", options.column) if single else _key("columns", options.columns))
-    default = TimeOptions(column="time")
-    for key in ("format", "unit", "timezone"):
-        value = getattr(options, key)
-        if value != getattr(default, key) or (key == "timezone" and options.format != "epoch"):
-            lines.append(_key(key, value))
-    if any(each.what == "time zone" and each.alternative for each in clock.readings):
-        lines += [
-            "# Trips state this assumption. Correct timezone, or remove this line if it is right:",
-            _key("assumed_timezone", options.timezone),
-        ]
-    if isinstance(options.start, datetime.datetime):
-        lines.append(f"start = {options.start.isoformat()}")
-    if options.date is not None:
-        lines.append(f"date = {options.date.isoformat()}")
-    return [*lines, ""]
+def _notes(readings: Iterable[Reading]) -> Iterator[str]:
+    for each in readings:
+        yield from _note(f"{each.what}: {each.taken}: {each.why}", each.alternative)
 
 
-def _column_lines(each: Proposed) -> list[str]:
-    lines = _wrapped(said(each.why, each.check))
-    if each.alternative:
-        lines += _wrapped(f"open: or {each.alternative}")
-    several = each.field.startswith("/train/axles.")
-    keys: dict[str, Any] = {"columns": each.columns} if several else {"column": each.columns[0]}
-    keys |= {"unit": each.unit} if each.unit else {}
-    for item in fields(each):
-        if item.name in STATED and getattr(each, item.name) != item.default:
-            keys[item.name] = getattr(each, item.name)
-    return [*lines, f'"{each.field}" = {toml_value(keys)}']
+_COMMENT = TextWrapper(
+    100, initial_indent="# ", subsequent_indent="# ", break_long_words=False, break_on_hyphens=False
+)
 
 
-def _plain(text: str) -> str:
-    return " ".join(text.split())
-
-
-def _wrapped(text: str) -> list[str]:
-    """A comment, broken at 100 columns."""
-    lines, line = [], "#"
-    for word in text.split():
-        if len(line) + 1 + len(word) > 100:
-            lines.append(line)
-            line = "#"
-        line += f" {word}"
-    return [*lines, line]
+def _note(text: str, alternative: str = "") -> list[str]:
+    """A comment, and what the data allow as well."""
+    return _COMMENT.wrap(text) + _COMMENT.wrap(f"open: or {alternative}" if alternative else "")

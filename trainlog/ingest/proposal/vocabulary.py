@@ -169,8 +169,6 @@ class Meaning:
 
     Attributes
     ----------
-    name : str
-        As the file has it.
     quantities : tuple of str
         What it can be, the likeliest first; empty if no word is known.
     qualifiers : frozenset of str
@@ -182,20 +180,11 @@ class Meaning:
         Share of the name's letters that are known words.
     """
 
-    name: str
     quantities: tuple[str, ...] = ()
     qualifiers: frozenset[str] = field(default_factory=frozenset)
     index: int | None = None
     unit: str | None = None
     coverage: float = 0.0
-
-    def __contains__(self, qualifier: str) -> bool:
-        return qualifier in self.qualifiers
-
-    @property
-    def quantity(self) -> str | None:
-        """The likeliest quantity."""
-        return self.quantities[0] if self.quantities else None
 
 
 def words_of(text: str) -> list[str]:
@@ -217,49 +206,42 @@ def meaning_of(name: str, unit: str | None = None) -> Meaning:
     Examples
     --------
     >>> found = meaning_of("Istgeschwindigkeit [km/h]")
-    >>> found.quantity, found.unit
+    >>> found.quantities[0], found.unit
     ('speed', 'km/h')
     >>> found = meaning_of("F_axle3_kN")
-    >>> found.quantity, sorted(found.qualifiers), found.index
-    ('effort', ['axle'], 3)
+    >>> found.quantities, sorted(found.qualifiers), found.index
+    (('effort',), ['axle'], 3)
     >>> meaning_of("effort de freinage").qualifiers >= {"braking"}
     True
     """
     label, own, sure = split_unit(name)
-    if unit is not None:
-        own, sure = unit, True
-    found = _meaning(name, label, own)
-    if own is not None and not sure:
-        # What looks like a unit may be a word: "F_t" is no force in tonnes.
-        possible = frozenset[str]().union(*(_dimensions()[each] for each in found.quantities))
-        if found.quantities and dimension_of(own) not in possible:
-            return _meaning(name, name, None)
-        if not found.quantities:
-            whole = _meaning(name, name, None)
-            return whole if whole.quantities else found
-    return found
+    if unit is not None or own is None or sure:
+        return _meaning(label, unit or own)
+    # What looks like a unit may be a word: "F_t" is no force in tonnes.
+    found, whole = _meaning(label, own), _meaning(name, None)
+    if not found.quantities:
+        return whole if whole.quantities else found
+    possible = set[str]().union(*(_dimensions()[each] for each in found.quantities))
+    return found if dimension_of(own) in possible else whole
 
 
-def _meaning(name: str, label: str, unit: str | None) -> Meaning:
+def _meaning(label: str, unit: str | None) -> Meaning:
     words = words_of(label)
     numbers = [int(word) for word in words if word.isdigit()]
     kinds, matched = _matched(words)
-    letters = sum(len(word) for word in words if not word.isdigit())
+    qualifiers = frozenset(what for kind, what in kinds if kind == "qualifier")
     quantities = [what for kind, what in kinds if kind == "quantity"]
     if unit is not None:
-        possible, kind = _dimensions(), dimension_of(unit)
-        fitting = [each for each in quantities if not possible[each] or kind in possible[each]]
+        kind = dimension_of(unit)
+        fitting = [each for each in quantities if kind in (_dimensions()[each] or {kind})]
         # "n [km/h]" of a wheel is a speed; "Achse 1 [km/h]" has no word for what it measures.
-        quantities = fitting or [*_by_unit(unit), *quantities]
-    qualifiers = frozenset(what for kind, what in kinds if kind == "qualifier")
-    of_fields = {named(recorded.qualifier) for _, _, recorded in recorded_fields()}
-    if not quantities and ({"axle", "motor"} | of_fields) & qualifiers:
-        quantities = [*_by_unit(unit)] if unit else []
-    if not quantities and {"braking", "traction"} & qualifiers:
-        # "Frein pneumatique": of which quantity, the unit or the data say.
-        quantities = ["effort"] if unit is None else [*_by_unit(unit)]
+        shown = "effort" if kind == "force" else kind
+        by_unit = [shown] if shown in vocabulary()["by_unit"].split() else []
+        quantities = fitting or [*by_unit, *quantities]
+    elif not quantities and {"braking", "traction"} & qualifiers:
+        quantities = ["effort"]  # "Frein pneumatique": of which quantity, the data say
+    letters = sum(len(word) for word in words if not word.isdigit())
     return Meaning(
-        name,
         tuple(dict.fromkeys(quantities)),
         qualifiers,
         numbers[0] if len(numbers) == 1 else None,
@@ -268,64 +250,84 @@ def _meaning(name: str, label: str, unit: str | None) -> Meaning:
     )
 
 
-_BY_UNIT = ("speed", "rotation", "torque", "acceleration", "pressure", "voltage", "current")
-"""Quantities that a unit alone shows."""
-
-
-def _by_unit(unit: str) -> tuple[str, ...]:
-    """What a unit alone says."""
-    kind = dimension_of(unit)
-    if kind == "force":
-        return ("effort",)
-    return (kind,) if kind in _BY_UNIT else ()
-
-
 def _matched(words: list[str]) -> tuple[list[tuple[str, str]], int]:
     """What the words of a name mean, and how many letters are known.
 
     Quantities of longer stems come first.
     """
     stems = _stems()
-    found: list[tuple[int, int, tuple[str, str]]] = []
-    matched = 0
+    found: list[str] = []
     at = 0
     while at < len(words):
-        for length in range(min(_JOINED, len(words) - at), 0, -1):
-            joined = "".join(words[at : at + length])
-            if joined in stems:
-                found += [(len(joined), -at, means) for means in stems[joined]]
-                matched += len(joined)
-                at += length
-                break
-        else:
-            parts = _segments(words[at])
-            found += [(len(part), -at, means) for part in parts for means in stems[part]]
-            matched += sum(map(len, parts))
-            at += 1
-    # Of equal lengths the earlier one; a stem's own order decides last (sorting is stable).
-    found.sort(key=lambda each: -each[0])
-    return [means for _, _, means in found], matched
-
-
-_INSIDE = ("ist", "soll", "max", "zug", "rad", "gps", "weg")
-"""Short stems that German compounds hold."""
+        joined = {size: "".join(words[at : at + size]) for size in range(_JOINED, 0, -1)}
+        size = next((size for size, text in joined.items() if text in stems), 0)
+        found += [joined[size]] if size else _segments(words[at])
+        at += max(1, min(size, len(words) - at))
+    # Of equal lengths the earlier one (sorting is stable).
+    ordered = sorted(found, key=len, reverse=True)
+    return [means for stem in ordered for means in stems[stem]], sum(map(len, found))
 
 
 def _segments(word: str) -> list[str]:
     """The stems that a compound holds, the longest first and without overlap."""
-    stems = sorted(
-        (stem for stem in _stems() if (len(stem) > SHORT or stem in _INSIDE) and stem in word),
-        key=len,
-        reverse=True,
-    )
+    inside = vocabulary()["inside"].split()
+    possible = [stem for stem in _stems() if len(stem) > SHORT or stem in inside]
     rest, found = word, []
-    for stem in stems:
+    for stem in sorted(possible, key=len, reverse=True):
         if stem in rest:
             found.append(stem)
             rest = rest.replace(stem, "\0" * len(stem), 1)
     left = [part for part in re.split("\0+", rest) if len(part) > SHORT]
     # A long unknown rest makes it another word: "windschutz" is no wind.
     return [] if left and sum(map(len, found)) < len(word) / 2 else found
+
+
+NO_FIELD, UNKNOWN = "no field for", "its name is not known"
+"""Begin of the reason why a column of a known quantity, and of an unknown one, is not used."""
+
+
+def role_of(meaning: Meaning) -> tuple[str | None, str]:
+    """The field that a column is meant for, or the kind of effort; where it has none, why.
+
+    Examples
+    --------
+    >>> role_of(meaning_of("Geschwindigkeit"))[0]
+    '/train/state.speed'
+    >>> role_of(meaning_of("v_soll"))
+    (None, 'no field for a speed that is asked for, not driven')
+    """
+    quantity = next(iter(meaning.quantities), None)
+    if quantity is None:
+        return None, UNKNOWN
+    if meaning.coverage < 0.5:
+        return None, f"its name is hardly known ('{quantity}' is a part of it)"
+    words = meaning.qualifiers | ({"numbered"} if meaning.index is not None else set())
+    words |= {"wheel"} if words & {"axle", "motor"} else set()
+    words |= {"brake"} if words & {"braking", "electric", "pneumatic"} else set()
+    for rule in _rules().get(quantity, ()):
+        if "deviation" in words:
+            return None, f"an error or a difference ({quantity})"
+        has, without = (rule.get(key, "").split() for key in ("has", "without"))
+        if words.issuperset(has) and words.isdisjoint(without):
+            return rule.get("role"), rule.get("why", "")
+    meant = {
+        named(recorded.qualifier): target
+        for target, _, recorded in recorded_fields()
+        if quantity == named(recorded.words)
+    }
+    # Without a qualifier: the field whose name alone shows it.
+    for qualifier in sorted(meant, reverse=True):
+        if qualifier in words:
+            return meant[qualifier], ""
+    if words & {"deviation", "demand", "limit"}:
+        return None, f"no measured value ({quantity})"
+    why = vocabulary()["unplaced"].get(quantity, f"{NO_FIELD} it ({quantity.replace('_', ' ')})")
+    return (meant[""], "") if "" in meant else (None, why)
+
+
+@cache
+def _rules() -> dict[str, list[dict[str, str]]]:
+    return {each["quantity"]: each["rules"] for each in vocabulary()["role"]}
 
 
 def language_of(names: tuple[str, ...]) -> str | None:
