@@ -7,25 +7,31 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
 import sqlalchemy as sa
 from command import run
+from hypothesis import given, settings, strategies as st
+from synthetic_trips import FIRST, synthetic_entry
 from test_cli_help import commands
 
 import trainlog
 from analysis.view import views_of
-from trainlog.catalogue import Catalogue, Computation, ResultOutcome, open_catalogue
+from trainlog.catalogue import Catalogue, Computation, FileEntry, ResultOutcome, open_catalogue
 from trainlog.catalogue.database import metadata
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
 from trainlog.formats.samples import sample
+from trainlog.identity import Known, TripIdentity, same_drives
 from trainlog.mcap import DamageWarning, account_of
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.records import Source
@@ -541,3 +547,104 @@ def test_a_log_that_another_trip_replaced_leaves_the_catalogue(tmp_path: Path) -
         log.write_bytes(b"no log")
         assert catalogue.add(folder).counts["refused"] == 1
         assert len(catalogue) == 2
+
+
+def _file(
+    number: int, first: int, minutes: int, *, path: str = "", source: str = "", **values: Any
+) -> FileEntry:
+    """A file with the trip of some minutes of a drive, whose recorded blocks are their numbers."""
+    base = synthetic_entry(number)
+    assert base.entry is not None
+    start, end = FIRST + first * 60 * 10**9, FIRST + (first + minutes) * 60 * 10**9
+    known = {"start": start, "end": end, "duration": 60.0 * minutes, "samples": 600 * minutes}
+    blocks = np.arange(first, first + minutes, dtype=np.uint64) + np.uint64(values.pop("moved", 0))
+    ends = (pd.Timestamp(each, tz="UTC") for each in (start, end))
+    entry = replace(
+        base.entry,
+        values={**base.entry.values, "messages": 1000, **known, **values},
+        identity=TripIdentity(*ends, known["samples"], blocks, source),
+    )
+    return replace(base, path=path or base.path, entry=entry)
+
+
+def _standings(catalogue: Catalogue) -> dict[str, tuple[str, str | None, float | None]]:
+    with catalogue.reading() as connection:
+        rows = connection.execute(sa.select(metadata.tables["trips"])).mappings().all()
+    names = {row["id"]: row["name"] for row in rows}
+    return {row["name"]: (row["standing"], names.get(row["same_as"]), row["share"]) for row in rows}
+
+
+@settings(max_examples=20)
+@given(st.data())
+def test_what_counts_is_what_one_look_at_all_recordings_says(data: st.DataObject) -> None:
+    """However many are registered at once, and in which order: chains of overlaps, and files that
+    were ingested with other times."""
+    recordings = []
+    for number in range(data.draw(st.integers(2, 10))):
+        first, minutes = data.draw(st.integers(0, 300)), data.draw(st.integers(1, 70))
+        source = data.draw(st.sampled_from(("", "", "a", "b")))
+        moved = data.draw(st.sampled_from((0, 0, 1000))) if source else 0
+        quality = data.draw(st.sampled_from(("whole", "unclosed", "damaged")))
+        messages = data.draw(st.integers(1000, 1001))
+        recordings.append(
+            _file(number, first, minutes, source=source, moved=moved, quality=quality,
+                  messages=messages)
+        )  # fmt: skip
+    known = []
+    for each in recordings:
+        assert each.entry is not None
+        worse = ("whole", "unclosed", "damaged").index(each.entry.values["quality"])
+        order = (False, -each.entry.values["messages"], worse, each.sha256)
+        known.append(Known(each.entry.values["name"], each.entry.identity, order))
+    expected = {each.name: ("counts", None, None) for each in known}
+    expected |= {each.trip: ("same drive", each.of, each.share) for each in same_drives(known)}
+    with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        left = data.draw(st.permutations(recordings))
+        while left:
+            count = data.draw(st.integers(1, len(left)))
+            catalogue.register(left[:count])
+            left = left[count:]
+        assert _standings(catalogue) == expected
+        # Without those that count, the others are looked at anew.
+        gone = {name for name, (standing, *_) in expected.items() if standing == "counts"}
+        catalogue.remove("name in (" + ", ".join(f"'{name}'" for name in sorted(gone)) + ")")
+        others = [each for each in known if each.name not in gone]
+        again = {each.name: ("counts", None, None) for each in others}
+        again |= {each.trip: ("same drive", each.of, each.share) for each in same_drives(others)}
+        assert _standings(catalogue) == again
+
+
+def test_parts_of_several_drives_that_come_at_once_are_each_compared(tmp_path: Path) -> None:
+    with open_catalogue(tmp_path / "catalogue") as catalogue:
+        catalogue.register([_file(number, 1000 * number, 60) for number in (1, 2)])
+        catalogue.register([_file(number, 1000 * (number - 2), 30) for number in (3, 4)])
+        found = _standings(catalogue)
+        assert found["trip-000003"] == ("same drive", "trip-000001", 1.0)
+        assert found["trip-000004"] == ("same drive", "trip-000002", 1.0)
+
+
+def test_an_older_version_does_not_count_even_where_the_later_one_vanished(tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    for each in (one, two):
+        each.touch()
+    with open_catalogue(tmp_path / "catalogue") as catalogue:
+        old = _file(1, 0, 60, path=str(one))
+        catalogue.register([old, replace(old, path=str(two))])
+        catalogue.register([_file(2, 2000, 30, path=str(one))])
+        # Its other file stands, if only as one that vanished.
+        assert _standings(catalogue)["trip-000001"][0] == "counts"
+        for each in (one, two):
+            each.unlink()
+        catalogue.refresh()
+        assert _standings(catalogue)["trip-000001"][0] == "counts"
+        catalogue.register([_file(3, 3000, 30, path=str(two))])
+        older = ("older version", "trip-000002", None)
+        assert _standings(catalogue)["trip-000001"] == older
+        catalogue.refresh()
+        # A part of it counts: what does not count keeps no other recording out.
+        catalogue.register([_file(4, 0, 30)])
+        assert _standings(catalogue)["trip-000001"] == older
+        assert _standings(catalogue)["trip-000004"][0] == "counts"
+        catalogue.register([replace(old, path="/back")])
+        assert _standings(catalogue)["trip-000001"][0] == "counts"
+        assert _standings(catalogue)["trip-000004"] == ("same drive", "trip-000001", 1.0)

@@ -4,9 +4,9 @@
 
 A mutant is a copy of the checkout in which one operator, comparison, number or statement of one
 module is another one; it is killed if the tests nearest to that module fail. The tests that ran the
-line of the mutant come first, the quickest first; then the others of their files. Those that
-survive are listed with their place, and go through the wider tests where ``--wider`` asks for it:
-some are equivalent to the original, the others show which behaviour no test asks for.
+line of the mutant are run, the quickest first. Those that survive are listed with their place, and
+go through the other tests of these files and through wider ones where ``--wider`` asks for it: some
+are equivalent to the original, the others show which behaviour no test asks for.
 
 Each run of tests is a fork of this process, which has loaded the packages that the tests need.
 Kernels of the module are not compiled in the first run of a mutant: a failed assertion there kills
@@ -36,6 +36,7 @@ from types import FrameType
 from typing import Any
 
 import pytest
+from hypothesis import Phase, settings
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -46,7 +47,8 @@ NEAREST = {
     "trainlog/catalogue/registration.py": "identity catalogue catalogue_versions",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_views",
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
-    "analysis/trajectory/bound.py": "trajectory_certificate trajectory_random",
+    "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
+    " trajectory_random",
     "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest live",
 }
 """Modules, and the tests that a fault in them should fail, the quickest first."""
@@ -199,6 +201,12 @@ class Watcher:
         self.lines.setdefault(self._now, set()).add(frame.f_lineno)
         return self._steps
 
+    def pytest_sessionstart(self) -> None:
+        """Have failing examples not be made smaller, which takes minutes."""
+        known = settings.get_profile("trainlog")
+        settings.register_profile("mutants", known, phases=(Phase.explicit, Phase.generate))
+        settings.load_profile("mutants")
+
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         """Watch a test."""
@@ -342,13 +350,10 @@ class Nearest:
     seconds: dict[str, float]
     kernels: bool
 
-    def of(self, line: int) -> list[list[str]]:
-        """Tests that run a line, the quickest first; then the other tests of their files."""
+    def of(self, line: int) -> list[str]:
+        """Tests that run a line, the quickest first; all of them if none is seen to."""
         order = sorted(self.seconds, key=self.seconds.__getitem__)
-        hit = [each for each in order if line in self.lines[each]] or order
-        names = {each.split("::")[0] for each in hit}
-        rest = [each for each in order if each not in hit and each.split("::")[0] in names]
-        return [part for part in (hit, rest) if part]
+        return [each for each in order if line in self.lines[each]] or order
 
     def limit(self, tests: Sequence[str]) -> float:
         """Most time that tests may take [s]."""
@@ -381,19 +386,17 @@ def nearest(folder: Path, module: str) -> Nearest:
 
 def _killed_by(folder: Path, mutant: Mutant, tests: Nearest, wider: bool) -> str:
     """The first test that fails with a mutant; empty if none does."""
-    for part in tests.of(mutant.line):
-        if tests.kernels:
-            near = [each for each in part if each.startswith(_files(NEAREST[mutant.module])[0])]
-            run = run_tests(folder, near, tests.limit(near), mutant.module, compiled=False)
-            if not run.passed and run.error == "AssertionError":
-                return run.failed
-        run = run_tests(folder, part, tests.limit(part))
-        if not run.passed:
+    near, first = tests.of(mutant.line), _files(NEAREST[mutant.module])[0]
+    if tests.kernels:
+        own = [each for each in near if each.startswith(first)]
+        run = run_tests(folder, own, tests.limit(own), mutant.module, compiled=False)
+        if not run.passed and run.error == "AssertionError":
             return run.failed
-    if wider:
-        run = run_tests(folder, _files(WIDER[mutant.module]), 1800.0)
-        return "" if run.passed else run.failed
-    return ""
+    run = run_tests(folder, near, tests.limit(near))
+    if run.passed and wider:
+        rest = [each for each in tests.seconds if each not in near]
+        run = run_tests(folder, [*rest, *_files(WIDER[mutant.module])], 1800.0)
+    return "" if run.passed else run.failed
 
 
 def main() -> None:
