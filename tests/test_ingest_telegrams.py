@@ -275,7 +275,7 @@ def test_live_datagrams_give_what_their_file_gives(tmp_path: Path) -> None:
         found[STATE], expected[STATE].drop(expected[STATE].index[150]), check_flags=False
     )
     assert live.malformed == {"no telegram of the profile's layout": 1}
-    assert live.numbering.lost == 1
+    assert live.numbering.counts["lost"] == 1
     # What was kept as it came is ingested like any file; one beside the odd datagram is in doubt.
     again = ingest(tmp_path / "raw.bin", profile=profile())
     rest = found[STATE].drop(found[STATE].index[99])

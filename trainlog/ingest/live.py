@@ -48,7 +48,7 @@ CONFIRMING = 3
 STEPS = 100
 """Intervals between rows of which the usual one is the median."""
 
-DOUBTED = 100
+DOUBTED = STEPS
 """Values of a column from which on most of them being impossible is reported."""
 
 RESTART = 1000
@@ -61,233 +61,237 @@ NEAR = 32, 100
 """Within this part of a counter's numbers, and so many, of its end and of 0 it has gone round."""
 
 
-@dataclass
 class Numbering:
     """The numbers that a sender counts its lines with: what did not arrive.
 
     Attributes
     ----------
-    lost : int
-        Numbers that were passed over and have not come since.
-    late, repeated : int
-        Lines that came after one with a higher number, or twice.
-    restarts : int
-        How often the sender began to count anew.
+    counts : dict of str to int
+        ``"lost"``: numbers that were passed over and have not come since; ``"late"``,
+        ``"repeated"``: lines that came after one with a higher number, or twice; ``"restarts"``:
+        lines with which the sender began to count anew.
     """
 
-    lost: int = 0
-    late: int = 0
-    repeated: int = 0
-    restarts: int = 0
-    _highest: int | None = None
-    _missing: set[int] = field(default_factory=set)
-    _counter: int = 0
-    _begun: int = 0
+    def __init__(self) -> None:
+        self.counts = dict.fromkeys(("lost", "late", "repeated", "restarts"), 0)
+        self._highest: int | None = None
+        self._missing: set[int] = set()
+        self._size = self._begun = 0  # of the counter, once it has gone round; begin of its round
 
     def take(self, numbers: Iterable[int]) -> None:
         """Take the numbers in the order of arrival."""
         for counted_as in numbers:
             number = self._gone_on(counted_as)
-            if self._highest is None or number == self._highest + 1:
-                self._highest = number
-            elif number > self._highest:
-                between = range(self._highest + 1, number)
-                self.lost += len(between)
+            if self._highest is None or number > self._highest:
+                between = range(number if self._highest is None else self._highest + 1, number)
+                self.counts["lost"] += len(between)
                 self._missing.update(between[-RESTART:])
                 self._highest = number
             elif number in self._missing:
                 self._missing.discard(number)
-                self.lost -= 1
-                self.late += 1
+                self.counts["lost"] -= 1
+                self.counts["late"] += 1
             elif self._highest - number > RESTART or counted_as <= 1:
-                self.restarts += 1
+                self.counts["restarts"] += 1
                 self._highest, self._missing, self._begun = counted_as, set(), 0
             else:
-                self.repeated += 1
+                self.counts["repeated"] += 1
 
     def _gone_on(self, number: int) -> int:
         """The number since the sender was started: its counter may have gone round."""
-        if self._highest is None:
-            return number
-        last = self._highest - self._begun
-        size = next((each for each in COUNTERS if last < each and self._counter <= each), 0)
+        last = -1 if self._highest is None else self._highest - self._begun
+        size = next((each for each in COUNTERS if last < each and self._size <= each), 0)
         near = min(size // NEAR[0], NEAR[1])
         if last < size <= last + near and number < near:
-            self._counter, self._begun = size, self._begun + size
+            self._size, self._begun = size, self._begun + size
         elif self._begun and last < near and size - near <= number < size:
             return self._begun - size + number  # late, from before the counter went round
         return self._begun + number
 
 
+INFO, WARNING = 2, 3
+"""Levels of events."""
+
+
+@dataclass
+class Met:
+    """What was met in a stream.
+
+    Attributes
+    ----------
+    counts : Counter of (str, str)
+        How often each rule met something, by rule and column (empty: whole rows).
+    longest_gap : float [s]
+        Longest time between two rows that counts as a gap.
+    events : list of (int, str)
+        What is still to be recorded among the log's events: level and words.
+    """
+
+    counts: Counter[tuple[str, str]] = field(default_factory=Counter)
+    longest_gap: float = 0.0
+    events: list[tuple[int, str]] = field(default_factory=list)
+
+    def count(self, rule: str, cells: BoolArray, column: str = "") -> None:
+        """Count the marked rows or cells."""
+        if cells.any():
+            self.counts[rule, column] += int(np.count_nonzero(cells))
+
+    def say(self, words: str, level: int = WARNING) -> None:
+        """Take note of an event."""
+        self.events.append((level, words))
+
+
 class Sequence:
-    """The rows of one kind of lines: which time follows the one before, and what each row holds.
+    """The rows of one kind of lines, in the order of their time and within the limits.
 
     Parameters
     ----------
     limits : Limits
     repair : Repair
+    met : Met
+        Where it is counted what they meet.
     """
 
-    def __init__(self, limits: Limits, repair: Repair) -> None:
-        self._limits, self._repair = limits, repair
-        self._highest = NO_TIME
-        self._shift = 0
+    def __init__(self, limits: Limits, repair: Repair, met: Met) -> None:
+        self._limits, self._repair, self._met = limits, repair, met
+        self._highest, self._shift = NO_TIME, 0
         self._steps = np.zeros(0, dtype=np.int64)
-        self._held: Table | None = None
+        self._waiting: Table | None = None
         self._previous: Table | None = None
-        self.met: Counter[tuple[str, str]] = Counter()
-        self.longest_gap = 0.0
-        self.events: list[str] = []
+        self._present: Counter[str] = Counter()
 
-    def take(self, table: Table) -> Table | None:
-        """The rows that can be recorded now, repaired; None if there are none."""
+    def take(self, table: Table, *, end: bool = False) -> Table | None:
+        """The rows that can be recorded now; None if there are none.
+
+        A row whose time does not follow waits until others follow it; at the end those that begin
+        a gap are recorded, others dropped.
+        """
         unreadable = table.time == NO_TIME
-        self._count("time_unreadable", unreadable)
+        self._met.count("time_unreadable", unreadable)
         table = table.take(~unreadable)
-        return self._repaired(self._in_time(table))
+        table = table.at(table.time + self._shift)
+        if self._waiting is not None:
+            table, self._waiting = self._waiting.then(table), None
+        table = self._in_order(table, end=end)
+        if self._repair.duplicates and len(table):
+            table = self._without_duplicates(table)
+        if self._repair.out_of_limits:
+            table = self._within_limits(table)
+        return table if len(table) else None
 
-    def end(self) -> Table | None:
-        """The rows that wait: those that begin a gap are recorded, others are dropped."""
-        held, self._held = self._held, None
-        kept = None
-        if held is not None:
-            follows = held.time >= self._highest if self._highest != NO_TIME else held.time >= 0
-            kept = self._resolved(held, follows)
-        return self._repaired(kept)
+    def _in_order(self, table: Table, *, end: bool) -> Table:
+        """The rows whose time follows, and those that are only late; others wait, or are wrong."""
+        time, first = table.time, self._highest
+        steps = np.diff(time, prepend=first)
+        follows = (steps >= 0) & (steps <= self._ahead())
+        self._steps = np.concatenate((self._steps, steps[follows & (steps > 0)]))[-STEPS:]
+        kept, late = np.ones(len(table), dtype=np.bool_), np.zeros(len(table), dtype=np.bool_)
+        if first == NO_TIME or not follows.all():
+            time, kept, late, waiting = self._judged(time.copy(), table.rows, end=end)
+            table = table.at(time)
+            self._waiting = table.take(waiting) if waiting.any() else None
+            wrong = ~kept & ~late & ~waiting
+            self._met.count("time_backwards", late)
+            self._met.count("clock_jump", wrong)
+            for row, at in zip(table.rows[wrong], time[wrong], strict=True):
+                self._met.say(f"line {row} was not recorded: its time is {_time(int(at))}")
+        if kept.any():
+            self._go_on(time[kept], first)
+        return table.take(kept | late)
 
-    # ------------------------------------------------------------------------------------ time
+    def _judged(
+        self, time: IntArray, rows: IntArray, *, end: bool
+    ) -> tuple[IntArray, BoolArray, BoolArray, BoolArray]:
+        """The times, and which rows are kept, which of the others are late, and which wait.
 
-    def _in_time(self, table: Table) -> Table | None:
-        """The rows whose time follows, and those that are only late."""
-        if self._held is None and self._highest != NO_TIME and len(table):
-            time = table.time + self._shift
-            steps = np.diff(time, prepend=self._highest)
-            if np.all((steps >= 0) & (steps <= self._ahead())):
-                return self._accept(table.at(time))
-        accepted: Table | None = None
-        for number in range(len(table)):
-            row = table.take(np.array([number]))
-            for part in self._judge(row.at(row.time + self._shift)):
-                accepted = part if accepted is None else accepted.then(part)
-        return accepted
+        Rows that follow each other, but not those before, are believed from `CONFIRMING` on: after
+        a gap, or where a clock was set back, which is then put on by whole seconds.
+        """
+        ahead, within = self._ahead(), int(self._limits.sort_within * NANOSECONDS)
+        kept = np.zeros(time.size, dtype=np.bool_)
+        reached = np.full(time.size, NO_TIME)
+        begun = 0  # the first of the rows that wait
+        for number in range(time.size):
+            reached[number], at = self._highest, int(time[number])
+            if self._highest != NO_TIME and 0 <= at - self._highest <= ahead:
+                kept[number], begun, self._highest = True, number + 1, at
+                continue
+            if number > begun and not 0 <= at - time[number - 1] <= ahead:
+                begun = number
+            if number - begun + 1 == CONFIRMING:
+                if time[begun] < self._highest:
+                    time[begun:] += self._set_back(int(time[begun]), int(rows[begun]))
+                kept[begun : number + 1], self._highest = True, int(time[number])
+                begun = number + 1
+        waiting = np.arange(time.size) >= begun
+        if end:
+            kept |= waiting & (time >= max(self._highest, 0))
+            waiting[:] = False
+        late = ~kept & ~waiting & (reached != NO_TIME) & (time < reached)
+        return time, kept, late & (time >= reached - within), waiting
 
-    def _judge(self, row: Table) -> list[Table]:
-        """What is accepted now that this row has come."""
-        time, ahead = int(row.time[0]), self._ahead()
-        known = self._highest != NO_TIME
-        if known and self._highest <= time <= self._highest + ahead:
-            held, self._held = self._held, None
-            late = [] if held is None else [self._resolved(held, np.zeros(len(held), np.bool_))]
-            return [*filter(None, late), self._accept(row)]
-        follows = self._held is not None and 0 <= time - int(self._held.time[-1]) <= ahead
-        dropped: list[Table | None] = []
-        if self._held is not None and not follows:
-            dropped = [self._resolved(self._held, np.zeros(len(self._held), np.bool_))]
-            self._held = None
-        self._held = row if self._held is None else self._held.then(row)
-        if len(self._held) < CONFIRMING:
-            return [*filter(None, dropped)]
-        held, self._held = self._held, None
-        if known and int(held.time[0]) < self._highest:
-            held = self._set_back(held)
-        return [*filter(None, dropped), self._accept(held)]
+    def _usual(self) -> float:
+        """Usual interval between rows [ns]; 0 if it is not known yet."""
+        return float(np.median(self._steps)) if self._steps.size else 0.0
 
     def _ahead(self) -> int:
         """How far ahead of the last row a time may be before it is doubted [ns]."""
-        usual = float(np.median(self._steps)) if self._steps.size else 0.0
-        return int(max(self._limits.sort_within * NANOSECONDS, 5.0 * usual))
+        return int(max(self._limits.sort_within * NANOSECONDS, 5.0 * self._usual()))
 
-    def _set_back(self, held: Table) -> Table:
-        """Rows of a clock that was set back, put on where it stood before, by whole seconds."""
-        usual = float(np.median(self._steps)) if self._steps.size else 0.0
-        back = self._highest + usual - float(held.time[0])
-        shift = int(max(round(back / NANOSECONDS), 1)) * NANOSECONDS
-        self._shift += shift
-        self.met["clock_step", ""] += 1
-        self.events.append(
-            f"the sender's clock was set back by {shift / NANOSECONDS:g} s; the rows from line"
-            f" {held.rows[0]} on are {shift / NANOSECONDS:g} s later here than it states, so that"
-            " time goes on"
+    def _set_back(self, time: int, row: int) -> int:
+        """By how much a clock that was set back is put on [ns]."""
+        back = (self._highest + self._usual() - time) / NANOSECONDS
+        seconds = max(round(back), 1)
+        self._shift += seconds * NANOSECONDS
+        self._met.counts["clock_step", ""] += 1
+        self._met.say(
+            f"the sender's clock was set back by {seconds} s; the rows from line {row} on are"
+            f" {seconds} s later here than it states, so that time goes on"
         )
-        return held.at(held.time + shift)
+        return seconds * NANOSECONDS
 
-    def _resolved(self, held: Table, follows: BoolArray) -> Table | None:
-        """Of rows that were not confirmed those that are late, or that `follows` marks."""
-        within = int(self._limits.sort_within * NANOSECONDS)
-        late = (held.time < self._highest) & (held.time >= self._highest - within) & ~follows
-        self._count("time_backwards", late)
-        wrong = ~late & ~follows
-        self._count("clock_jump", wrong)
-        for row, time in zip(held.rows[wrong], held.time[wrong], strict=True):
-            self.events.append(f"line {row} was not recorded: its time is {_time(int(time))}")
-        kept = held.take(late | follows)
-        return kept if len(kept) else None
-
-    def _accept(self, table: Table) -> Table:
-        """Take rows whose time follows."""
-        first = self._highest if self._highest != NO_TIME else int(table.time[0])
-        steps = np.diff(table.time, prepend=first)
-        usual = float(np.median(self._steps)) / NANOSECONDS if self._steps.size else 0.0
-        threshold = self._limits.gap or max(1.0, 5.0 * usual)
-        gaps = steps > threshold * NANOSECONDS
-        if usual > 0.0 and gaps.any():
-            self.met["gaps", ""] += int(gaps.sum())
-            self.longest_gap = max(self.longest_gap, float(steps.max()) / NANOSECONDS)
-            for end, step in zip(table.time[gaps], steps[gaps], strict=True):
-                self.events.append(f"gap of {step / NANOSECONDS:.1f} s until {_time(int(end))}")
-        moved = steps[(steps > 0) & ~gaps]
-        self._steps = np.concatenate((self._steps, moved))[-STEPS:]
-        self._highest = int(table.time[-1])
-        return table
-
-    # ---------------------------------------------------------------------------------- values
-
-    def _repaired(self, table: Table | None) -> Table | None:
-        if table is not None and len(table) and self._repair.duplicates:
-            table = self._without_duplicates(table)
-        if table is not None and self._repair.out_of_limits:
-            table = self._within_limits(table)
-        return table if table is not None and len(table) else None
+    def _go_on(self, time: IntArray, before: int) -> None:
+        """Go on behind rows that follow, and count the gaps before them."""
+        steps = np.diff(time, prepend=time[0] if before == NO_TIME else before)
+        self._highest = int(time[-1])
+        least = self._limits.gap or max(1.0, 5.0 * self._usual() / NANOSECONDS)
+        gaps = steps > least * NANOSECONDS
+        self._met.count("gaps", gaps)
+        for end, step in zip(time[gaps], steps[gaps] / NANOSECONDS, strict=True):
+            self._met.longest_gap = max(self._met.longest_gap, float(step))
+            self._met.say(f"gap of {step:.1f} s until {_time(int(end))}")
 
     def _without_duplicates(self, table: Table) -> Table:
         before, self._previous = self._previous, table.take(np.array([len(table) - 1]))
         both = table if before is None else before.then(table)
         repeated = same_as_previous(both) & (np.diff(both.time, prepend=NO_TIME) == 0)
         repeated = repeated[len(both) - len(table) :]
-        self._count("duplicates", repeated)
+        self._met.count("duplicates", repeated)
         return table.take(~repeated)
 
     def _within_limits(self, table: Table) -> Table:
         for name, values in table.signals.items():
-            bounds = self._limits.of(name)
+            bounds, column = self._limits.of(name), base_name(name)
             out = (values < bounds.low) | (values > bounds.high)
-            key = ("out_of_limits", base_name(name))
-            self.met["", name] += int(np.count_nonzero(np.isfinite(values)))
+            self._present[column] += int(np.count_nonzero(np.isfinite(values)))
             if not out.any():
                 continue
-            self._count(*key[:1], out, key[1])
+            self._met.count("out_of_limits", out, column)
             table = table.without(name, out)
-            present = self.met["", name]
-            most = self.met[key] > present / 2 and ("unit_suspected", key[1]) not in self.met
-            if present >= DOUBTED and most:
-                self.met["unit_suspected", key[1]] += 1
-                self.events.append(
-                    f"most values of {key[1]} are impossible: check the unit of its column in the"
+            counts, suspected = self._met.counts, ("unit_suspected", column)
+            most = counts["out_of_limits", column] > self._present[column] / 2
+            if self._present[column] >= DOUBTED and most and suspected not in counts:
+                counts[suspected] += 1
+                self._met.say(
+                    f"most values of {column} are impossible: check the unit of its column in the"
                     " profile"
                 )
         return table
-
-    def _count(self, rule: str, rows: BoolArray, column: str = "") -> None:
-        if rows.any():
-            self.met[rule, column] += int(np.count_nonzero(rows))
 
 
 def _time(time: int) -> str:
     return pd.Timestamp(time, tz="UTC").strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
 
-
-INFO, WARNING = 2, 3
-"""Levels of events."""
 
 SOURCE = "trainlog.record"
 """What events of this module name as their source."""
@@ -302,7 +306,6 @@ MOST_TEXT = 200
 """Characters of a malformed line that are kept."""
 
 
-@dataclass(frozen=True)
 class Progress:
     """How far a recording is.
 
@@ -312,13 +315,31 @@ class Progress:
         Of the last sample [ns UTC].
     speed : float or None
         Last known [m/s].
-    distance : float
-        Driven since the first sample [m], by the integral of the speed.
     """
 
-    time: int | None
-    speed: float | None
-    distance: float
+    def __init__(self) -> None:
+        self.time: int | None = None
+        self.speed: float | None = None
+        self._driven: dict[str, tuple[float, float, float]] = {}
+
+    @property
+    def distance(self) -> float:
+        """Driven since the first sample [m], by the train's speed or else a receiver's."""
+        topics = (TRAIN_STATE.name, GNSS_MOTION.name)
+        return next((self._driven[each][0] for each in topics if each in self._driven), 0.0)
+
+    def take(self, topic: str, time: IntArray, frame: pd.DataFrame) -> None:
+        """Take the rows of a topic."""
+        self.time = max(int(time[-1]), self.time or 0)
+        known = np.isfinite(frame["speed"].to_numpy()) if "speed" in frame else np.zeros(0)
+        if topic not in (TRAIN_STATE.name, GNSS_MOTION.name) or not known.any():
+            return
+        seconds, speed = time[known] / NANOSECONDS, frame["speed"].to_numpy()[known]
+        driven, *last = self._driven.get(topic, (0.0, seconds[0], speed[0]))
+        seconds, speed = np.append(last[0], seconds), np.append(last[1], speed)
+        driven += float(np.trapezoid(np.abs(speed), seconds))
+        self._driven[topic] = driven, float(seconds[-1]), float(speed[-1])
+        self.speed = float(speed[-1])
 
 
 @dataclass(frozen=True)
@@ -398,15 +419,13 @@ class LiveIngest:
             recording.declare(topic)
         self._sequences: dict[str, Sequence] = {}
         self._waiting: list[tuple[int, bytes]] = []
-        self._events: list[tuple[int, str]] = []
-        self._kept = 0
         self._constants: dict[str, float | str] = {}
-        self._driven = _Driven()
+        self._met = Met()
+        self.progress = Progress()
         self.lines = 0
         self.malformed: Counter[str] = Counter()
         self.others: Counter[str] = Counter()
         self.numbering = Numbering()
-        self._read: Counter[tuple[str, str]] = Counter()
 
     @classmethod
     def begun(
@@ -524,28 +543,20 @@ class LiveIngest:
             self.lines += 1
             self._refuse(Malformed(self.lines, as_it_came(rest), "cut off"))
         self._add(self._decoder.end(), arrival)
+        nothing = np.zeros(0, dtype=np.int64)
         for kind, sequence in self._sequences.items():
-            self._write(kind, sequence, sequence.end())
+            self._write(kind, sequence.take(Table(nothing, nothing, {}), end=True))
         self._note()
-
-    @property
-    def progress(self) -> Progress:
-        """How far the recording is."""
-        driven = self._driven
-        return Progress(driven.time, driven.speed, driven.distance)
 
     @property
     def met(self) -> dict[tuple[str, str], int]:
         """How often each rule met something, by rule and column (empty: whole rows)."""
-        every = Counter(self._read)
-        for sequence in self._sequences.values():
-            every.update({key: count for key, count in sequence.met.items() if key[0] and count})
-        return dict(every)
+        return dict(sorted(self._met.counts.items()))
 
     @property
     def longest_gap(self) -> float:
         """Longest time between two rows that counts as a gap [s]."""
-        return max((each.longest_gap for each in self._sequences.values()), default=0.0)
+        return self._met.longest_gap
 
     def sentences(self) -> list[str]:
         """What was met, a sentence each."""
@@ -553,20 +564,16 @@ class LiveIngest:
         total = sum(self.malformed.values())
         if total:
             reasons = ", ".join(f"{why} ({count:,})" for why, count in self.malformed.most_common())
-            beyond = total - self._kept
-            kept = f"; {beyond:,} of them not kept in the log" if beyond > 0 else ""
-            found.append(f"{counted(total, 'malformed line')}: {reasons}{kept}")
-        for (rule, column), count in sorted(self.met.items()):
+            kept = f"; {total - MOST_KEPT:,} of them not kept in the log"
+            found.append(
+                f"{counted(total, 'malformed line')}: {reasons}{kept if total > MOST_KEPT else ''}"
+            )
+        for (rule, column), count in self.met.items():
             longest = f", the longest {self.longest_gap:.1f} s" if rule == "gaps" else ""
             found.append(f"{rule}: {count:,}{f' in {column}' if column else ''}{longest}")
-        numbers = self.numbering
-        for count, words in (
-            (numbers.lost, "lost"), (numbers.late, "late"), (numbers.repeated, "came twice"),
-        ):  # fmt: skip
+        for what, count in self.numbering.counts.items():
             if count:
-                found.append(f"{counted(count, 'line')} {words} by the sender's numbers")
-        if numbers.restarts:
-            found.append(f"the sender began to count anew {counted(numbers.restarts, 'time')}")
+                found.append(f"{counted(count, 'line')} {what} by the sender's numbers")
         if self.others:
             kinds = ", ".join(f"{count:,} {name}" for name, count in sorted(self.others.items()))
             found.append(f"not used: {kinds}")
@@ -574,91 +581,75 @@ class LiveIngest:
 
     def details(self) -> dict[str, Any]:
         """What was met, in JSON's types: lines, malformed ones by reason, rules, lost lines."""
-        numbers = self.numbering
         return {
             "lines": self.lines,
             "malformed": dict(self.malformed),
-            "repairs": {
-                f"{rule}.{column}" if column else rule: count
-                for (rule, column), count in sorted(self.met.items())
-            },
+            "repairs": self._repairs(),
             "longest_gap_s": self.longest_gap,
-            "lost_by_number": numbers.lost,
-            "late_by_number": numbers.late,
-            "repeated_by_number": numbers.repeated,
-            "restarts_by_number": numbers.restarts,
+            **{f"{what}_by_number": count for what, count in self.numbering.counts.items()},
             "not_used": dict(self.others),
-            "distance_m": self._driven.distance,
+            "distance_m": self.progress.distance,
         }
+
+    def _repairs(self) -> dict[str, int]:
+        return {f"{rule}.{column}".rstrip("."): count for (rule, column), count in self.met.items()}
 
     def _add(self, decoded: Decoded, arrival: int | None) -> None:
         for each in decoded.malformed:
             self._refuse(each)
         for finding in decoded.findings:
-            self._read[finding.rule, finding.column] += finding.count
+            self._met.counts[finding.rule, finding.column] += finding.count
         self.others += decoded.others
         self.numbering.take(decoded.numbers)
-        if decoded.constants and not self._constants:
-            self._constants = decoded.constants
+        self._constants = self._constants or decoded.constants
         for kind, table in decoded.tables.items():
-            undated = table.time == NO_TIME
-            if kind.startswith(("json", "telegram")) and arrival is not None and undated.any():
-                table = table.at(np.where(undated, arrival, table.time))
-            sequence = self._sequences.setdefault(kind, Sequence(self._limits, self._repair))
-            self._write(kind, sequence, sequence.take(table))
+            if kind.startswith(("json", "telegram")) and arrival is not None:
+                table = table.at(np.where(table.time == NO_TIME, arrival, table.time))
+            known = Sequence(self._limits, self._repair, self._met)
+            self._write(kind, self._sequences.setdefault(kind, known).take(table))
 
-    def _write(self, kind: str, sequence: Sequence, table: Table | None) -> None:
-        """Record rows, and the events of their sequence."""
-        events, sequence.events = sequence.events, []
-        for words in events:
-            self._event(WARNING, words)
-        if table is None:
-            return
+    def _write(self, kind: str, table: Table | None) -> None:
+        """Record rows, and what was met among them."""
         constants = self._constants if kind in ("row", "json") else {}
-        for name, frame in frames([table], constants, self._own).items():
+        written = {} if table is None else frames([table], constants, self._own)
+        for name, frame in written.items():
             time = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
             if name == EVENTS.name:
-                for at, (level, message, source) in zip(
-                    time.tolist(), frame[["level", "message", "name"]].to_numpy(), strict=True
-                ):
-                    self._recording.event(int(level), message, source, time=at)
+                words = frame[["level", "message", "name"]].itertuples(index=False, name=None)
+                for at, event in zip(time.tolist(), words, strict=True):
+                    self._recording.event(*event, time=at)
                 continue
             topic = TOPICS.get(name) or self._own[name]
             self._recording.write(name, time, **_values(topic, frame))
-            self._driven.take(name, time, frame)
-        if self._events and self._driven.time is not None:
-            for level, words in self._events:
-                self._recording.event(level, words, SOURCE, time=self._driven.time)
-            self._events = []
+            self.progress.take(name, time, frame)
+        # Before the first sample there is no time to which an event belongs.
+        if self.progress.time is not None:
+            self._say()
+
+    def _say(self) -> None:
+        """Record the events that were met, at the time of the last sample."""
+        for level, words in self._met.events:
+            self._recording.event(level, words, SOURCE, time=self.progress.time)
+        self._met.events.clear()
 
     def _refuse(self, each: Malformed) -> None:
         """Count a malformed line, and keep it in the log."""
         self.malformed[each.reason.partition(":")[0]] += 1
-        self._kept += self._kept < MOST_KEPT
         if sum(self.malformed.values()) <= MOST_KEPT:
             text = each.text if len(each.text) <= MOST_TEXT else f"{each.text[:MOST_TEXT]} …"
-            self._event(WARNING, f"malformed line {each.row}: {each.reason}: {text}")
-
-    def _event(self, level: int, words: str) -> None:
-        """Record an event at the time of the last sample; before the first it waits for it."""
-        if self._driven.time is None:
-            self._events.append((level, words))
-        else:
-            self._recording.event(level, words, SOURCE, time=self._driven.time)
+            self._met.say(f"malformed line {each.row}: {each.reason}: {text}")
 
     def _note(self) -> None:
         """Write what was met at the end of the log."""
         for words in self.sentences():
-            self._event(INFO, words)
-        for level, words in self._events:
-            self._recording.event(level, words, SOURCE)
-        self._recording.note("lines", str(self.lines))
-        self._recording.note("malformed", str(sum(self.malformed.values())))
-        if self.numbering.lost:
-            self._recording.note("lost_by_number", str(self.numbering.lost))
-        for (rule, column), count in sorted(self.met.items()):
-            key = f"repair.{rule}.{column}" if column else f"repair.{rule}"
-            self._recording.note(key, str(count))
+            self._met.say(words, INFO)
+        self._say()
+        notes = {"lines": self.lines, "malformed": sum(self.malformed.values())}
+        if self.numbering.counts["lost"]:
+            notes["lost_by_number"] = self.numbering.counts["lost"]
+        notes |= {f"repair.{rule}": count for rule, count in self._repairs().items()}
+        for name, count in notes.items():
+            self._recording.note(name, str(count))
 
 
 def _values(topic: Topic, frame: pd.DataFrame) -> dict[str, np.ndarray]:
@@ -675,35 +666,3 @@ def _values(topic: Topic, frame: pd.DataFrame) -> dict[str, np.ndarray]:
         elif known[item.name]:
             found[item.name] = table[:, names.index(item.name)]
     return found
-
-
-class _Driven:
-    """Time, speed and distance of what was recorded so far."""
-
-    def __init__(self) -> None:
-        self.time: int | None = None
-        self.speed: float | None = None
-        self._distances: dict[str, float] = {}
-        self._last: dict[str, tuple[int, float]] = {}
-
-    @property
-    def distance(self) -> float:
-        """The integral of the train's speed, else of its receiver's [m]."""
-        return self._distances.get(TRAIN_STATE.name, self._distances.get(GNSS_MOTION.name, 0.0))
-
-    def take(self, topic: str, time: IntArray, frame: pd.DataFrame) -> None:
-        """Take the rows of a topic."""
-        latest = int(time[-1])
-        self.time = latest if self.time is None else max(self.time, latest)
-        if topic not in (TRAIN_STATE.name, GNSS_MOTION.name):
-            return
-        speed = frame["speed"].to_numpy()
-        known = np.isfinite(speed)
-        if not known.any():
-            return
-        before = self._last.get(topic, (int(time[known][0]), float(speed[known][0])))
-        seconds = np.append(before[0], time[known]) / NANOSECONDS
-        driven = float(np.trapezoid(np.abs(np.append(before[1], speed[known])), seconds))
-        self._distances[topic] = self._distances.get(topic, 0.0) + driven
-        self.speed = float(speed[known][-1])
-        self._last[topic] = (int(time[known][-1]), self.speed)

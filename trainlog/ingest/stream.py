@@ -9,11 +9,12 @@ time formats of `trainlog.ingest.mapping`.
 from __future__ import annotations
 
 import csv
-import datetime
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,18 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.nmea import Epochs
-from trainlog.ingest.profile import ARRIVAL, WORDS, Profile, TelegramOptions, suggestion
-from trainlog.ingest.recording import NO_TIME, Cells, Finding, Messages, Recording, Table, field_of
+from trainlog.ingest.profile import (
+    ARRIVAL,
+    WORDS,
+    Profile,
+    known_field,
+    suggestion,
+)
+from trainlog.ingest.recording import NO_TIME, Cells, Finding, Messages, Table
 from trainlog.ingest.tagged import NAV_PVT, NAV_PVT_HEAD, fixes_of_pvt
 from trainlog.ingest.telegrams import chosen, columns_of
 from trainlog.topics import TOPICS
@@ -160,6 +166,12 @@ class Decoded:
         """Take note of a line that cannot be used."""
         self.malformed.append(Malformed(row, as_it_came(data), reason))
 
+    def count(self, numbers: Iterable[Any]) -> None:
+        """Take the sender's sequence numbers; what is no number is none of them."""
+        for number in numbers:
+            with suppress(TypeError, ValueError):
+                self.numbers.append(int(number))
+
 
 def as_it_came(data: bytes) -> str:
     """Octets as text; those that are no text in hexadecimal digits."""
@@ -186,57 +198,46 @@ class Decoder:
         header: tuple[str, ...] | None = None,
         sequence: str = "sequence",
     ) -> None:
-        self._profile, self._sequence = profile, sequence
-        self._names = header
-        self._date: datetime.date | None = None
-        self._of_day = NO_TIME
-        self._sentences: _Sentences | None = None
+        self._profile, self._sequence, self._names = profile, sequence, header
+        self._last = NO_TIME  # of a profile whose times have no date
+        self._sentences = _Sentences()
         self._needed: set[str] = set()
+        self._words: set[str] = set()
         if profile is not None and profile.time is not None:
-            self._date = profile.time.date
-            self._needed = set(profile.time.names)
-            for column in profile.columns.values():
-                self._needed |= set() if column.optional else set(column.names)
-        self._words = (
-            {
-                spelling.lower()
-                for name in self._needed
-                for spelling in (name, f'"{name}"', *profile.file.aliases.get(name, ()))
-            }
-            if profile is not None
-            else set()
-        )
+            needed = [c.names for c in profile.columns.values() if not c.optional]
+            self._needed = {*profile.time.names, *(name for names in needed for name in names)}
+            aliases = profile.file.aliases
+            spelt = [(name, f'"{name}"', *aliases.get(name, ())) for name in self._needed]
+            self._words = {spelling.lower() for each in spelt for spelling in each}
 
     def decode(self, frames: Iterable[Numbered]) -> Decoded:
         """What the next lines and messages hold; an NMEA epoch once the next one has begun."""
         decoded = Decoded()
-        if self._profile is not None and self._profile.telegram is not None:
-            self._telegrams(list(frames), self._profile, self._profile.telegram, decoded)
-            return decoded
         kinds: dict[str, list[Numbered]] = {}
+        telegrams = self._profile is not None and self._profile.telegram is not None
         for row, data in frames:
-            kinds.setdefault(_kind(data), []).append((row, data))
-        if "ubx" in kinds:
-            _ubx(kinds["ubx"], decoded)
-        if "nmea" in kinds:
-            self._sentences = self._sentences or _Sentences()
-            self._sentences.take(kinds["nmea"], decoded)
-        if "json" in kinds:
-            self._json(kinds["json"], decoded)
-        if "row" in kinds:
-            self._rows(kinds["row"], decoded)
+            kind = "telegram" if telegrams else _kind(data)
+            kinds.setdefault(kind, []).append((row, data))
+        readers = {
+            "telegram": self._telegrams, "ubx": _ubx, "nmea": self._sentences.take,
+            "json": self._json, "row": self._rows,
+        }  # fmt: skip
+        for kind, read in readers.items():
+            if kind in kinds:
+                read(kinds[kind], decoded)
         return decoded
 
     def end(self) -> Decoded:
         """What waits for lines that do not come: the last NMEA epoch."""
         decoded = Decoded()
-        if self._sentences is not None:
-            self._sentences.end(decoded)
+        self._sentences.give(decoded)
         return decoded
 
-    def _telegrams(
-        self, frames: list[Numbered], profile: Profile, options: TelegramOptions, decoded: Decoded
-    ) -> None:
+    def _telegrams(self, frames: list[Numbered], decoded: Decoded) -> None:
+        profile = self._profile
+        options = None if profile is None else profile.telegram
+        assert profile is not None
+        assert options is not None
         kept = []
         for row, data in frames:
             if len(data) == options.length and data.startswith(options.mark_bytes):
@@ -248,36 +249,76 @@ class Decoder:
         octets = octets.reshape(-1, options.length)
         wanted = chosen(octets, options)
         decoded.others += Counter({"telegrams of other kinds": int(np.count_nonzero(~wanted))})
-        octets = octets[wanted]
-        if not len(octets):
+        octets, kept = octets[wanted], [kept[n] for n in np.flatnonzero(wanted)]
+        if not kept:
             return
         if self._sequence in options.columns:
             numbers = columns_of(octets, [self._sequence], options)[self._sequence]
-            self._count(numbers.to_pylist(), decoded)
-        rows = np.array([row for row, _ in kept], dtype=np.int64)[wanted]
-        table = columns_of(
-            octets, wanted_columns(profile, (*options.columns, ARRIVAL), _STREAM), options
-        )
-        try:
-            found = recording_of(Cells(table, rows, rows.size), profile, _STREAM)
-        except InputError as error:
-            for row, data in kept:
-                decoded.refuse(row, data, error.problem)
-            return
-        self._add("telegram", found, decoded)
+            decoded.count(numbers.to_pylist())
+        names = wanted_columns(profile, (*options.columns, ARRIVAL), _STREAM)
+        self._read("telegram", kept, columns_of(octets, names, options), profile, decoded)
 
-    # ------------------------------------------------------------------------- rows of a table
+    def _read(
+        self, kind: str, frames: list[Numbered], cells: pa.Table, profile: Profile, decoded: Decoded
+    ) -> None:
+        """Give the columns of rows their meaning, as the profile states it."""
+        rows = np.array([row for row, _ in frames], dtype=np.int64)
+        try:
+            found = recording_of(Cells(cells, rows, rows.size), profile, _STREAM)
+        except InputError as error:
+            if len(frames) == 1:
+                decoded.refuse(*frames[0], error.problem)
+                return
+            # One row that does not fit must not cost the others.
+            for number, frame in enumerate(frames):
+                self._read(kind, [frame], cells.slice(number, 1), profile, decoded)
+            return
+        (table,) = found.tables
+        if profile.time is not None and profile.time.date is not None:
+            # A time of day far before the last one is that of the next day.
+            early = self._last != NO_TIME and (table.time < self._last - DAY // 2)
+            table = table.at(
+                np.where(early & (table.time != NO_TIME), table.time + DAY, table.time)
+            )
+            self._last = max(self._last, int(table.time[-1]))
+        before = decoded.tables.get(kind)
+        decoded.tables[kind] = table if before is None else before.then(table)
+        decoded.constants |= found.constants
+        decoded.findings += found.findings
+
+    def _map(
+        self,
+        kind: str,
+        frames: list[Numbered],
+        columns: Mapping[str, Sequence[str | None]],
+        decoded: Decoded,
+    ) -> None:
+        """Decode rows whose cells are given by column, as text."""
+        profile = self._profile
+        assert profile is not None
+        if self._last != NO_TIME and profile.time is not None:
+            # Times of day count from the day of the last row.
+            last = pd.Timestamp(self._last, tz="UTC").tz_convert(profile.time.timezone)
+            time = profile.time.model_copy(update={"date": last.date()})
+            profile = profile.model_copy(update={"time": time})
+        missing, absent = set(profile.file.missing), (None,) * len(frames)
+        cells = {
+            name: [None if each in missing else each for each in columns.get(name, absent)]
+            for name in wanted_columns(profile, tuple(columns), _STREAM)
+        }
+        table = pa.table({name: pa.array(each, pa.string()) for name, each in cells.items()})
+        self._read(kind, frames, table, profile, decoded)
 
     def _rows(self, frames: list[Numbered], decoded: Decoded) -> None:
+        """Rows of a table, and its header."""
         profile = self._profile
-        if profile is None:
-            for row, data in frames:
+        comment = b"" if profile is None else profile.file.comment.encode()
+        kept: list[tuple[Numbered, list[str]]] = []
+        for row, data in frames:
+            if profile is None:
                 reason = "neither JSON, NMEA nor UBX; a row of a table needs a profile"
                 decoded.refuse(row, data, reason)
-            return
-        kept: list[tuple[int, bytes, list[str]]] = []
-        comment = profile.file.comment.encode()
-        for row, data in frames:
+                continue
             if not data.strip() or (comment and data.startswith(comment)):
                 continue
             try:
@@ -287,103 +328,37 @@ class Decoder:
                 continue
             if self._take_header(cells, profile):
                 continue
-            if self._names is None:
-                decoded.refuse(row, data, "a row before the header")
-                continue
-            if not any(cells[len(self._names) :]):
-                del cells[len(self._names) :]
-            if len(cells) != len(self._names):
-                reason = f"{len(cells)} cells, the header has {len(self._names)}"
-                decoded.refuse(row, data, reason)
+            width = len(self._names or ())
+            if width and not any(cells[width:]):
+                del cells[width:]
+            if len(cells) == width:
+                kept.append(((row, data), cells))
             else:
-                kept.append((row, data, cells))
-        if not kept or self._names is None:
-            return
-        values = list(zip(*(cells for _, _, cells in kept), strict=True))
-        columns = dict(zip(self._names, values, strict=True))
-        self._count(columns.get(self._sequence, ()), decoded)
-        self._map("row", [(row, data) for row, data, _ in kept], columns, decoded)
+                wrong = f"{len(cells)} cells, the header has {width}"
+                decoded.refuse(row, data, wrong if width else "a row before the header")
+        if kept and self._names is not None:
+            values = zip(*(cells for _, cells in kept), strict=True)
+            columns = dict(zip(self._names, values, strict=True))
+            decoded.count(columns.get(self._sequence, ()))
+            self._map("row", [frame for frame, _ in kept], columns, decoded)
 
     def _take_header(self, cells: list[str], profile: Profile) -> bool:
         """Whether the cells are the names of the columns, which are used from then on."""
         if profile.file.header == 0:
-            if self._names is None:
-                self._names = tuple(str(number) for number in range(1, len(cells) + 1))
+            self._names = self._names or tuple(str(n) for n in range(1, len(cells) + 1))
             return False
         if self._words.isdisjoint([cell.lower() for cell in cells]):
             return False
-        while cells and not cells[-1]:
-            cells.pop()
         names = profile.file.named([cell.strip().strip('"') for cell in cells])
+        while names and not names[-1]:
+            names = names[:-1]
         if not self._needed <= set(names):
             return False
-        self._names = tuple(names)
+        self._names = names
         return True
 
-    def _map(
-        self,
-        kind: str,
-        frames: list[Numbered],
-        columns: Mapping[str, Sequence[str | None]],
-        decoded: Decoded,
-    ) -> None:
-        """Give the rows' columns their meaning, as the profile states it."""
-        profile = self._dated()
-        assert profile is not None
-        missing = set(profile.file.missing)
-        try:
-            wanted = dict.fromkeys(wanted_columns(profile, tuple(columns), _STREAM))
-            absent: tuple[None, ...] = (None,) * len(frames)
-            table = pa.table(
-                {
-                    name: pa.array(
-                        [None if each in missing else each for each in columns.get(name, absent)],
-                        pa.string(),
-                    )
-                    for name in wanted
-                }
-            )
-            rows = np.array([row for row, _ in frames], dtype=np.int64)
-            found = recording_of(Cells(table, rows, rows.size), profile, _STREAM)
-        except InputError as error:
-            if len(frames) == 1:
-                decoded.refuse(*frames[0], error.problem)
-                return
-            # One row that does not fit must not cost the others.
-            for number, frame in enumerate(frames):
-                one = {name: values[number : number + 1] for name, values in columns.items()}
-                self._map(kind, [frame], one, decoded)
-            return
-        self._add(kind, found, decoded)
-        known = found.tables[0].time[found.tables[0].time != NO_TIME]
-        self._of_day = int(known[-1]) if known.size else self._of_day
-
-    def _dated(self) -> Profile | None:
-        """The profile with the date from which the next times of day count."""
-        profile = self._profile
-        if profile is None or profile.time is None or self._date is None:
-            return profile
-        date = self._date
-        if self._of_day != NO_TIME:
-            zone = profile.time.timezone
-            date = pd.Timestamp(self._of_day, tz="UTC").tz_convert(zone).date()
-        time = profile.time.model_copy(update={"date": date})
-        return profile.model_copy(update={"time": time})
-
-    def _add(self, kind: str, found: Recording, decoded: Decoded) -> None:
-        table = found.tables[0]
-        if self._date is not None and self._of_day != NO_TIME:
-            # A time of day far before the last one is that of the next day.
-            late = (table.time != NO_TIME) & (table.time < self._of_day - DAY // 2)
-            table = table.at(np.where(late, table.time + DAY, table.time))
-        before = decoded.tables.get(kind)
-        decoded.tables[kind] = table if before is None else before.then(table)
-        decoded.constants |= found.constants
-        decoded.findings += found.findings
-
-    # ------------------------------------------------------------------------------------ JSON
-
     def _json(self, frames: list[Numbered], decoded: Decoded) -> None:
+        """JSON objects: by the keys that a profile names, or of fields of our topics, in SI."""
         objects: list[tuple[Numbered, dict[str, Any]]] = []
         for row, data in frames:
             try:
@@ -396,52 +371,22 @@ class Decoder:
                     objects.append(((row, data), each))
                 else:
                     decoded.refuse(row, data, "no JSON object")
-        self._count((each.get(self._sequence) for _, each in objects), decoded)
-        if self._profile is not None:
-            self._json_of_profile(objects, decoded)
-        else:
-            self._json_of_topics(objects, decoded)
-
-    def _json_of_profile(
-        self, objects: list[tuple[Numbered, dict[str, Any]]], decoded: Decoded
-    ) -> None:
-        assert self._profile is not None
-        plain = [(frame, dict(_flat(each))) for frame, each in objects]
+        decoded.count(each.get(self._sequence) for _, each in objects)
+        if self._profile is None:
+            _samples(objects, self._sequence, decoded)
+            return
         needed = {name for column in self._profile.columns.values() for name in column.names}
-        used = []
-        for frame, each in plain:
-            if needed & each.keys():
-                used.append((frame, each))
+        used: list[tuple[Numbered, dict[str, str | None]]] = []
+        for frame, each in objects:
+            flat = dict(_flat(each))
+            if needed & flat.keys():
+                used.append((frame, flat))
             else:
                 decoded.refuse(*frame, "holds none of the keys that the profile names")
         if used:
-            every = dict.fromkeys(name for _, each in used for name in each)
-            columns = {name: [each.get(name) for _, each in used] for name in every}
+            every = dict.fromkeys(name for _, flat in used for name in flat)
+            columns = {name: [flat.get(name) for _, flat in used] for name in every}
             self._map("json", [frame for frame, _ in used], columns, decoded)
-
-    def _json_of_topics(
-        self, objects: list[tuple[Numbered, dict[str, Any]]], decoded: Decoded
-    ) -> None:
-        """Objects whose keys are fields of our topics, in SI units."""
-        groups: dict[tuple[str, ...], list[tuple[int, int, dict[str, Any]]]] = {}
-        for (row, data), each in objects:
-            try:
-                time, values = _sample(each, self._sequence)
-            except (ValueError, TypeError, OverflowError) as error:
-                decoded.refuse(row, data, str(error))
-                continue
-            topics = tuple(sorted({name.rpartition(".")[0] for name in values}))
-            groups.setdefault(topics, []).append((row, time, values))
-        for topics, samples in groups.items():
-            decoded.tables[f"json {' '.join(topics)}"] = _table_of(samples)
-
-    def _count(self, values: Iterable[Any], decoded: Decoded) -> None:
-        """Take the sender's sequence numbers."""
-        for value in values:
-            try:
-                decoded.numbers.append(int(value))
-            except (TypeError, ValueError):
-                continue
 
 
 _STREAM = Path("stream")
@@ -510,8 +455,20 @@ def time_of(value: Any) -> int:
     return int(found.as_unit("ns").value)
 
 
-_NOT_VALUES = ("time", "topic")
-"""Keys of a JSON object beside its values."""
+def _samples(
+    objects: list[tuple[Numbered, dict[str, Any]]], sequence: str, decoded: Decoded
+) -> None:
+    """Decode objects whose keys are fields of our topics."""
+    groups: dict[str, list[tuple[int, int, dict[str, Any]]]] = {}
+    for (row, data), each in objects:
+        try:
+            time, values = _sample(each, sequence)
+        except (ValueError, TypeError, OverflowError) as error:
+            decoded.refuse(row, data, str(error))
+            continue
+        topics = " ".join(sorted({name.rpartition(".")[0] for name in values}))
+        groups.setdefault(f"json {topics}", []).append((row, time, values))
+    decoded.tables |= {kind: _table_of(samples) for kind, samples in groups.items()}
 
 
 def _sample(each: dict[str, Any], sequence: str) -> tuple[int, dict[str, Any]]:
@@ -521,56 +478,51 @@ def _sample(each: dict[str, Any], sequence: str) -> tuple[int, dict[str, Any]]:
         raise ValueError(f"no topic {topic!r}; {suggestion(str(topic), TOPICS)}")
     values: dict[str, Any] = {}
     for key, value in each.items():
-        if key in _NOT_VALUES or (key == sequence and not topic.endswith(key)):
-            continue
-        name = key if key.startswith("/") else f"{topic}.{key}"
-        values |= dict(_numbers(name, value))
+        if key not in ("time", "topic") and (key != sequence or topic.endswith(key)):
+            values |= _values(key if key.startswith("/") else f"{topic}.{key}", value)
     if not values:
         raise ValueError("holds no values")
     return (time_of(each["time"]) if "time" in each else NO_TIME), values
 
 
-def _numbers(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+def _values(name: str, value: Any) -> dict[str, Any]:
     """The columns that a value fills: one, or one for each axle."""
-    topic = name.rpartition(".")[0]
-    if topic not in TOPICS:
-        every = [f"{each.name}.{item.name}" for each in TOPICS.values() for item in each.fields]
-        raise ValueError(f"no field '{name.lstrip('.')}'; {suggestion(name, every)}")
-    try:
-        _, _, item = field_of(name)
-    except Exception:  # noqa: BLE001 - KeyError or LogError, by the name
-        fields = [item.name for item in TOPICS[topic].fields]
-        field = name.rpartition(".")[2]
-        raise ValueError(f"{topic} has no field '{field}'; {suggestion(field, fields)}") from None
+    several = _several(name)
     if name in WORDS:
-        yield name, str(value)
-    elif isinstance(value, list):
-        if not item.per_axle:
-            raise ValueError(f"{name} must be one number")
-        for axle, part in enumerate(value, start=1):
-            yield f"{name}_{axle}", np.nan if part is None else float(part)
-    elif value is not None:
-        if isinstance(value, str):
-            raise ValueError(f"{name} is {value!r}, no number")
-        if item.per_axle and item.name == name.rpartition(".")[2]:
-            raise ValueError(f"{name} must be a list, one number an axle")
-        yield name, float(value)
+        return {name: str(value)}
+    if value is None:
+        return {}
+    if isinstance(value, list) != several:
+        wanted = "a list, one number an axle" if several else "one number"
+        raise ValueError(f"{name} must be {wanted}")
+    parts = value if several else [value]
+    if any(isinstance(part, str) for part in parts):
+        raise ValueError(f"{name} is {value!r}, no number")
+    names = [f"{name}_{axle}" for axle in range(1, len(parts) + 1)] if several else [name]
+    return {
+        each: np.nan if part is None else float(part)
+        for each, part in zip(names, parts, strict=True)
+    }
+
+
+@cache
+def _several(name: str) -> bool:
+    """Whether a field has a value for each axle, and no number of one in its name."""
+    base, _, number = name.rpartition("_")
+    return known_field(base if number.isdigit() else name).per_axle and not number.isdigit()
 
 
 def _table_of(samples: list[tuple[int, int, dict[str, Any]]]) -> Table:
-    names = dict.fromkeys(name for _, _, values in samples for name in values)
-    signals: dict[str, FloatArray] = {}
-    texts = {}
-    for name in names:
-        if name in WORDS:
-            texts[name] = np.array([each.get(name, "") for _, _, each in samples], dtype=np.object_)
-        else:
-            signals[name] = np.array([each.get(name, np.nan) for _, _, each in samples])
+    rows, time, values = zip(*samples, strict=True)
+    columns = {
+        name: [each.get(name, "" if name in WORDS else np.nan) for each in values]
+        for name in dict.fromkeys(name for each in values for name in each)
+    }
     return Table(
-        np.array([time for _, time, _ in samples], dtype=np.int64),
-        np.array([row for row, _, _ in samples], dtype=np.int64),
-        signals,
-        texts,
+        np.array(time, dtype=np.int64),
+        np.array(rows, dtype=np.int64),
+        {name: np.array(each) for name, each in columns.items() if name not in WORDS},
+        {name: np.array(columns[name], dtype=np.object_) for name in WORDS if name in columns},
     )
 
 
@@ -599,10 +551,11 @@ class _Sentences:
     """NMEA sentences as they come: an epoch is whole when the next one begins."""
 
     def __init__(self) -> None:
-        self._epochs = Epochs()
+        self._epochs: Epochs | None = None
         self._last = NO_TIME
 
     def take(self, frames: list[Numbered], decoded: Decoded) -> None:
+        self._epochs = self._epochs or Epochs()
         messages = Messages()
         data = dict(frames)
         for row, line in frames:
@@ -611,18 +564,13 @@ class _Sentences:
         for row in messages.damaged_rows:
             decoded.refuse(row, data[row], "an NMEA sentence whose checksum or cells are wrong")
         decoded.others += messages.others
-        self._give(len(self._epochs.rows) - 1, decoded)
+        self.give(decoded, waiting=1)
 
-    def end(self, decoded: Decoded) -> None:
-        """Give the last epoch."""
-        self._give(len(self._epochs.rows), decoded)
-
-    def _give(self, count: int, decoded: Decoded) -> None:
-        """Give the first epochs, which are whole."""
-        if count < 1:
+    def give(self, decoded: Decoded, waiting: int = 0) -> None:
+        """Give the epochs but for the last ones, which may not be whole yet."""
+        if self._epochs is None or len(self._epochs.rows) <= waiting:
             return
-        epochs, rest = self._epochs.split(count)
-        self._epochs = rest
+        epochs, self._epochs = self._epochs.split(len(self._epochs.rows) - waiting)
         if self._last != NO_TIME and all(date is None for date in epochs.dates):
             of_day = epochs.of_day[0]
             last = pd.Timestamp(self._last, tz="UTC")
