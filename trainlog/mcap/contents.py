@@ -451,13 +451,10 @@ def check_data_section(source: Source, contents: Contents) -> None:
         If it fails, or an attachment has, and the contents were found by the summary; a scan
         finds more.
     """
-    if contents.data_section is None or not contents.indexed:
-        return
-    if contents.losses:
+    if contents.indexed and contents.losses:
         raise MisplacedError(contents.losses[0].reason, place=f"byte {contents.losses[0].start}")
-    end, expected = contents.data_section
-    if expected and source.checksum(0, end) != expected:
-        raise MisplacedError("the data section fails its checksum", place=f"byte {end}")
+    if not checksum_holds(source, contents):
+        raise MisplacedError("the data section fails its checksum")
 
 
 def report_losses(path: str | Path, contents: Contents, called_by: int = 3) -> None:
@@ -700,37 +697,30 @@ class _Scan:
         if self._found.indexed:
             raise damaged(at, "a chunk is not listed")
         given, places, behind = self._indexes(end)
-        try:
-            chunk = chunk_at(self._source, at)
-            content = opened(chunk, at)
-            index, declared = (given, []) if fills(content, given) else gone_through(content, at)
-        except LogError as error:
-            if not given or search(self._source, at + 1, behind) < behind:
-                raise
-            self._lose(at, behind, error.problem)
-            return behind
+        chunk = chunk_at(self._source, at)
+        content = opened(chunk, at)
+        index, declared = (given, []) if fills(content, given) else gone_through(content, at)
         for each in declared:
             self._found.declare(each)
         right = given.keys() == index.keys() and all(
             np.array_equal(index[number], entries) for number, entries in given.items()
         )
-        following = behind if right or not given else search(self._source, end, behind)
+        following = behind if right else search(self._source, end, behind)
         times = np.concatenate([np.empty(0, np.uint64), *(each[:, 0] for each in index.values())])
-        start, last = (int(times.min()), int(times.max())) if index else (0, 0)
         place = ChunkPlace(
             at,
             end - at,
             chunk.compression,
             len(chunk.data),
             chunk.uncompressed_size,
-            start,
-            last,
+            int(times.min()) if index else 0,
+            int(times.max(initial=0)),
             places if right else {},
             behind if following == behind else end,
             {number: len(entries) for number, entries in index.items()},
         )
         self._found.chunks.append(place)
-        known = (checksum(content), len(content), start, last)
+        known = checksum(content), len(content), place.start, place.end
         if index and known in self._seen:
             self._repeated.append((self._seen[known], at))
         self._seen[known] = place
