@@ -22,16 +22,16 @@ from sqlglot import exp
 from trainlog.catalogue.database import TRIP_COLUMNS, on_line, trip_edges, trips
 from trainlog.errors import InputError
 from trainlog.spans import times_of
+from trainlog.units import DISTANCE, KILOMETRE, MASS, NUMBER, TIME
 
-UNITS: dict[str, dict[str, float]] = {
-    "s": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
-    "m": {"m": 1.0, "km": 1000.0},
-    "km": {"km": 1.0, "m": 0.001},
-    "kg": {"kg": 1.0, "t": 1000.0},
+_MEASURES = {
+    "": NUMBER,
+    "s": replace(TIME, usual="", examples="'20 min' or '1.5 h'"),
+    "m": replace(DISTANCE, usual="", examples="'12.5 km' or '800 m'"),
+    "km": replace(KILOMETRE, examples="12.5 or '12.5 km'"),
+    "kg": replace(MASS, usual="", examples="'15 t' or '15000 kg'"),
 }
-"""Units that a quantity may be written in, by the unit of its column."""
-
-_EXAMPLES = {"s": "'20 min'", "m": "'12.5 km'", "km": "12.5", "kg": "'15 t'"}
+"""How the number that a column is compared with is read, by the column's unit."""
 
 FUNCTIONS = {
     "year": "year(start), in UTC",
@@ -55,7 +55,6 @@ _AS_JSON = {
 """Columns by the keys that ``fleet query --json`` gives them."""
 
 _WORDS = [each.name for each in TRIP_COLUMNS if each.kind != "json"]
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]+)?\s*")
 _NANOSECONDS_A_DAY = 86_400_000_000_000
 
 _INDEXED = {"start", "train", "key", "sha256"}
@@ -336,22 +335,13 @@ class _Compiler:
             raise self.refused(
                 f"'{value.words}' is a number, not {_words(node)}", node, "write 'is null'"
             )
-        text = ("-" if negative else "") + str(literal.this)
-        found = _QUANTITY.fullmatch(text)
-        units = UNITS.get(value.unit, {})
-        example = f"{value.words} > {_EXAMPLES.get(value.unit, '2')}"
-        if found is None or (found[2] and found[2] not in units):
-            known = f" in {', '.join(units)}" if units else ""
-            raise self.refused(f"'{literal.this}' is no number{known}", node, f"as in {example}")
-        if found[2] is None and value.unit not in ("", "km"):
-            raise self.refused(
-                f"'{value.words}' is compared with {text} without a unit",
-                node,
-                f"state it: {example} ({', '.join(units)})",
-            )
-        number = float(found[1]) * units.get(found[2] or value.unit, 1.0)
-        whole = not value.unit and found[1].lstrip("+-").isdigit() and len(found[1]) < 18
-        return int(found[1]) if whole else number
+        text = "-" * negative + str(literal.this)
+        if not value.unit and re.fullmatch(r"[-+]?\d{1,17}", text):
+            return int(text)
+        try:
+            return _MEASURES[value.unit].read(text, value.words)
+        except InputError as error:
+            raise self.refused(error.problem, node, error.remedy) from error
 
     # -------------------------------------------------------------------------------- refusals
 

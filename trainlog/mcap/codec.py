@@ -24,7 +24,7 @@ import re
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -76,11 +76,6 @@ class Value:
     format: str
     count: int | None = None
 
-    @property
-    def kind(self) -> np.dtype[Any]:
-        """What numpy calls it."""
-        return np.dtype(self.format if self.count is None else (self.format, (self.count,)))
-
 
 @dataclass(frozen=True)
 class Layout:
@@ -92,35 +87,18 @@ class Layout:
         Packed record of one message: `SEQUENCE`, `LOG_TIME`, `PUBLISH_TIME` and the values.
     template : bytes
         One record with every variable byte zero.
+    constants : tuple of str
+        Fields of `record` that are the same in every message.
     """
 
     record: np.dtype[np.void]
     template: bytes
+    constants: tuple[str, ...]
 
     @property
     def size(self) -> int:
         """Length of one record, head included [bytes]."""
         return len(self.template)
-
-    @cached_property
-    def constants(self) -> list[tuple[int, np.uint64, np.uint64]]:
-        """Place, mask and value of words of eight bytes that cover the constant bytes."""
-        constant = np.ones(self.size, dtype=np.bool_)
-        for kind, at, *_ in (self.record.fields or {}).values():
-            constant[at : at + kind.itemsize] = False
-        mask = bytes(np.where(constant, 0xFF, 0).astype(np.uint8))
-        words, covered = [], 0
-        for at in np.flatnonzero(constant).tolist():
-            if at >= covered:
-                start = min(at, self.size - 8)
-                covered = start + 8
-                halves = (part[start:covered] for part in (mask, self.template))
-                words.append((start, *(np.frombuffer(half, dtype="<u8")[0] for half in halves)))
-        return words
-
-    def place(self, name: str) -> int:
-        """Where a value begins in a record [bytes]."""
-        return int(self.record.fields[name][1])  # type: ignore[index]
 
     def rows(self, count: int) -> NDArray[np.void]:
         """`count` records with the constant bytes in place."""
@@ -128,32 +106,29 @@ class Layout:
 
     def matches(self, rows: NDArray[np.void]) -> bool:
         """Whether each record has the constant bytes where they belong."""
-        raw = rows.view(f"V{self.size}")
-        return all(
-            bool(np.all((np.ndarray(raw.shape, "<u8", raw.data, at, (self.size,)) & mask) == value))
-            for at, mask, value in self.constants
-        )
+        expected = self.rows(1)
+        return all(bool(np.all(rows[name] == expected[name])) for name in self.constants)
 
 
 def layout(channel: int, body: Iterable[bytes | Value]) -> Layout:
     """Layout of a channel whose messages are `body`: constant bytes and values in wire order."""
-    head = (Value(SEQUENCE, "<u4"), Value(LOG_TIME, "<u8"), Value(PUBLISH_TIME, "<u8"))
-    template = bytearray(struct.pack("<BQH", Opcode.MESSAGE, 0, channel))
-    kinds, places = {}, {}
-    for part in (*head, *body):
+    head = struct.pack("<BQH", Opcode.MESSAGE, 0, channel)
+    stated = (Value(SEQUENCE, "<u4"), Value(LOG_TIME, "<u8"), Value(PUBLISH_TIME, "<u8"))
+    fields: list[Any] = []
+    template, constants = bytearray(), []
+    for part in (head, *stated, *body):
         if isinstance(part, Value):
-            kinds[part.name], places[part.name] = part.kind, len(template)
-            template += bytes(part.kind.itemsize)
-        else:
-            template += part
+            fields.append((part.name, part.format, part.count or ()))
+            template += bytes(np.dtype(fields[-1:]).itemsize)
+            continue
+        while part:
+            # As whole numbers: they are compared faster than bytes one by one.
+            size = 1 << min(len(part), 8).bit_length() - 1
+            constants.append(f"#{len(template)}")
+            fields.append((constants[-1], f"u{size}"))
+            template, part = template + part[:size], part[size:]
     struct.pack_into("<Q", template, 1, len(template) - RECORD_HEAD)
-    specification: Any = {
-        "names": list(kinds),
-        "formats": list(kinds.values()),
-        "offsets": list(places.values()),
-        "itemsize": len(template),
-    }
-    return Layout(np.dtype(specification), bytes(template))
+    return Layout(np.dtype(fields), bytes(template), tuple(constants))
 
 
 def gather(buffer: bytes, offsets: NDArray[np.integer], form: Layout) -> NDArray[np.void] | None:
@@ -466,21 +441,16 @@ def encode_events(channel: int, frame: pd.DataFrame) -> list[bytes]:
     LogError
         If a level is none of foxglove.Log's, or a text cannot be written as UTF-8.
     """
+    records = []
     times = pd.DatetimeIndex(frame.index).as_unit("ns").asi8.tolist()
-    texts = zip(_texts(frame, "message"), _texts(frame, "name"), strict=True)
-    return [
-        event_record(channel, time, level, message, name)
-        for time, level, (message, name) in zip(times, _levels(frame), texts, strict=True)
-    ]
-
-
-def event_record(channel: int, time: int, level: int, message: str, name: str) -> bytes:
-    """The message record of one event, its sequence number zero."""
-    log = Log(level=Log.Level.ValueType(level), message=message, name=name)
-    log.timestamp.seconds, log.timestamp.nanos = divmod(time, 10**9)
-    data = log.SerializeToString(deterministic=True)
-    length = MESSAGE.size - RECORD_HEAD + len(data)
-    return MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time, time) + data
+    texts = (_texts(frame, "message"), _texts(frame, "name"))
+    for time, level, message, name in zip(times, _levels(frame), *texts, strict=True):
+        log = Log(level=Log.Level.ValueType(level), message=message, name=name)
+        log.timestamp.seconds, log.timestamp.nanos = divmod(time, 10**9)
+        data = log.SerializeToString(deterministic=True)
+        length = MESSAGE.size - RECORD_HEAD + len(data)
+        records.append(MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time, time) + data)
+    return records
 
 
 def _levels(frame: pd.DataFrame) -> list[int]:

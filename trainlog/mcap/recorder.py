@@ -18,7 +18,7 @@ import time as clock
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from math import isfinite, nan
 from pathlib import Path
@@ -27,20 +27,20 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import writing_error
-from trainlog.mcap.codec import HIGHEST_LEVEL, channel_of, codec_for, event_record, schema_of
+from trainlog.mcap.codec import HIGHEST_LEVEL
 from trainlog.mcap.records import RECORDING_RECORD, in_file
 from trainlog.mcap.writer import (
     Sink,
-    Stream,
     declared,
-    event_stream,
     known_topic,
     metadata_records,
     plan_of,
+    stream_of,
 )
 from trainlog.topics import EVENTS, RECORDED, Topic
 from trainlog.trip import Trip, frame_of
@@ -192,6 +192,7 @@ class Recording:
         self._notes: dict[str, str] = {}
         self._observers: list[Callable[[Trip], object]] = []
         events = self._table(EVENTS.name, {})
+        stream = stream_of(EVENTS, frame_of(EVENTS, [], {}), events.number)
         step = {"step": "record", "software": f"trainlog {__version__}"}
         with in_file(path):
             described = metadata_records(Trip({}, metadata, (step,), attachments))
@@ -205,7 +206,7 @@ class Recording:
             raise writing_error(path, error) from error
         try:
             self._sink = Sink(self._file)
-            self._sink.explain((events.schema, events.channel), described, attachments, 0)
+            self._sink.explain((stream.schema, stream.channel), described, attachments, 0)
         except OSError as error:
             self._file.close()
             path.unlink(missing_ok=True)
@@ -479,18 +480,23 @@ class Recording:
                 closing = self._closing
                 rows, events = self._taken()
             try:
-                streams = self._streams(rows, events)
+                frames = self._frames(rows, events)
                 with self._round:
-                    self._put(streams)
-                    if self._observers and streams:
-                        self._show(streams, events)
+                    self._put(frames)
+                    if self._observers and frames:
+                        self._show({name: frame for name, (frame, _) in frames.items()})
             except MemoryError:
                 self._fail(OSError(errno.ENOMEM, "out of memory"))
             except OSError as error:
                 self._fail(error)
 
-    def _put(self, streams: list[Stream]) -> None:
-        """Write streams as chunks; an OSError if the file is no longer at its place, too."""
+    def _put(self, frames: _Frames) -> None:
+        """Write frames as chunks; an OSError if the file is no longer at its place, too."""
+        tables = {name: self._tables[name] for name in frames}
+        streams = [
+            replace(stream_of(table.topic, frames[name][0], table.number), sequence=frames[name][1])
+            for name, table in sorted(tables.items(), key=lambda each: each[1].number)
+        ]
         self._sink.declare(*declared(streams))
         topics = {stream.channel.id: stream.channel.topic for stream in streams}
         plan = plan_of(streams, period=_UNBOUNDED)
@@ -522,42 +528,22 @@ class Recording:
         self._waiting = 0
         return rows, events
 
-    def _streams(
+    def _frames(
         self, rows: list[tuple[Table, bytearray]], events: list[tuple[int, int, str, str]]
-    ) -> list[Stream]:
-        """The streams of what was taken, in the order of their channels."""
-        streams = [table.stream(each) for table, each in rows]
+    ) -> _Frames:
+        """The frames of what was taken, in the order of time, and the number of each row."""
+        frames = {table.topic.name: table.frame(each) for table, each in rows}
         if events:
-            table = self._tables[EVENTS.name]
-            first = table.count - len(events)
-            numbered = sorted(enumerate(events, start=first), key=lambda each: each[1][0])
-            numbers, ordered = zip(*numbered, strict=True)
-            streams.append(
-                event_stream(
-                    table.channel,
-                    table.schema,
-                    np.array([event[0] for event in ordered], dtype=np.int64),
-                    [event_record(table.channel.id, *event) for event in ordered],
-                    np.array(numbers, dtype=np.uint64).astype(np.uint32),
-                )
-            )
-        return sorted(streams, key=lambda stream: stream.channel.id)
+            first = self._tables[EVENTS.name].count - len(events)
+            order = sorted(range(len(events)), key=lambda row: events[row][0])
+            time, *texts = zip(*(events[row] for row in order), strict=True)
+            columns: dict[str, Any] = dict(zip(("level", "message", "name"), texts, strict=True))
+            numbers = np.array(order, dtype=np.uint64) + np.uint64(first)
+            frames[EVENTS.name] = frame_of(EVENTS, time, columns), numbers.astype(np.uint32)
+        return frames
 
-    def _show(self, streams: list[Stream], events: list[tuple[int, int, str, str]]) -> None:
+    def _show(self, topics: dict[str, pd.DataFrame]) -> None:
         """Give the observers what was written."""
-        topics: dict[str, pd.DataFrame] = {}
-        for stream in streams:
-            name = stream.channel.topic
-            columns: dict[str, Any]
-            if stream.codec is not None:
-                columns = dict(zip(stream.codec.names, stream.table, strict=True))
-            else:
-                ordered = sorted(events, key=lambda each: each[0])
-                columns = {
-                    field: [event[place] for event in ordered]
-                    for place, field in enumerate(("level", "message", "name"), start=1)
-                }
-            topics[name] = frame_of(self._tables[name].topic, stream.time, columns)
         piece = Trip(topics, self._metadata, (), self._attachments)
         for observer in tuple(self._observers):
             try:
@@ -601,6 +587,9 @@ class Recording:
         self._file.truncate(self._sink.position)
         self._file.seek(self._sink.position)
 
+
+_Frames = dict[str, tuple[pd.DataFrame, NDArray[np.uint32]]]
+"""Frames by topic, and the sequence number of each row."""
 
 _HEAD = 2
 """Words of a row before its values: time and number."""
@@ -657,17 +646,16 @@ class Table:
     gap: tuple[int, int, int] | None = None
 
     def __post_init__(self) -> None:
-        counts = {each.name: self.axles for each in self.topic.fields if each.per_axle}
-        self.codec = codec_for(self.topic, self.number, counts)
-        self.channel = channel_of(self.topic, self.number, self.number, counts)
-        self.schema = schema_of(self.topic, self.number)
         # Where the values of each field stand in a row: one, or one for each axle.
         self.places: dict[str, int | slice] = {}
-        self.width = _HEAD
+        self.names: list[str] = []
         for each in self.topic.fields if self.topic is not EVENTS else ():
-            begin = self.width
-            self.width += self.axles if each.per_axle else 1
-            self.places[each.name] = slice(begin, self.width) if each.per_axle else begin
+            begin = _HEAD + len(self.names)
+            count = self.axles if each.per_axle else 1
+            self.places[each.name] = slice(begin, begin + count) if each.per_axle else begin
+            axles = [f"{each.name}_{axle + 1}" for axle in range(count)]
+            self.names += axles if each.per_axle else [each.name]
+        self.width = _HEAD + len(self.names)
         self.absent = [nan] * (self.width - _HEAD)
         self.pack = struct.Struct(f"<qq{len(self.absent)}d").pack
 
@@ -739,16 +727,13 @@ class Table:
             first, last, before = self.gap or (least, greatest, 0)
             self.gap = min(first, least), max(last, greatest), before + count
 
-    def stream(self, rows: bytearray) -> Stream:
-        """The samples taken, in the order of time, numbered as they arrived."""
+    def frame(self, rows: bytearray) -> tuple[pd.DataFrame, NDArray[np.uint32]]:
+        """The samples taken, in the order of time, and their numbers as they arrived."""
         words = np.frombuffer(rows, dtype=np.float64).reshape(-1, self.width)
+        words = words[np.argsort(words[:, :1].view(np.int64)[:, 0], kind="stable")]
         time, number = words[:, :_HEAD].view(np.int64).T
-        if np.any(np.diff(time) < 0):
-            order = np.argsort(time, kind="stable")
-            time, number, words = time[order], number[order], words[order]
-        sequence = (number & 0xFFFFFFFF).astype(np.uint32)
-        table = np.ascontiguousarray(words[:, _HEAD:].T)
-        return Stream(self.channel, self.schema, time.copy(), table, self.codec, sequence)
+        columns = dict(zip(self.names, words[:, _HEAD:].T, strict=True))
+        return frame_of(self.topic, time, columns), (number & 0xFFFFFFFF).astype(np.uint32)
 
 
 def axles_in(topic: Topic, values: Mapping[str, Any]) -> int:

@@ -179,19 +179,6 @@ class Stream:
         return np.stack([time, offsets], axis=1).view(np.uint64)
 
 
-def event_stream(
-    channel: Channel,
-    schema: Schema,
-    time: IntArray,
-    records: Sequence[bytes],
-    sequence: NDArray[np.uint32] | None = None,
-) -> Stream:
-    """The stream of messages that differ in length."""
-    table = np.empty((1, len(records)), dtype=object)
-    table[0, :] = records
-    return Stream(channel, schema, time, table, sequence=sequence)
-
-
 def topics_of(trip: Trip) -> list[Topic]:
     """The topics that a trip has frames of, in the order of the table.
 
@@ -241,7 +228,9 @@ def stream_of(topic: Topic, frame: pd.DataFrame, number: int) -> Stream:
     axles = _axles(topic, frame)
     channel, schema = channel_of(topic, number, number, axles), schema_of(topic, number)
     if topic is EVENTS:
-        return event_stream(channel, schema, time, encode_events(number, frame))
+        records = np.empty((1, len(frame)), dtype=object)
+        records[0, :] = encode_events(number, frame)
+        return Stream(channel, schema, time, records)
     codec = codec_for(topic, number, axles)
     return Stream(channel, schema, time, table_of(frame, codec.names), codec)
 
@@ -696,7 +685,6 @@ class Sink:
         self._metadata: list[MetadataIndex] = []
         self._chunks: list[ChunkIndex] = []
         self._counts: Counter[int] = Counter()
-        self._span: tuple[int, int] | None = None
         self._positions: dict[str, list[Entry]] = {}
         self._put(MCAP0_MAGIC + record_bytes(Header(profile=profile, library="trainlog")))
 
@@ -759,26 +747,22 @@ class Sink:
             offsets[channel] = at
             at += _INDEX_HEAD.size + size
         self._put(*parts)
-        first, last = chunk.message_start_time, chunk.message_end_time
         self._chunks.append(
             ChunkIndex(
                 chunk_length=length,
                 chunk_start_offset=start,
                 compression=chunk.compression,
                 compressed_size=len(chunk.data),
-                message_end_time=last,
+                message_end_time=chunk.message_end_time,
                 message_index_length=at - start - length,
                 message_index_offsets=offsets,
-                message_start_time=first,
+                message_start_time=chunk.message_start_time,
                 uncompressed_size=chunk.uncompressed_size,
             )
         )
         self._counts.update({channel: len(entries) for channel, entries in index.items()})
         for topic, span in (positions or {}).items():
-            self._positions.setdefault(topic, []).append((start, first, *span))
-        if index:
-            least, greatest = self._span or (first, last)
-            self._span = min(least, first), max(greatest, last)
+            self._positions.setdefault(topic, []).append((start, chunk.message_start_time, *span))
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer. The stream stays open."""
@@ -802,15 +786,15 @@ class Sink:
 
     def _summary(self) -> list[list[McapRecord]]:
         """The records of the summary, by kind."""
-        first, last = self._span or (0, 0)
+        filled = [each for each in self._chunks if each.message_index_offsets]
         statistics = Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=dict(sorted(self._counts.items())),
             chunk_count=len(self._chunks),
             message_count=self._counts.total(),
-            message_end_time=last,
-            message_start_time=first,
+            message_end_time=max((each.message_end_time for each in filled), default=0),
+            message_start_time=min((each.message_start_time for each in filled), default=0),
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
