@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 
 from trainlog.mcap.codec import Value, descriptor_set, gather, layout, scatter, varint
 from trainlog.mcap.records import MESSAGE, opened
-from trainlog.mcap.writer import plan_of, stream_of
+from trainlog.mcap.writer import laid_out, parts_of, stream_of
 from trainlog.topics import GNSS_FIX, TOPICS, Topic
 from trainlog.trip import frame_of
 
@@ -22,7 +22,7 @@ FORM = layout(3, [b"\x09", Value("a", "<f8"), b"\x12\x10", Value("b", "<f8", 2)]
 
 def record_of(topic: Topic, frame: pd.DataFrame) -> bytes:
     """The only record of a frame of one row."""
-    return opened(plan_of([stream_of(topic, frame, 1)]).chunk(0)[0], 0)
+    return opened(laid_out(parts_of([stream_of(topic, frame, 1)])[0])[0], 0)
 
 
 def test_the_template_has_the_constants_in_place() -> None:

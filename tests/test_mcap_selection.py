@@ -36,7 +36,7 @@ SECOND = 10**9
 @pytest.fixture(autouse=True)
 def _short_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Many small chunks, as in a long log."""
-    monkeypatch.setattr(writer.plan_of, "__defaults__", (2 * SECOND, 2**20))
+    monkeypatch.setattr(writer.parts_of, "__defaults__", (2 * SECOND, 2**20))
 
 
 def shuttle(seed: int = 0, rows: int = 200) -> Trip:

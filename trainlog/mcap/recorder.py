@@ -38,8 +38,9 @@ from trainlog.mcap.writer import (
     Sink,
     declared,
     known_topic,
+    laid_out,
     metadata_records,
-    plan_of,
+    parts_of,
     stream_of,
 )
 from trainlog.topics import EVENTS, RECORDED, Topic
@@ -499,9 +500,8 @@ class Recording:
         ]
         self._sink.declare(*declared(streams))
         topics = {stream.channel.id: stream.channel.topic for stream in streams}
-        plan = plan_of(streams, period=_UNBOUNDED)
-        for number in range(len(plan)):
-            chunk, index, positions = plan.chunk(number)
+        for parts in parts_of(streams, period=_UNBOUNDED):
+            chunk, index, positions = laid_out(parts)
             self._sink.put_chunk(chunk, index, positions)
             with self._lock:
                 self._written.update({topics[each]: len(rows) for each, rows in index.items()})

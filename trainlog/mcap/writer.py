@@ -14,7 +14,8 @@ import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -132,7 +133,7 @@ class Stream:
     sequence: NDArray[np.uint32] | None = None
     before: int = 0
 
-    @property
+    @cached_property
     def sizes(self) -> IntArray:
         """Length of each message's record [bytes]."""
         if self.codec is not None:
@@ -316,62 +317,13 @@ Ranges = dict[str, Range]
 """Least and greatest position [m] by topic."""
 
 
-@dataclass(frozen=True)
-class Plan:
-    """Where each message of some streams comes to stand.
-
-    Attributes
-    ----------
-    streams : sequence of Stream
-    offsets : list of (n,) int64
-        For each stream, the place of each message in its chunk [bytes].
-    cuts : list of (chunks + 1,) int64
-        For each stream, the first message of each chunk, and n.
-    sizes : (chunks,) int64
-        Length of each chunk [bytes].
-    """
-
-    streams: Sequence[Stream]
-    offsets: list[IntArray] = field(default_factory=list)
-    cuts: list[IntArray] = field(default_factory=list)
-    sizes: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-
-    def __len__(self) -> int:
-        """How many chunks there are."""
-        return len(self.sizes)
-
-    def chunk(self, number: int) -> tuple[Chunk, Index, Ranges]:
-        """Lay out one chunk: it, its message index, and the positions in it by topic."""
-        parts = [
-            (stream, slice(int(cut[number]), int(cut[number + 1])), offsets)
-            for stream, cut, offsets in zip(self.streams, self.cuts, self.offsets, strict=True)
-            if cut[number] < cut[number + 1]
-        ]
-        data = np.empty(self.sizes[number], dtype=np.uint8)
-        index = {
-            stream.channel.id: stream.put(rows, data, offsets[rows])
-            for stream, rows, offsets in parts
-        }
-        start = min(int(stream.time[rows.start]) for stream, rows, _ in parts)
-        end = max(int(stream.time[rows.stop - 1]) for stream, rows, _ in parts)
-        positions = {
-            stream.channel.topic: range_of(stream.table[stream.codec.names.index("position"), rows])
-            for stream, rows, _ in parts
-            if stream.codec is not None and stream.channel.topic in POSITION_TOPICS
-        }
-        return packed(data.data, start, end), index, positions
-
-    def behind(self, number: int) -> list[Stream]:
-        """The messages of the streams from chunk `number` on."""
-        if not len(self):
-            return list(self.streams)
-        return [
-            stream.behind(int(cut[number]))
-            for stream, cut in zip(self.streams, self.cuts, strict=True)
-        ]
+Part = tuple[Stream, slice, IntArray]
+"""A part of a chunk: a stream, its rows, and where each stands in the chunk [bytes]."""
 
 
-def plan_of(streams: Sequence[Stream], period: int = PERIOD, largest: int = LARGEST) -> Plan:
+def parts_of(
+    streams: Sequence[Stream], period: int = PERIOD, largest: int = LARGEST
+) -> list[list[Part]]:
     """The streams' messages in the order of time, cut into chunks that do not overlap.
 
     Messages of the same time keep the order of the streams. A chunk is closed before the message
@@ -385,30 +337,48 @@ def plan_of(streams: Sequence[Stream], period: int = PERIOD, largest: int = LARG
         Longest time that a chunk spans [ns].
     largest : int
         Largest chunk [bytes], unless one message is longer.
+
+    Returns
+    -------
+    list of list of Part
+        The parts of each chunk.
     """
     if not any(len(stream.time) for stream in streams):
-        return Plan(streams)
+        return []
     time = np.concatenate([stream.time for stream in streams])
     sizes = np.concatenate([stream.sizes for stream in streams])
-    if len(streams) > 1:
-        order = np.argsort(time, kind="stable")
-        time, sizes = time[order], sizes[order]
-    else:
-        order = np.arange(time.size)
-    ends = np.cumsum(sizes)
-    firsts = _cuts(time, ends, period, largest)
-    counts, begins = np.diff(firsts), (ends - sizes)[firsts[:-1]]
+    order = np.argsort(time, kind="stable") if len(streams) > 1 else np.arange(time.size)
+    ends = np.cumsum(sizes[order])
+    starts = ends - sizes[order]
+    firsts = _cuts(time[order], ends, period, largest)
+    counts = np.diff(firsts)
     chunk, offset = np.empty_like(order), np.empty_like(ends)
     chunk[order] = np.repeat(np.arange(counts.size), counts)
-    offset[order] = ends - sizes - np.repeat(begins, counts)
-    parts = np.cumsum([len(stream.time) for stream in streams])[:-1]
-    numbers = np.arange(counts.size + 1)
-    return Plan(
-        streams,
-        np.split(offset, parts),
-        [np.searchsorted(each, numbers) for each in np.split(chunk, parts)],
-        np.diff(begins, append=ends[-1]),
-    )
+    offset[order] = starts - np.repeat(starts[firsts[:-1]], counts)
+    found: list[list[Part]] = [[] for _ in counts]
+    begin = 0
+    for stream in streams:
+        own = slice(begin, begin := begin + len(stream.time))
+        rows = np.searchsorted(chunk[own], np.arange(counts.size + 1)).tolist()
+        for parts, first, end in zip(found, rows, rows[1:], strict=False):
+            if first < end:
+                parts.append((stream, slice(first, end), offset[own][first:end]))
+    return found
+
+
+def laid_out(parts: Sequence[Part]) -> tuple[Chunk, Index, Ranges]:
+    """A chunk of some parts, its message index, and the positions in it by topic."""
+    size = sum(int(stream.sizes[rows].sum()) for stream, rows, _ in parts)
+    data = np.empty(size, dtype=np.uint8)
+    index = {stream.channel.id: stream.put(rows, data, offsets) for stream, rows, offsets in parts}
+    start = min(int(stream.time[rows.start]) for stream, rows, _ in parts)
+    end = max(int(stream.time[rows.stop - 1]) for stream, rows, _ in parts)
+    positions = {
+        stream.channel.topic: range_of(stream.table[stream.codec.names.index("position"), rows])
+        for stream, rows, _ in parts
+        if stream.codec is not None and stream.channel.topic in POSITION_TOPICS
+    }
+    return packed(data.data, start, end), index, positions
 
 
 def _cuts(time: IntArray, ends: IntArray, period: int, largest: int) -> IntArray:
@@ -573,17 +543,21 @@ class LogWriter:
 
     def _write(self, *, last: bool) -> None:
         """Write the chunks that are full; if these are the last messages, all."""
-        plan = plan_of(list(self._pending.values()))
-        if self._sink is None and (len(plan) or last):
+        chunks = parts_of(list(self._pending.values()))
+        if self._sink is None and (chunks or last):
             self._sink = self._opened(self._file)
         if self._sink is None:
             return
         self._sink.declare(*declared(self._pending.values()))
-        full = len(plan) if last else max(0, len(plan) - 1)
-        for number in range(full):
-            self._sink.put_chunk(*plan.chunk(number))
-        if full:
-            self._pending = dict(zip(self._pending, plan.behind(full), strict=True))
+        full = len(chunks) if last else len(chunks) - 1
+        for parts in chunks[:full]:
+            self._sink.put_chunk(*laid_out(parts))
+        if full > 0:
+            left = {stream.channel.topic: rows.start for stream, rows, _ in chunks[-1]}
+            self._pending = {
+                name: stream.behind(left.get(name, len(stream.time)))
+                for name, stream in self._pending.items()
+            }
         if last:
             first = (self._described or {}).get(PROVENANCE_RECORD, {})
             later = {key: step for key, step in self._steps.items() if first.get(key) != step}
