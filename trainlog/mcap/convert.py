@@ -55,7 +55,7 @@ from trainlog.mcap.records import (
 )
 from trainlog.mcap.tables import topic_channels
 from trainlog.mcap.writer import LogWriter, Sink, packed, write_log
-from trainlog.topics import EVENTS, RECORDED, TOPICS
+from trainlog.topics import EVENTS
 from trainlog.trip import Trip
 from trainlog.version import __version__
 
@@ -63,8 +63,14 @@ ROWS = 100_000
 """Rows that are read at a time."""
 
 LOG, MDF = ".mcap", ".mf4"
-FOLDERS = {".parquet": TripIndex, ".csv": CsvTripIndex}
-"""Folders with a file for each topic, by how their names end."""
+WRITERS: dict[str, Callable[[Path], AbstractContextManager[LogWriter | FolderWriter | MdfWriter]]]
+WRITERS = {
+    LOG: LogWriter,
+    MDF: mdf_writer,
+    ".parquet": lambda folder: folder_writer(folder, TripIndex),
+    ".csv": lambda folder: folder_writer(folder, CsvTripIndex),
+}
+"""What writes a trip, by how the name of a file or folder ends."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,7 @@ def convert(
     _check_target(source, target)
     done = Converted()
     pieces = _pieces(source, target, topics, time, position, done.left_out)
-    with _writer(target) as writer:
+    with WRITERS[target.suffix](target) as writer:
         for piece in pieces:
             writer.add(piece if topics is None else piece.with_step("slice", topics=[*topics]))
             done.rows.update({name: len(frame) for name, frame in piece.topics.items()})
@@ -168,22 +174,14 @@ def span_of(source: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
 
 
 def _check_target(source: Path, target: Path) -> None:
-    if target.suffix not in (LOG, MDF, *FOLDERS):
+    if target.suffix not in WRITERS:
         raise InputError(
             "is not the name of a log, a measurement file, or a folder of Parquet or CSV files",
             file=target,
-            remedy=f"end it in {LOG}, {MDF}, {' or '.join(FOLDERS)}",
+            remedy="end it in .mcap, .mf4, .parquet or .csv",
         )
     if target.exists() and source.exists() and target.samefile(source):
         raise InputError("would be overwritten", file=source, remedy="choose another name")
-
-
-def _writer(target: Path) -> AbstractContextManager[LogWriter | FolderWriter | MdfWriter]:
-    if target.suffix == LOG:
-        return LogWriter(target)
-    if target.suffix == MDF:
-        return mdf_writer(target)
-    return folder_writer(target, FOLDERS[target.suffix])
 
 
 def _pieces(
@@ -207,9 +205,8 @@ def _pieces(
         chosen = {name: trip[name] for name in trip if topics is None or name in topics}
         return iter([replace(trip, topics=chosen)])
     description = describe(source)
-    held = {topic.name for topic in description.topics}
-    _check_known(sorted(held), topics, source)
-    others = sorted(name for name in held - TOPICS.keys() if not name.startswith(RECORDED))
+    _check_known(sorted(topic.name for topic in description.topics), topics, source)
+    others = description.foreign
     if description.schema_version is None and others:
         if target.suffix == LOG:
             raise InputError(
@@ -364,8 +361,7 @@ def _check(paths: list[Path], target: Path, prefer: str | Path | None) -> None:
 
 
 def _check_ours(description: LogDescription) -> None:
-    held = {topic.name for topic in description.topics}
-    others = sorted(n for n in held - TOPICS.keys() if not n.startswith(RECORDED))
+    others = description.foreign
     if description.schema_version is None or others:
         named = f", with {', '.join(others[:4])}" if others else ""
         raise LogError(
@@ -451,7 +447,7 @@ def _apart(
             pd.MultiIndex.from_frame(before.reset_index())
         )
         done.repeated[name] += int(twice.sum())
-        return _rows(frame, ~twice)
+        return frame[~twice]
     theirs = (frame.index >= start) & (frame.index <= end)
     ours = (before.index >= start) & (before.index <= end)
     if not theirs.any():
@@ -468,13 +464,7 @@ def _apart(
             remedy=f"prefer one of the logs, as --prefer {path}, or cut the topic or the time out"
             " of one with 'trainlog convert'",
         )
-    return _rows(frame, ~theirs)
-
-
-def _rows(frame: pd.DataFrame, kept: Any) -> pd.DataFrame:
-    rows: pd.DataFrame = frame[kept]
-    rows.attrs = frame.attrs
-    return rows
+    return frame[~theirs]
 
 
 def account_of(path: str | Path) -> Account:
@@ -592,11 +582,13 @@ def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Si
 
 def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, str]:
     """What the metadata record is to hold: earlier recoveries, and the present one behind them."""
-    steps: dict[str, str] = {}
-    for record in contents.metadata:
-        if record.name == RECOVERY_RECORD:
-            values = record.metadata.items()
-            steps |= {key: text for key, text in values if step_of(text) is not None}
+    steps = {
+        key: text
+        for record in contents.metadata
+        if record.name == RECOVERY_RECORD
+        for key, text in record.metadata.items()
+        if step_of(text) is not None
+    }
     step = {
         "software": "trainlog",
         "file": Path(path).name,

@@ -32,7 +32,7 @@ from trainlog.mcap.records import (
 )
 from trainlog.presentation import Presented, WordTable, facts_table, new_table
 from trainlog.railway.line import Line, in_km
-from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Field
+from trainlog.topics import EVENTS, RECORDED, TOPICS, TRAIN_STATE, Field
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 GAP = 3.0
@@ -218,6 +218,12 @@ class LogDescription(Presented):
             _pairs("provenance", steps),
             _attachments(self),
         ]
+
+    @property
+    def foreign(self) -> list[str]:
+        """Topics that are none of trainlog's."""
+        names = {topic.name for topic in self.topics} - TOPICS.keys()
+        return sorted(name for name in names if not name.startswith(RECORDED))
 
     @property
     def complete(self) -> bool:
