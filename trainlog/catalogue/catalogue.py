@@ -40,7 +40,6 @@ from trainlog.formats.settings import read_settings
 
 if TYPE_CHECKING:
     import duckdb
-    from sqlglot import exp
 
     from trainlog.catalogue.database import Database
 
@@ -158,9 +157,14 @@ class Catalogue(Files, Trips, Computed):
 
         for attempt in range(ATTEMPTS):
             analyses = _analyses(self)
-            tables, wanted = _named_in(statement, [*_TABLES, *analyses], self.place)
+            tables = [name for name in (*_TABLES, *analyses) if name in statement.casefold()]
+            columns: dict[str, dict[str, str]] = {}
             try:
-                with _connection(self, analyses, tables, wanted) as connection:
+                with _connection(self, analyses, tables) as connection:
+                    columns = _columns(connection, tables)
+                    wanted = _columns_of(connection, statement)
+                    for name in _TABLES.keys() & set(tables):
+                        connection.register(name, _table(self, *_TABLES[name], wanted))
                     connection.execute(f"SET memory_limit = '{memory / 1e6:.0f}MB'")
                     connection.execute("SET lock_configuration = true")
                     timer = threading.Timer(seconds, connection.interrupt)
@@ -184,9 +188,8 @@ class Catalogue(Files, Trips, Computed):
                     # Another process put files of results together meanwhile, perhaps.
                     continue
                 _check_files(self, analyses, tables, error)
-                with _connection(self, analyses, tables, empty=True) as connection:
-                    columns = _columns(connection, tables)
-                raise _refused(statement, error, columns) from error
+                known = f"tables of {self.place}: {', '.join((*_TABLES, *analyses))}"
+                raise _refused(statement, error, columns, known) from error
         raise AssertionError
 
     def tables(self) -> pd.DataFrame:
@@ -211,7 +214,7 @@ class Catalogue(Files, Trips, Computed):
         analyses = _analyses(self)
         known = [*_TABLES, *analyses]
         try:
-            with _connection(self, analyses, known, empty=True) as connection:
+            with _connection(self, analyses, known) as connection:
                 every = _columns(connection, known)
         except duckdb.Error as error:
             _check_files(self, analyses, known, error)
@@ -246,72 +249,35 @@ def _analyses(database: Database) -> dict[str, str]:
     return {f"{name}_results" if name.casefold() in _TABLES else name: name for name in names}
 
 
-def _named_in(
-    statement: str, known: list[str], place: str
-) -> tuple[list[str], frozenset[str] | None]:
-    """Tables and words that may be columns, None: any, of a statement, which must read."""
-    import sqlglot
-    from sqlglot import exp
+def _columns_of(connection: duckdb.DuckDBPyConnection, statement: str) -> frozenset[str] | None:
+    """The columns that a statement reads of tables without rows, by its plan; None if all.
 
-    try:
-        parsed = [each for each in sqlglot.parse(statement, read="duckdb") if each is not None]
-    except (sqlglot.errors.SqlglotError, RecursionError) as error:
-        raise _refused(statement, error, {}) from error
-    if len(parsed) != 1 or not isinstance(parsed[0], exp.Query):
+    Raises
+    ------
+    InputError
+        If it is not one statement that reads.
+    duckdb.Error
+        If it cannot be planned.
+    """
+    kinds = [each.type.name for each in connection.extract_statements(statement)]
+    if kinds not in (["SELECT"], ["MULTI"]):
         raise InputError(
             "is not one statement that reads",
             place=_shown(statement),
             remedy=f"write one as: {_EXAMPLE}",
         )
-    own = {each.alias_or_name.casefold() for each in parsed[0].find_all(exp.CTE)}
-    folded = {each.casefold(): each for each in known}
-    found = []
-    for table in parsed[0].find_all(exp.Table):
-        name = table.name.casefold()
-        if not isinstance(table.this, exp.Identifier) or (name in own and name not in folded):
-            continue
-        if name not in folded or table.db:
-            close = get_close_matches(name, list(folded), n=1)
-            meant = f"; did you mean '{folded[close[0]]}'?" if close else ""
-            raise InputError(
-                f"there is no table '{table.sql(dialect='duckdb')}'{meant}",
-                place=_shown(statement),
-                remedy=f"tables of {place}: {', '.join(known)}",
-            )
-        found.append(folded[name])
-    return list(dict.fromkeys(found)), _columns_in(parsed[0])
-
-
-def _columns_in(parsed: exp.Query) -> frozenset[str] | None:
-    """The words of a statement that may be columns; None if it uses columns that it does not name.
-
-    As ``*``, ``columns(...)``, a natural join, a pivot, new names by position, or the row of a
-    table do: ``count(distinct e) from edges e``.
-    """
-    from sqlglot import exp
-
-    if parsed.find(exp.Columns, exp.Pivot, exp.Describe, exp.Summarize):
-        return None
-    if any(not isinstance(each.parent, exp.Count) for each in parsed.find_all(exp.Star)):
-        return None
-    if any(each.args.get("method") for each in parsed.find_all(exp.Join)):
-        return None
-    if any(not isinstance(each.this, exp.Identifier) for each in parsed.find_all(exp.Table)):
-        return None
-    rows, words = set(), set()
-    for table in parsed.find_all(exp.Table, exp.TableAlias):
-        if table.args.get("columns"):
-            return None
-        rows.add(table.name.casefold())
-    for each in parsed.find_all(exp.Identifier):
-        parent = each.parent
-        if isinstance(parent, exp.Table | exp.TableAlias):
-            continue
-        about = parent.args if isinstance(parent, exp.Column) else {}
-        if about.get("table") is each and not about.get("db"):
-            continue
-        words.add(each.this.casefold())
-    return None if rows & words else frozenset(words)
+    # A column that a filter alone asks for is to be named, too.
+    connection.execute("SET disabled_optimizers = 'filter_pushdown'")
+    ((_, plan),) = connection.execute(f"EXPLAIN (FORMAT JSON) {statement}").fetchall()
+    connection.execute("SET disabled_optimizers = ''")
+    found, steps = list[str](), json.loads(plan)
+    while steps:
+        step = steps.pop()
+        steps += step["children"]
+        if "ARROW_SCAN" in step["name"]:
+            read = step["extra_info"].get("Projections")
+            found += read if isinstance(read, list) else [read]
+    return frozenset(found) if found and all(found) else None
 
 
 @contextmanager
@@ -319,13 +285,8 @@ def _connection(
     database: Database,
     analyses: dict[str, str],
     tables: list[str],
-    wanted: frozenset[str] | None = None,
-    empty: bool = False,
 ) -> Iterator[duckdb.DuckDBPyConnection]:
-    """A connection with some tables, their columns those that are wanted, None: all.
-
-    `empty`: those of the database without rows.
-    """
+    """A connection with some tables; those of the database are without rows."""
     import duckdb
 
     with duckdb.connect(config={"python_enable_replacements": False}) as connection:
@@ -336,7 +297,7 @@ def _connection(
                 paths += own
                 _view(connection, name, own, rows)
             else:
-                connection.register(name, _table(database, *_TABLES[name], wanted, empty))
+                connection.register(name, _table(database, *_TABLES[name], empty=True))
         # These files alone are read.
         connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, paths))}]")
         connection.execute("SET enable_external_access = false")
@@ -381,7 +342,7 @@ def _quoted(text: str) -> str:
 
 # ------------------------------------------------------------------------ tables of the database
 
-_ARROW = {"text": "string", "json": "string", "number": "double", "count": "int64"}
+_ARROW = {"text": "string", "json": "string", "number": "double", "count": "int64", "time": "int64"}
 _TRIPS = {each.name: (trips.c[each.name], each.kind) for each in TRIP_COLUMNS}
 _FILES = {
     "path": (files.c.path, "text"),
@@ -423,29 +384,30 @@ def _table(
     database: Database,
     asked: sa.Select[Any],
     columns: Mapping[str, tuple[Any, str]],
-    wanted: frozenset[str] | None,
-    empty: bool,
+    wanted: frozenset[str] | None = None,
+    empty: bool = False,
 ) -> pa.Table:
-    """The columns that are wanted of a table of the database, times as time stamps in UTC."""
-    kinds = {name: kind for name, (_, kind) in columns.items()}
-    kinds = {n: kind for n, kind in kinds.items() if wanted is None or n in wanted}
-    kinds = kinds or {KEY: "text"}
+    """A table of the database; of columns that are not wanted nothing is read, None: of none.
+
+    Times are time stamps in UTC.
+    """
+    read = [name for name in columns if wanted is None or name in wanted] or [KEY]
     asked = asked.with_only_columns(
         *(
-            sa.cast(columns[name][0], sa.Text) if kind == "json" else columns[name][0]
-            for name, kind in kinds.items()
+            sa.cast(column, sa.Text) if kind == "json" else column
+            for column, kind in map(columns.__getitem__, read)
         ),
         maintain_column_froms=True,
     )
     with database.reading() as connection:
         rows = connection.execute(asked.limit(0) if empty else asked).all()
-    made = {}
-    for name, values in columns_of(rows, list(kinds)).items():
-        if kinds[name] == "time":
-            made[name] = pa.array(values, pa.int64()).cast(pa.timestamp("ns"))
-            made[name] = made[name].cast(pa.timestamp("us"), safe=False)
-        else:
-            made[name] = pa.array(values, _ARROW[kinds[name]])
+    held, made = columns_of(rows, read), {}
+    for name, (_, kind) in columns.items():
+        form = pa.type_for_alias(_ARROW[kind])
+        values = pa.array(held[name], form) if name in held else pa.nulls(len(rows), form)
+        if kind == "time":
+            values = values.cast(pa.timestamp("ns")).cast(pa.timestamp("us"), safe=False)
+        made[name] = values
     return pa.table(made)
 
 
@@ -461,17 +423,31 @@ def _columns(connection: duckdb.DuckDBPyConnection, named: list[str]) -> dict[st
     return found
 
 
-def _refused(statement: str, error: Exception, columns: dict[str, dict[str, str]]) -> InputError:
+def _refused(
+    statement: str, error: Exception, columns: dict[str, dict[str, str]], tables: str
+) -> InputError:
     """That a statement is refused, in one sentence, with the columns of its tables."""
-    missing = re.search(r'column (?:named )?"([^"]+)"', str(error))
     problem = _first_line(error)
-    if missing:
-        every = [each for names in columns.values() for each in names]
-        close = get_close_matches(missing[1], every, n=1)
-        problem = f"there is no column '{missing[1]}'"
-        problem += f"; did you mean '{close[0]}'?" if close else ""
     known = "; ".join(f"{table} has {', '.join(names)}" for table, names in columns.items())
+    every = {
+        "column": [each for names in columns.values() for each in names],
+        "table": tables.partition(": ")[2].split(", "),
+    }
+    for what, names in every.items():
+        missing = re.search(_MISSING[what], str(error))
+        if missing:
+            close = get_close_matches(missing[1], names, n=1)
+            problem = f"there is no {what} '{missing[1]}'"
+            problem += f"; did you mean '{close[0]}'?" if close else ""
+            known = known if what == "column" else tables
     return InputError(problem, place=_shown(statement), remedy=known or f"write one as: {_EXAMPLE}")
+
+
+_MISSING = {
+    "column": r'column (?:named )?"([^"]+)"',
+    "table": r"Table with name (.+) does not exist",
+}
+"""What DuckDB says of a column or a table that there is not."""
 
 
 def _first_line(error: Exception) -> str:

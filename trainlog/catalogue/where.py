@@ -341,7 +341,7 @@ class _Compiler:
         try:
             return _MEASURES[value.unit].read(text, value.words)
         except InputError as error:
-            raise self.refused(error.problem, node, error.remedy) from error
+            raise self.refused(error.problem, node, error.remedy or "") from error
 
     # -------------------------------------------------------------------------------- refusals
 

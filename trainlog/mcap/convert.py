@@ -464,7 +464,8 @@ def _apart(
             remedy=f"prefer one of the logs, as --prefer {path}, or cut the topic or the time out"
             " of one with 'trainlog convert'",
         )
-    return frame[~theirs]
+    rest: pd.DataFrame = frame[~theirs]
+    return rest
 
 
 def account_of(path: str | Path) -> Account:
