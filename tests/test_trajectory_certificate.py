@@ -20,7 +20,7 @@ from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
-from trainlog.railway import Trajectory
+from trainlog.railway import TimingPoint, Trajectory
 
 FINE = 1_200
 """Cells of plans that are to lie above the bounds of coarse ones."""
@@ -70,11 +70,15 @@ def test_cells_follow_the_plan_until_the_gap_is_small(case: str) -> None:
     assert renewed.certificate["certified"]
 
 
+TIMED = (TimingPoint(3_000.0, latest=165.0), TimingPoint(6_000.0, earliest=311.0))
+"""Sooner, and later, than a train that is free passes them by itself."""
+
+
 @cache
-def solved(objective: str) -> tuple[Any, ...]:
-    run = TrajectoryProblem(
-        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), objective=objective  # type: ignore[arg-type]
-    )  # fmt: skip
+def solved(case: str) -> tuple[Any, ...]:
+    question: dict[str, Any] = {"objective": case.removeprefix("timed ")}
+    question["windows"] = TIMED if case.startswith("timed") else ()
+    run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **question)
     fastest, time = fastest_run(run), 450.0
     mesh = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[1], 120)
     problem = discretise(run, mesh)
@@ -83,42 +87,42 @@ def solved(objective: str) -> tuple[Any, ...]:
     rows = list(answer.active)
     own = replace(fastest, speeds=fastest.speeds[rows], elapsed=fastest.elapsed[rows])
     fine = optimised(
-        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), objective=objective, cells=600,
-        running_time=time, tolerance=np.inf,
+        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), cells=600, running_time=time,
+        tolerance=np.inf, **question,
     ).certificate["energy"]  # fmt: skip
     return answer, answer.problem.select(rows), own, time, fine / problem.reference
 
 
 @settings(max_examples=40)
 @given(
-    st.sampled_from(("wheel", "line", "expected")),
+    st.sampled_from(("wheel", "line", "expected", "timed wheel")),
     st.integers(0, 2**31),
     st.sampled_from([1e-4, 1e-2, 0.3, 3.0]),
 )
-def test_no_multipliers_bound_a_finer_plan_from_above(
-    objective: str, seed: int, size: float
-) -> None:
-    answer, part, fastest, time, energy = solved(objective)
+def test_no_multipliers_bound_a_finer_plan_from_above(case: str, seed: int, size: float) -> None:
+    answer, part, fastest, time, energy = solved(case)
     random, known = np.random.default_rng(seed), answer.solution.multipliers
 
     def disturbed(values: np.ndarray) -> np.ndarray:
         factor = 1.0 + size * random.standard_normal(values.shape)
         return values * np.maximum(factor, 0.0)
 
-    names = ("pull", "time", "power", "dynamic_power")
+    names = ("pull", "time", "power", "dynamic_power", "passing", "opening")
     wrong = replace(known, **{name: disturbed(getattr(known, name)) for name in names})
     run = answer.problem.run
     bound = continuous_bound(part, answer.solution.plan, wrong, fastest, time, run)
     assert bound.value <= energy * (1.0 + 1e-6)
 
 
-def test_the_excess_of_the_cells_adds_up_to_the_total() -> None:
-    answer, part, fastest, time, _ = solved("wheel")
+@pytest.mark.parametrize("case", ["wheel", "timed wheel"])
+def test_the_excess_of_the_cells_adds_up_to_the_total(case: str) -> None:
+    answer, part, fastest, time, _ = solved(case)
     multipliers, run = answer.solution.multipliers, answer.problem.run
     bound = continuous_bound(part, answer.solution.plan, multipliers, fastest, time, run)
     assert bound.excess.min() >= 0.0
     total = answer.solution.energy - bound.value
     assert bound.excess.sum() == pytest.approx(total, rel=0.05, abs=1e-4 * bound.value)
+    assert total < 0.005 * bound.value
 
 
 def test_a_level_run_is_bounded_to_a_ten_thousandth() -> None:
