@@ -31,6 +31,7 @@ from trainlog.ingest.pipeline import (
     ingested,
 )
 from trainlog.ingest.profile import Profile
+from trainlog.ingest.proposal.layout import looks_like_table
 from trainlog.ingest.proposal.times import NoRecordingError
 from trainlog.ingest.registry import formats
 from trainlog.ingest.report import Report, report_of
@@ -56,55 +57,18 @@ STATES: dict[State, str] = {
 }
 """What can become of a recording."""
 
-RECORDED = frozenset(
-    [
-        ".csv",
-        ".tsv",
-        ".dat",
-        ".gpx",
-        ".log",
-        ".mcap",
-        ".mdf",
-        ".mf4",
-        ".nmea",
-        ".parquet",
-        ".txt",
-        ".ubx",
-    ]
-)
+RECORDED = {
+    ".csv", ".tsv", ".dat", ".gpx", ".log", ".mcap", ".mdf", ".mf4", ".nmea", ".parquet", ".txt",
+    ".ubx",
+}  # fmt: skip
 """Suffixes of recordings: a file in a folder that has one is refused where it cannot be read."""
 
-DOCUMENTS = frozenset(
-    [
-        ".bib",
-        ".bmp",
-        ".docx",
-        ".gif",
-        ".htm",
-        ".html",
-        ".ipynb",
-        ".jpeg",
-        ".jpg",
-        ".json",
-        ".md",
-        ".pdf",
-        ".png",
-        ".pptx",
-        ".py",
-        ".rrd",
-        ".rst",
-        ".sh",
-        ".svg",
-        ".toml",
-        ".webp",
-        ".yaml",
-        ".yml",
-    ]
-)
+DOCUMENTS = {
+    ".bib", ".bmp", ".docx", ".gif", ".htm", ".html", ".ipynb", ".jpeg", ".jpg", ".json", ".md",
+    ".pdf", ".png", ".pptx", ".py", ".rrd", ".rst", ".sh", ".svg", ".toml", ".webp", ".yaml",
+    ".yml",
+}  # fmt: skip
 """Suffixes of what lies beside recordings: profiles, lines, trains, manuals, pictures."""
-
-LOOKED_AT = 200
-"""Lines by which a text is taken for a table."""
 
 _ATTACHED = (
     PROFILE_ATTACHMENT,
@@ -445,33 +409,9 @@ def no_recording(file: Path) -> str:
     name = next((item.name for item in formats().values() if item.recognises(head)), "")
     if name == "mcap" and _is_ours(file):
         return "a log of trainlog"
-    if name == "csv" and suffix not in (".csv", ".tsv") and not holds_table(head):
+    if name == "csv" and suffix not in (".csv", ".tsv") and not looks_like_table(head, file):
         return "text without a table"
     return "" if name or suffix in RECORDED else "of no format that trainlog knows"
-
-
-def holds_table(head: bytes) -> bool:
-    r"""Whether the beginning of a text is rows of cells most of which are numbers.
-
-    Examples
-    --------
-    >>> holds_table(b"t;v\n0;1\n1;2\n2;3\n3;4\n")
-    True
-    >>> holds_table(b"Words, and more words.\nAnd so on, for some lines.\nAnd on.\n")
-    False
-    """
-    encoding = "utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1"
-    lines = [line for line in head.decode(encoding, "ignore").splitlines() if line.strip()]
-    rows = lines[len(lines) // 2 :][:LOOKED_AT]
-    for mark in ";\t|,":
-        cells = [row.split(mark) for row in rows]
-        usual, count = Counter(map(len, cells)).most_common(1)[0] if cells else (0, 0)
-        if usual < 2 or count < 0.8 * len(rows):
-            continue
-        filled = [cell for row in cells for cell in row if cell.strip()]
-        if sum(any(map(str.isdigit, cell)) for cell in filled) > 0.5 * len(filled):
-            return True
-    return False
 
 
 def _is_ours(file: Path) -> bool:
@@ -491,6 +431,11 @@ class _Made:
     whole: bool
 
     @property
+    def recording(self) -> str:
+        """Its name, where the file holds several."""
+        return str(self.step.get("recording", ""))
+
+    @property
     def recorded(self) -> dict[str, str]:
         """SHA-256 of the recorded files by name."""
         inputs = self.step.get("inputs", {})
@@ -498,58 +443,38 @@ class _Made:
 
     def is_of(self, mark: dict[str, Any], file: Path) -> bool:
         """Whether it is what this file would give; `mark` is its `fingerprint`."""
-        if not self.whole or any(
-            self.step.get(key) != value for key, value in mark.items() if key != "inputs"
-        ):
+        given = dict(mark["inputs"])
+        digest = given.pop(file.name)
+        own = next((name for name, each in self.recorded.items() if each == digest), None)
+        attached = {n: each for n, each in self.step["inputs"].items() if n in _ATTACHED}
+        here = {key: self.step.get(key) for key in mark} | {"inputs": attached}
+        if not self.whole or own is None or here != mark | {"inputs": given}:
             return False
-        inputs = self.step["inputs"]
-        attached = {name: digest for name, digest in inputs.items() if name in _ATTACHED}
-        if attached != {name: each for name, each in mark["inputs"].items() if name in _ATTACHED}:
-            return False
-        rest = dict(self.recorded)
-        own = next((name for name in rest if rest[name] == mark["inputs"][file.name]), None)
-        if own is None:
-            return False
-        del rest[own]
         # A table of rides beside the fixes belongs to what was read.
         return all(
-            (file.parent / name).is_file() and sha256_of(file.parent / name) == digest
-            for name, digest in rest.items()
+            (file.parent / name).is_file() and sha256_of(file.parent / name) == each
+            for name, each in self.recorded.items()
+            if name != own
         )
 
 
+@dataclass
 class _Batch:
     """The output folder, what it holds, and what was done so far."""
 
-    def __init__(
-        self,
-        output: Path,
-        given: Given,
-        files: list[Path],
-        named: frozenset[Path],
-        choose: Callable[[Path], str | Path | Profile | None] | None = None,
-        finish: Callable[[Trip], Trip] | None = None,
-    ) -> None:
-        self._output = output
-        self._choose = choose
-        self._finish = finish
-        self._given = given
-        self._named = named
-        self._names = distinct_names(files)
-        self._files = files
+    output: Path
+    given: Given
+    files: list[Path]
+    named: frozenset[Path]
+    choose: Callable[[Path], str | Path | Profile | None] | None = None
+    finish: Callable[[Trip], Trip] | None = None
+
+    def __post_init__(self) -> None:
+        self._names = distinct_names(self.files)
         self._taken: dict[Path, Path] = {}
         self._read_with: dict[Path, Path] = {}
-        self._by_content: dict[str, list[_Made]] = {}
-        self._by_log: dict[Path, _Made] = {}
-        for log in sorted(output.glob("*.mcap")):
-            made = _made(log)
-            if made is not None:
-                self._add(made)
-
-    def _add(self, made: _Made) -> None:
-        self._by_log[made.log] = made
-        for digest in made.recorded.values():
-            self._by_content.setdefault(digest, []).append(made)
+        logs = map(_made, sorted(self.output.glob("*.mcap")))
+        self._by_log = {made.log: made for made in logs if made is not None}
 
     def make(self, file: Path) -> Iterator[Outcome]:
         """Make the logs of a file, and say what became of each of its recordings."""
@@ -560,7 +485,7 @@ class _Batch:
         try:
             yield from self._made_of(file)
         except NoRecordingError as error:
-            in_folder = file.resolve() not in self._named
+            in_folder = file.resolve() not in self.named
             yield Outcome(file, "passed_over" if in_folder else "refused", reason=str(error))
         except TrainlogError as error:
             yield Outcome(file, "refused", reason=str(error))
@@ -568,69 +493,57 @@ class _Batch:
             yield Outcome(file, "refused", reason=_unexpected(file, error))
 
     def _made_of(self, file: Path) -> Iterator[Outcome]:
-        given = self._given
-        if self._choose is not None and given.profile is None:
-            given = replace(given, profile=self._choose(file))
-        mark = fingerprint(file, given)
-        digest = sha256_of(file)
-        before = self._before(file, mark, digest)
-        if before and len(before) == _recordings(next(iter(before.values()))):
-            for name, made in before.items():
-                yield self._unchanged(file, name, made)
+        given = self.given
+        if self.choose is not None and given.profile is None:
+            given = replace(given, profile=self.choose(file))
+        mark, digest = fingerprint(file, given), sha256_of(file)
+        known = [each for each in self._by_log.values() if digest in each.recorded.values()]
+        before = {
+            each.recording: each for each in known if mark is not None and each.is_of(mark, file)
+        }
+        if before and len(before) == next(iter(before.values())).step.get("recordings", 1):
+            yield from (self._unchanged(file, made) for made in before.values())
             return
-        copied = [] if before else self._copies(file, digest)
-        for made in copied:
-            yield self._copy(file, made)
-        if copied:
+        # Logs of the same content that a file of another name gave, however it was read.
+        copies = [each for each in known if each.log.exists()]
+        if copies and not before and not any(file.name in each.recorded for each in copies):
+            for made in copies:
+                first = next(iter(made.recorded), made.log.name)
+                reason = (
+                    f"of the same content as {first}, of which {made.log.name} is made; not made"
+                    f" again (to make it anew in another way, give {first}; or another folder)"
+                )
+                yield self._kept(file, made, reason)
             return
         for name, outcome in ingested(file, given):
             if isinstance(outcome, TrainlogError):
                 yield Outcome(file, "refused", name, reason=str(outcome))
             elif name in before:
-                yield self._unchanged(file, name, before[name])
+                yield self._unchanged(file, before[name])
             else:
                 yield self._written(file, name, digest, outcome)
 
-    def _before(self, file: Path, mark: dict[str, Any] | None, digest: str) -> dict[str, _Made]:
-        """What was made of this file in the same way, by the name of the recording."""
-        if mark is None:
-            return {}
-        known = self._by_content.get(digest, [])
-        return {made.step.get("recording", ""): made for made in known if made.is_of(mark, file)}
-
-    def _copies(self, file: Path, digest: str) -> list[_Made]:
-        """Logs of the same content that a file of another name gave, however it was read."""
-        known = [made for made in self._by_content.get(digest, []) if made.log.exists()]
-        return [] if any(file.name in made.recorded for made in known) else known
-
-    def _copy(self, file: Path, made: _Made) -> Outcome:
-        self._note_inputs(file, made.recorded)
-        first = next(iter(made.recorded), made.log.name)
-        reason = (
-            f"of the same content as {first}, of which {made.log.name} is made; not made again"
-            f" (to make it anew in another way, give {first}; or another folder)"
-        )
-        name, known = made.step.get("recording", ""), made.trip.metadata
-        return Outcome(file, "unchanged", name, made.log, reason, report_of(made.trip), known)
-
-    def _unchanged(self, file: Path, name: str, made: _Made) -> Outcome:
+    def _unchanged(self, file: Path, made: _Made) -> Outcome:
         first = self._taken.setdefault(made.log, file)
+        same = f"of the same content as {first}"
+        return self._kept(file, made, STATES["unchanged"] if first == file else same)
+
+    def _kept(self, file: Path, made: _Made, reason: str) -> Outcome:
         self._note_inputs(file, made.recorded)
-        reason = STATES["unchanged"] if first == file else f"of the same content as {first}"
         report, known = report_of(made.trip), made.trip.metadata
-        return Outcome(file, "unchanged", name, made.log, reason, report, known)
+        return Outcome(file, "unchanged", made.recording, made.log, reason, report, known)
 
     def _written(self, file: Path, name: str, digest: str, trip: Trip) -> Outcome:
-        if self._finish is not None:
+        if self.finish is not None:
             note(f"estimating what the recorder of {file.name} lacks")
-            trip = self._finish(trip)
+            trip = self.finish(trip)
         log = self._log(file, name, digest, trip)
         note(f"writing {log.name}")
         write_log(trip, log)
         self._taken[log] = file
         bare = Trip({}, trip.metadata, trip.provenance)
         made = _Made(log, bare, trip.provenance[0], whole=True)
-        self._add(made)
+        self._by_log[log] = made
         self._note_inputs(file, made.recorded)
         report = report_of(bare)
         state: State = "repaired" if report.counts else "made"
@@ -647,18 +560,16 @@ class _Batch:
         """The log to write: none that holds anything else, and none of the recordings."""
         plain = re.sub(r"[^\w.+-]+", "_", name) if name else self._names[file]
         identity = identity_of(trip)
-        candidates = [plain, f"{plain}-{digest[:8]}"]
-        candidates += [f"{plain}-{digest[:8]}-{number}" for number in range(2, 1_000)]
-        for candidate in candidates:
-            log = self._output / f"{candidate}.mcap"
-            if any(log.exists() and one.exists() and one.samefile(log) for one in self._files):
+        ends = ["", f"-{digest[:8]}", *(f"-{digest[:8]}-{number}" for number in range(2, 1_000))]
+        for log in (self.output / f"{plain}{end}.mcap" for end in ends):
+            if any(log.exists() and one.exists() and one.samefile(log) for one in self.files):
                 raise InputError(
                     "would be overwritten by the log that is made of it",
                     file=log,
                     remedy="name another folder",
                 )
             held = self._by_log.get(log)
-            again = held is not None and held.step.get("recording", "") == name
+            again = held is not None and held.recording == name
             if again and held is not None and digest not in held.recorded.values():
                 again = file.name in held.recorded and _grown(log, identity)
             if log not in self._taken and (again or not log.exists()):
@@ -686,11 +597,6 @@ def _made(log: Path) -> _Made | None:
     if [step.get("step") for step in steps] not in (["ingest"], ["ingest", "passport"]):
         return None
     return _Made(log, trip, steps[0], whole=len(steps) == len(trip.provenance))
-
-
-def _recordings(made: _Made) -> int:
-    """How many recordings the file held."""
-    return int(made.step.get("recordings", 1))
 
 
 def _unexpected(file: Path, error: Exception) -> str:

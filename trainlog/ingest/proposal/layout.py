@@ -133,6 +133,24 @@ def layout_of(path: Path) -> Layout:
     return _parquet_layout(path, data) if is_parquet(data[:8]) else _text_layout(path, data)
 
 
+def looks_like_table(head: bytes, path: Path) -> bool:
+    r"""Whether the beginning of a text is rows of cells most of which are numbers or times.
+
+    Examples
+    --------
+    >>> looks_like_table(b"t;v\n0;1\n1;2\n2;3\n3;4\n", Path("a.txt"))
+    True
+    >>> looks_like_table(b"Words, and more words.\nAnd so on, for some.\nAnd on.\n", Path("b.txt"))
+    False
+    """
+    try:
+        _, text, _ = _decoded(path, head)
+        _separators(path, _sample(text.splitlines()))
+    except InputError:
+        return False
+    return True
+
+
 def _parquet_layout(path: Path, data: bytes) -> Layout:
     try:
         table = pa.parquet.read_table(pa.BufferReader(data))
