@@ -12,7 +12,7 @@ targets, IEEE Trans. AES-6(4), eqs. (3)-(9).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -114,6 +114,8 @@ class SmoothedMotion:
     acceleration, acceleration_std : array [m/s²]
     wheel_error : float
         By how much the wheels show too high a speed, over what they show; 0 without them.
+    lasting : (n, k) array
+        Each error that lasts, in its own standard deviations.
     """
 
     position: FloatArray
@@ -123,6 +125,7 @@ class SmoothedMotion:
     acceleration: FloatArray
     acceleration_std: FloatArray
     wheel_error: float = 0.0
+    lasting: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def smooth_motion(
@@ -205,6 +208,7 @@ def smooth_motion(
         acceleration=means[:, 2],
         acceleration_std=deviations[:, 2],
         wheel_error=0.0 if wheel_speed is None else WHEEL_ERROR_STD * float(means[-1, -1]),
+        lasting=means[:, 3:],
     )
 
 

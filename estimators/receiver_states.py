@@ -63,6 +63,12 @@ OTHER = 4.0
 OLD_RATE, CATCHING_RATE, WRONG_RATE = 0.01, 0.05, 0.35
 """The same, a second [1/s], of going on to show old, younger and wrong places."""
 
+BRAKING, STARTING = 1.3, 1.0
+"""Deceleration and acceleration [m/s²] that no train exceeds while nothing is received."""
+
+EDGE, UNSTEADY = 4.0, 0.25
+"""Time [s] over which the speed beside a gap is taken, and how much it changes [m/s²]."""
+
 FASTEST = 3
 """Seconds of age that a receiver makes up for in a second: it replays four times as fast."""
 
@@ -174,11 +180,14 @@ def receiver_states(
     usual = float(np.median(apart))
     gap = np.where(apart > max(LEAST_GAP, LEAST_STEPS * usual), apart, 0.0)
     weight = np.minimum(np.maximum(apart, SPACING) / INDEPENDENT, 1.0)
+    halted = np.zeros(rows.size)
+    if speed_std > 0.0:
+        halted = _halted(seconds[rows], along[rows], std[rows], gap)
     even = np.arange(0.0, seconds[-1] + 2.0)
     distance, variance = (np.interp(even, seconds, each) for each in (driven, unsure))
     count = int(min(OLDEST, max(float(gap.max()) + 5.0, 12.0)))
     age, phase, doubtful = _best_path(
-        seconds[rows], along[rows], std[rows] ** 2, weight, gap, distance,
+        seconds[rows], along[rows], std[rows] ** 2, weight, gap, halted, distance,
         variance + WALK * even, speed_std, speed_time, count,
     )  # fmt: skip
     # Each fix is in the state of the last one that was judged.
@@ -186,6 +195,39 @@ def receiver_states(
     ages, off, doubts = (np.zeros(seconds.size, dtype=np.int64) for _ in range(3))
     ages[known], off[known], doubts[known] = age[owner], (phase == OFF)[owner], doubtful[owner]
     return ReceiverStates(ages, (off > 0) & (doubts == 0), doubts > 0)
+
+
+def _halted(seconds: FloatArray, along: FloatArray, std: FloatArray, gap: FloatArray) -> FloatArray:
+    """How improbable the way across each gap is by what it takes to brake and to start again.
+
+    A train that is shown where it was before the gap, and as fast, can hardly have stopped there.
+    """
+    costs = np.zeros(seconds.size)
+    for after in np.flatnonzero(gap):
+        before = after - 1
+        first = np.searchsorted(seconds, seconds[before] - EDGE)
+        last = min(int(np.searchsorted(seconds, seconds[after] + EDGE)), seconds.size - 1)
+        if gap[first + 1 : after].any() or gap[after + 1 : last + 1].any() or first == before:
+            continue
+        spans = seconds[before] - seconds[first], seconds[last] - seconds[after]
+        if min(spans) <= 0.0:
+            continue
+        pace = (along[before] - along[first]) / spans[0], (along[last] - along[after]) / spans[1]
+        unsure = [np.hypot(0.5 * std[after] / span, UNSTEADY * span) for span in spans]
+        if min(pace) <= 0.0:
+            continue
+        took = gap[after]
+        braking = np.clip((pace[0] - pace[1] + STARTING * took) / (STARTING + BRAKING), 0.0, took)
+        braking = min(braking, pace[0] / BRAKING)
+        starting = min(took - braking, pace[1] / STARTING)
+        least = (pace[0] - 0.5 * BRAKING * braking) * braking
+        least += (pace[1] - 0.5 * STARTING * starting) * starting
+        short = least - (along[after] - along[before])
+        spread = np.sqrt(
+            2.0 * std[after] ** 2 + (braking * unsure[0]) ** 2 + (starting * unsure[1]) ** 2
+        )
+        costs[after] = min(0.5 * (max(short, 0.0) / spread) ** 2, OUTLIER)
+    return costs
 
 
 class Lateness(NamedTuple):
@@ -253,6 +295,9 @@ def lateness(
         first = float(np.median(values[known][:5]))
         start = np.array([first, 0.0, 0.0]), np.diag([100.0**2, spread**2, 1.0])
         likelihood.append(model.filter(values, 1.0, *start).log_likelihood(OUTLIER))
+    # Replayed fixes are no more probable if all may be a little late.
+    if likelihood[1] < likelihood[0] + MARGIN:
+        return None
     if likelihood[2] < max(likelihood[:2]) + MARGIN and not evident:
         return None
     found = model.smooth(values, 1.0, *start)
@@ -353,6 +398,7 @@ def _best_path(
     variance: FloatArray,
     weight: FloatArray,
     gap: FloatArray,
+    halted: FloatArray,
     driven: FloatArray,
     unsure: FloatArray,
     speed_std: float,
@@ -408,6 +454,8 @@ def _best_path(
                     pace = _at(driven, here + 0.5) - _at(driven, here - 0.5) + rate
                     own += pace**2 / 12.0
                 lasts = max(here - since, 0.0)
+                if lasts > 0.5 * step and origin % PHASES != OFF:
+                    total += halted[i]
                 spread += max(_at(unsure, here) - _at(unsure, since), 0.0)
                 if speed_std > 0.0:
                     keep = np.exp(-lasts / speed_time)

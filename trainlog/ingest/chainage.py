@@ -39,7 +39,7 @@ from estimators.receiver import (
     structure,
     white_noise,
 )
-from estimators.receiver_states import SPACING, ReceiverStates, lateness, receiver_states
+from estimators.receiver_states import LATE_STD, SPACING, ReceiverStates, lateness, receiver_states
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.errors import InputError
 from trainlog.ingest.clock import Result
@@ -95,6 +95,9 @@ REPLAYED = 3
 
 AGE_STD, AGE_TIME = 3.0, 60.0
 """Standard deviation of the age of an old fix [s], and for how long its error lasts [s]."""
+
+LATE_CHANGES = 120.0
+"""For how long a receiver that is late throughout stays equally late at least [s]."""
 
 STEADY = 0.1
 """Change of the age of a fix [s/s] up to which its receiver does not catch up."""
@@ -188,7 +191,10 @@ class OnLine:
         Of a further noise of the positions, along the line alone: fixes that come late.
     caught_up, late_std : (n,) array [m]
         How far the train was ahead of each fix when it came, where the receiver is late throughout,
-        and its standard deviation.
+        and its standard deviation as the fixes are judged.
+    late_rest, late_prior : (n,) array [m]
+        By how much `caught_up` is more than it is for the mean lateness, and the standard deviation
+        of that beforehand: the motion and how late each fix is are estimated together.
     aged_std : (n,) array [m]
         Standard deviation of the place of old fixes by that of their age; 0 for others.
     lateness : float [s]
@@ -213,6 +219,7 @@ class OnLine:
         self.reasons_aside: Counter[str] = Counter()
         self.along_std = self.delay = 0.0
         self.caught_up, self.late_std, self.aged_std = np.zeros((3, points.size))
+        self.late_rest, self.late_prior = np.zeros((2, points.size))
         self.lateness = 0.0
         self.common_delay = Delay(0.0, 0.0)
         self.speed_noise: ReceiverNoise | None = None
@@ -362,7 +369,9 @@ class OnLine:
         pace, known = self.fixes.any_speed, np.isfinite(self.fixes.any_speed)
         pace = np.interp(seconds, seconds[known], pace[known])
         step = np.diff(seconds[known], prepend=seconds[known][0])
-        lost = np.cumsum(LOSS_DENSITY * step**3 / 12.0)
+        # How unsteady this train's speed is between two that were measured.
+        bend = mean_square(np.diff(self.fixes.any_speed[known], 2)) / (2.0 * np.median(step))
+        lost = np.cumsum(min(LOSS_DENSITY, 2.0 * bend) * step**3 / 12.0)
         unsure = np.interp(seconds, seconds[known], lost)
         found = receiver_states(seconds, chainage, std, driven, unsure)
         short, moving = found.age <= OLDEST, np.isfinite(chainage) & (pace > MOVING)
@@ -371,17 +380,29 @@ class OnLine:
         at = seen.seconds
         parts = (np.interp(at, seconds, each) for each in (pace, unsure, std))
         # A receiver that is late throughout shows an age sooner or later.
-        late = lateness(at, seen.values, *parts, evident=aged > 0.5) if aged else None
+        late = lateness(at, seen.values, *parts, evident=aged > 0.5)
         if late is not None:
             age, spread = (np.interp(seconds, at, each) for each in late)
-            self.caught_up = driven - np.interp(seconds - age, seconds, driven)
             self.late_std = spread * pace
-            self.lateness = float(np.mean(age[moving]))
+            self._bring_forward(age)
             chainage = chainage + self.caught_up
             std = np.hypot(std, self.late_std)
             found = receiver_states(seconds, chainage, std, driven, unsure)
         self._without_speeds("contradicted", found.doubted)
         return self._put_in_time(found, chainage)
+
+    def _bring_forward(self, age: FloatArray) -> None:
+        """Bring the fixes of a receiver that is late throughout forward, by their age [s].
+
+        An error of that age by a second is one by the way that the train came in a second then.
+        """
+        seconds, pace = self.fixes.seconds, self.fixes.any_speed
+        known = np.isfinite(pace)
+        driven = distance_driven(self.fixes, slip_aware=self.slip_aware).distance
+        self.caught_up = driven - np.interp(seconds - age, seconds, driven)
+        pace = np.interp(seconds - age, seconds[known], pace[known])
+        self.lateness = float(np.mean(age[np.isfinite(self.points) & (pace > MOVING)]))
+        self.late_rest, self.late_prior = (age - self.lateness) * pace, LATE_STD * pace
 
     def _put_in_time(
         self, found: ReceiverStates, chainage: FloatArray, *, measured: bool = True
@@ -490,6 +511,9 @@ class OnLine:
                 )
             motion = self._smoothed()
             position, pace = motion.position, motion.speed
+            if self.lateness:
+                age = self.lateness - LATE_STD * motion.lasting[:, 1]
+                self._bring_forward(np.maximum(age, 0.0))
             ratio = 1.0 - motion.wheel_error
             self.slipping = (
                 slipping_wheels(self.fixes, motion.speed, motion.speed_std, ratio) & self.slip_aware
@@ -498,11 +522,12 @@ class OnLine:
             if settled and np.array_equal(np.isfinite(before), fitting):
                 break
         found = self._smoothed() if motion is None else motion
-        late = LATE_SHARE * self.along_std
+        # Where they all are, only the places where the train stands count: few, and off for long.
+        late = self.position_noise.std if self.lateness else LATE_SHARE * self.along_std
         return replace(
             found,
             # No number of fixes that are late together shows by how much.
-            position_std=np.hypot(np.hypot(found.position_std, late), self.late_std),
+            position_std=np.hypot(found.position_std, late),
             speed_std=np.hypot(found.speed_std, late / LASTING_TIME),
         )
 
@@ -530,13 +555,13 @@ class OnLine:
         whole = np.round(np.interp(along.seconds, seconds, missing), 6)
         dense = float(np.median(np.diff(shown.seconds))) < 2.0
         white = np.sqrt(self.hold) * white_noise(shown.values) if dense else 0.0
-        found = speed_noise(
-            along.seconds,
-            along.values,
-            whole,
-            structure(series.seconds, series.values)[:2],
-            max(white, SMALLEST_NOISE[1]),
-        )
+        white = max(white, SMALLEST_NOISE[1])
+        if self.lateness:
+            # How late fixes are changes: their places show nothing of the speeds' errors.
+            found = ReceiverNoise(white if dense else float(np.median(fixes.speed_std)), 0.0, 10.0)
+        else:
+            beside_track = structure(series.seconds, series.values)[:2]
+            found = speed_noise(along.seconds, along.values, whole, beside_track, white)
         # The speeds depart from the motion by no less than their noise.
         apart = mean_square(series_of(seconds, speed - pace).values) if smoothed else 0.0
         lasting = float(np.sqrt(max(apart - found.white**2, found.lasting**2, 0.0)))
@@ -559,7 +584,9 @@ class OnLine:
         self.position_noise = ReceiverNoise(noise.white, lasting_std, noise.time)
         # A size from few independent values is unsure, the more as errors have heavy tails:
         # Student's t in place of the normal.
-        freedom = max(float(apart.sum()) / (4.0 * noise.time), LEAST_FREEDOM)
+        # Of a receiver that is late throughout, only what it shows of a slow train counts.
+        slow = np.interp(seconds, self.fixes.seconds, self.late_prior) < noise.std
+        freedom = max(float(apart[slow].sum()) / (4.0 * noise.time), LEAST_FREEDOM)
         self.unsure = float(stdtrit(freedom, 0.975)) / 1.96
 
     def _size_along(self, chainage: FloatArray) -> None:
@@ -661,9 +688,10 @@ class OnLine:
             wheels = np.where(self.slipping, np.nan, wheels)[rows]
             # White noise of this size carries as much, taken together, as errors that last.
             wheel_std = (wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step)))[rows]
-        lasting = np.hypot(self.unsure * noise.lasting * self.relative, self.late_std)
-        lasting = np.hypot(lasting, GEOMETRY_STD)
+        lasting = np.hypot(self.unsure * noise.lasting * self.relative, GEOMETRY_STD)
         errors = [LastingError(lasting[rows], noise.time)]
+        if self.lateness:
+            errors.append(LastingError(self.late_prior[rows], LATE_CHANGES))
         if self.aged_std.any():
             errors.append(LastingError(self.aged_std[rows], AGE_TIME))
         if speeds is not None:
@@ -672,7 +700,7 @@ class OnLine:
             fixes.seconds[rows],
             speed[rows],
             speed_white[rows],
-            self.chainage[rows] if along is None else along,
+            (self.chainage[rows] if along is None else along) - self.late_rest[rows],
             np.hypot(white * self.relative, self.along_std)[rows],
             errors=errors,
             wheel_speed=wheels,

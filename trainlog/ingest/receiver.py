@@ -48,9 +48,9 @@ from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
-STANDSTILL_STDS = 2.0
-"""A receiver gives the size of the speed, so its noise never averages to 0: below this many
-standard deviations the train is taken to stand."""
+STANDSTILL_STDS, STAND_WINDOW = 2.0, "5s"
+"""A receiver gives the size of the speed, so its noise never averages to 0: where it, or its median
+over such a window, is below this many standard deviations the train is taken to stand."""
 
 SMALLEST_SPEED_STD = 0.03
 """What no receiver undercuts [m/s], whatever it states."""
@@ -212,6 +212,8 @@ def fixes_of(trip: Trip) -> Fixes:
     stated = columns.get("speed_accuracy", absent)
     speed_std = np.maximum(np.where(stated > 0.0, stated, SPEED_STD), SMALLEST_SPEED_STD)
     speed = columns.get("speed", absent)
+    usual = pd.Series(speed, index).rolling(STAND_WINDOW, center=True).median().to_numpy()
+    stands = (np.minimum(speed, usual) < STANDSTILL_STDS * speed_std) & (speed < GATE * speed_std)
     turning = None
     if wheels is not None:
         turning = np.asarray(wheels.reindex(index), dtype=np.float64)
@@ -221,7 +223,7 @@ def fixes_of(trip: Trip) -> Fixes:
         latitude=columns["latitude"],
         longitude=columns["longitude"],
         std=np.where(accuracy > 0.0, accuracy, FIX_STD),
-        speed=np.where(speed < STANDSTILL_STDS * speed_std, 0.0, speed),
+        speed=np.where(stands, 0.0, speed),
         speed_std=speed_std,
         wheel_speed=turning,
         wheel_speed_std=None if turning is None else np.full(turning.size, ODOMETER_STD),
