@@ -13,8 +13,10 @@ from refusals import refused
 
 import trainlog
 from analysis import passport
-from analysis.resistance import fit_trip
+from analysis.resistance import fit_trip, passport as passports
 from analysis.resistance.passport import (
+    EFFORT_DRIFT,
+    GAIN_STD,
     estimated_passport,
     ratio_of_speeds,
     shared_delay_std,
@@ -22,7 +24,13 @@ from analysis.resistance.passport import (
 )
 from trainlog.errors import InputError, LogError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
-from trainlog.formats.railway import passport_of, recorded_load, with_passport
+from trainlog.formats.railway import (
+    TRAIN_ATTACHMENT,
+    passport_of,
+    recorded_load,
+    train_of,
+    with_passport,
+)
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Passport, Quantity
 from trainlog.railway.adhesion import AdhesionCharacteristic, polach_curve
@@ -110,6 +118,55 @@ def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping:
     )
     assert found.load.band[0] < weighed.load.value < found.load.band[1]
     assert any(each.startswith("no load recorded") for each in found.findings)
+
+
+def test_the_band_holds_wrong_rotating_parts_and_a_wrong_speed_scale(
+    stopping: Trip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both enter like mass: what the motion shows moves by as much, however sure the motion is."""
+    ratio = estimated_passport(stopping).effort_over_mass
+    train = train_of(stopping)
+    heavier = replace(train, rotating_mass_factor=train.rotating_mass_factor * (1.0 + GAIN_STD))
+    attached = {**stopping.attachments, TRAIN_ATTACHMENT: thing_to_bytes(heavier)}
+    wrong = estimated_passport(replace(stopping, attachments=attached)).effort_over_mass
+    moved = wrong.value - ratio.value
+    assert abs(moved) > 0.003 * ratio.value
+    assert ratio.std > np.hypot(moved, EFFORT_DRIFT * ratio.value)
+    known, unsure = passports.scale_of, 0.03
+    monkeypatch.setattr(passports, "scale_of", lambda view: replace(known(view), std=unsure))
+    wider = estimated_passport(stopping).effort_over_mass
+    assert wider.value == ratio.value
+    added = wider.std**2 - ratio.std**2
+    assert np.sqrt(added) == pytest.approx(unsure * ratio.value, rel=0.01)
+
+
+@pytest.mark.parametrize("std", [0.01, 0.15])
+def test_gain_and_load_are_what_all_pairs_of_them_say(std: float) -> None:
+    """On a grid of both. A gain that the load hides is assumed: its error is that about the mean
+    of all recorders."""
+    train = trainlog.read_train("sample")
+    loads = np.linspace(0.0, 30e3, 61)
+    prior = passports._Prior(
+        1.02, 0.06, loads, np.full(61, 1.0 / 61.0), Quantity(15e3, 9e3, "assumed", "unknown")
+    )
+    gain, load, mass = passports._gain_and_load(prior, Quantity(0.95, std, "estimated"), train)
+    gains = np.linspace(0.5, 1.6, 4_401)[:, None]
+    share = train.mass / (train.mass + loads)
+    shown = np.exp(-0.5 * ((gains - 0.95 * share) / (std * share)) ** 2) / (std * share)
+    pairs = shown * np.exp(-0.5 * ((gains - 1.02) / 0.06) ** 2)
+    pairs /= pairs.sum()
+    expected = (pairs * gains).sum()
+    if gain.source == "estimated":
+        assert gain.value == pytest.approx(expected, rel=1e-4)
+        assert gain.std**2 == pytest.approx((pairs * (gains - expected) ** 2).sum(), rel=1e-3)
+    else:
+        assert gain.value == 1.02
+        assert gain.std**2 == pytest.approx((pairs * (gains - 1.02) ** 2).sum(), rel=1e-3)
+    assert (gain.source == "estimated") == (std < 0.1)
+    of_load = (pairs * loads).sum()
+    assert load.value == pytest.approx(of_load, rel=1e-4)
+    assert load.std**2 == pytest.approx((pairs * (loads - of_load) ** 2).sum(), rel=1e-3)
+    assert mass.value == pytest.approx(train.mass + of_load)
 
 
 def test_axle_efforts_that_contradict_the_total_are_stated(stopping: Trip) -> None:
