@@ -118,7 +118,7 @@ def test_the_samples_profile_is_valid() -> None:
             for place, stated in {
                 "trip.weather": "[trip]\nweather = 'trocken'",
                 "metadata": "[metadata]\nweather = 'trocken'",
-                "trip.columns.weather.words": "[trip.columns.weather]\ncolumn='W'\n"
+                "trip.columns.weather.words.a": "[trip.columns.weather]\ncolumn='W'\n"
                 "words={a='trocken'}",
             }.items()
         ),

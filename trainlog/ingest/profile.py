@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 import pydantic
@@ -32,12 +32,6 @@ from trainlog.topics import RECORDED, TOPICS, Bounds, Field as Item, Topic, reco
 from trainlog.units import factor, si_unit, to_si
 
 
-class Strict(BaseModel):
-    """A part of a profile; a key that it does not know is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
 class ProblemsError(ValueError):
     """Several things that are wrong with one part of a profile."""
 
@@ -46,11 +40,21 @@ class ProblemsError(ValueError):
         super().__init__("; ".join(self.problems))
 
 
-def refuse(problems: Iterable[str | None]) -> None:
-    """Refuse a part for all its problems; None is no problem."""
-    found = [problem for problem in problems if problem is not None]
-    if found:
-        raise ProblemsError(found)
+class Strict(BaseModel):
+    """A part of a profile; a key that it does not know is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def problems(self) -> Iterator[str | None]:
+        """What is wrong with the part beside the types of its values; None is no problem."""
+        yield None
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        found = [problem for problem in self.problems() if problem is not None]
+        if found:
+            raise ProblemsError(found)
+        return self
 
 
 def problem_of(check: Callable[..., object], *given: object) -> str | None:
@@ -96,6 +100,17 @@ def check_unit(name: str, unit: str, si: str) -> None:
         factor(unit, si)
     except InputError as error:
         raise ValueError(f"{name}: {error.problem}; {error.remedy}") from None
+
+
+def _condition(word: str) -> str:
+    wrong = problem_of(given_condition, word)
+    if wrong is not None:
+        raise ProblemsError([wrong])
+    return given_condition(word)
+
+
+Condition = Annotated[str, pydantic.AfterValidator(_condition)]
+"""A rail's condition; one that is not known is refused."""
 
 
 class Quantity(Strict):
@@ -212,17 +227,14 @@ class Payload(Strict):
         """The type of the numbers; None if there are none."""
         return None if self.type in ("ubx", "nmea") else np.dtype(self.type)
 
-    @pydantic.model_validator(mode="after")
-    def _known(self) -> Self:
+    def problems(self) -> Iterator[str | None]:
+        """A type that numpy does not know, or that holds no numbers."""
         try:
             known = self.dtype is None or self.dtype.kind in "iuf"
         except TypeError:
             known = False
         if not known:
-            raise ValueError(
-                f"type '{self.type}' must be 'ubx', 'nmea' or numbers of numpy; for example '<i2'"
-            )
-        return self
+            yield f"type '{self.type}' must be 'ubx', 'nmea' or numbers of numpy; for example '<i2'"
 
 
 class LineOptions(Strict):
@@ -289,18 +301,14 @@ class TelegramField(Strict):
     words: dict[str, str] = Field(default_factory=dict)
     missing: tuple[float, ...] = ()
 
-    @pydantic.model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def problems(self) -> Iterator[str | None]:
+        """A type that is not known, or that does not have the bits."""
         if self.type not in NUMBER_TYPES:
-            raise ValueError(
-                f"type '{self.type}' is not known; {suggestion(self.type, NUMBER_TYPES)}"
-            )
-        if self.bit is not None:
-            if self.type.startswith("float"):
-                raise ValueError("bit is for whole numbers; give a type such as uint16")
-            if self.bit + self.bits > 8 * self.dtype("little").itemsize:
-                raise ValueError(f"type {self.type} has no bit {self.bit + self.bits - 1}")
-        return self
+            yield f"type '{self.type}' is not known; {suggestion(self.type, NUMBER_TYPES)}"
+        elif self.bit is not None and self.type.startswith("float"):
+            yield "bit is for whole numbers; give a type such as uint16"
+        elif self.bit is not None and self.bit + self.bits > 8 * self.dtype("little").itemsize:
+            yield f"type {self.type} has no bit {self.bit + self.bits - 1}"
 
     def dtype(self, byte_order: ByteOrder) -> np.dtype[Any]:
         """The type of its numbers, in a telegram of that byte order."""
@@ -353,22 +361,16 @@ class TelegramOptions(Strict):
         name, _, place = column.rpartition(".")
         return self.fields[name], int(place) - 1
 
-    @pydantic.model_validator(mode="after")
-    def _consistent(self) -> Self:
-        problems: list[str | None] = [
-            f"field '{name}' ends at byte {end}; the telegram has {self.length}"
-            for name, field in self.fields.items()
-            if (end := field.offset + field.count * field.dtype("little").itemsize) > self.length
-        ]
-        problems += [
-            f"where: no field '{name}'; {suggestion(name, self.fields)}"
-            for name in self.where
-            if name not in self.fields
-        ]
+    def problems(self) -> Iterator[str | None]:
+        """Fields beyond the telegram, and names and a mark that mean nothing."""
+        for name, field in self.fields.items():
+            end = field.offset + field.count * field.dtype("little").itemsize
+            if end > self.length:
+                yield f"field '{name}' ends at byte {end}; the telegram has {self.length}"
+        for name in [name for name in self.where if name not in self.fields]:
+            yield f"where: no field '{name}'; {suggestion(name, self.fields)}"
         if problem_of(bytes.fromhex, self.mark) is not None:
-            problems.append(f"mark '{self.mark}' must be hexadecimal digits; for example 'a55a'")
-        refuse(problems)
-        return self
+            yield f"mark '{self.mark}' must be hexadecimal digits; for example 'a55a'"
 
 
 def column_item(name: str, column: Column) -> Item:
@@ -427,21 +429,16 @@ def column_problems(
     format: str | None,
     lines: LineOptions | None = None,
     telegram: TelegramOptions | None = None,
-) -> list[str]:
-    """What is wrong with each of the columns."""
-    needs_unit = format not in WITH_UNITS
-    found = [problem_of(_check_column, name, one, needs_unit) for name, one in columns.items()]
+) -> Iterator[str | None]:
+    """What is wrong with each of the columns; None is no problem."""
+    for name, column in columns.items():
+        yield problem_of(_check_column, name, column, format not in WITH_UNITS)
+        known = (*telegram.columns, ARRIVAL) if telegram is not None else column.names
+        for source in [source for source in column.names if source not in known]:
+            remedy = suggestion(source, known)
+            yield f"columns.\"{name}\": no field '{source}' of the telegram; {remedy}"
     if lines is not None:
-        found.append(problem_of(_check_lines, lines, columns))
-    if telegram is not None:
-        known = (*telegram.columns, ARRIVAL)
-        found += [
-            f"columns.\"{name}\": no field '{source}' of the telegram; {suggestion(source, known)}"
-            for name, column in columns.items()
-            for source in column.names
-            if source not in known
-        ]
-    return [problem for problem in found if problem is not None]
+        yield problem_of(_check_lines, lines, columns)
 
 
 def _check_lines(lines: LineOptions, columns: dict[str, Column]) -> None:
@@ -479,15 +476,14 @@ class Detection(Strict):
     columns: tuple[str, ...] = ()
     line: str | None = None
 
-    @pydantic.model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def problems(self) -> Iterator[str | None]:
+        """Nothing to recognise a file by."""
         if not self.columns and self.line is None:
-            raise ValueError("needs columns or line")
+            yield "needs columns or line"
         try:
             re.compile(self.line or "")
         except re.error as error:
-            raise ValueError(f"line is no regular expression: {error}") from None
-        return self
+            yield f"line is no regular expression: {error}"
 
 
 class FileOptions(Strict):
@@ -521,19 +517,14 @@ class FileOptions(Strict):
     missing: tuple[str, ...] = MISSING
     aliases: dict[str, tuple[str, ...]] = Field(default_factory=dict)
 
-    @pydantic.model_validator(mode="after")
-    def _distinct(self) -> Self:
-        problems = []
+    def problems(self) -> Iterator[str | None]:
+        """Cells that cannot be parted, and an encoding that is not known."""
         if self.delimiter == self.decimal:
-            problems.append(f"delimiter and decimal are both '{self.decimal}'")
+            yield f"delimiter and decimal are both '{self.decimal}'"
         try:
             "".encode(self.encoding)
         except LookupError:
-            problems.append(
-                f"encoding '{self.encoding}' is not known, for example 'utf-8' or 'cp1252'"
-            )
-        refuse(problems)
-        return self
+            yield f"encoding '{self.encoding}' is not known, for example 'utf-8' or 'cp1252'"
 
     def named(self, names: Iterable[str]) -> tuple[str, ...]:
         """The names of a header's columns, those with aliases as the profile calls them."""
@@ -591,29 +582,28 @@ class TimeOptions(Strict):
         """The columns that make the time."""
         return self.columns if self.column is None else (self.column,)
 
-    @pydantic.model_validator(mode="after")
-    def _consistent(self) -> Self:
-        patterned = self.format not in ("iso", "epoch", "elapsed", "parts")
-        faults = {
-            "needs either column or columns": (self.column is None) == (not self.columns),
-            "format 'parts' needs 6 columns: year month day hour minute second": self.format
-            == "parts"
-            and len(self.names) != 6,
-            f"format '{self.format}' needs one column": self.format in ("epoch", "elapsed")
-            and len(self.names) > 1
-            and self.fraction is None,
-            "fraction is for format 'epoch' with two columns": self.fraction is not None
-            and (self.format != "epoch" or len(self.names) != 2),
-            "format 'elapsed' and start = ... go together": (self.format == "elapsed")
-            != (self.start is not None),
-            f"format '{self.format}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
-            " pattern such as '%d.%m.%Y %H:%M:%S'": patterned and "%" not in self.format,
-            "date is for a pattern that holds the time of day only": self.date is not None
-            and not (patterned and "%d" not in self.format),
-        }
-        problems: list[str | None] = [problem for problem, at_fault in faults.items() if at_fault]
-        refuse([*problems, problem_of(_check_timezone, self.timezone)])
-        return self
+    def problems(self) -> Iterator[str | None]:
+        """Keys that do not go together, and a zone that is not known."""
+        form, count = self.format, len(self.names)
+        patterned = form not in ("iso", "epoch", "elapsed", "parts")
+        if (self.column is None) == (not self.columns):
+            yield "needs either column or columns"
+        if form == "parts" and count != 6:
+            yield "format 'parts' needs 6 columns: year month day hour minute second"
+        if form in ("epoch", "elapsed") and count > 1 and self.fraction is None:
+            yield f"format '{form}' needs one column"
+        if self.fraction is not None and (form != "epoch" or count != 2):
+            yield "fraction is for format 'epoch' with two columns"
+        if (form == "elapsed") != (self.start is not None):
+            yield "format 'elapsed' and start = ... go together"
+        if patterned and "%" not in form:
+            yield (
+                f"format '{form}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
+                " pattern such as '%d.%m.%Y %H:%M:%S'"
+            )
+        if self.date is not None and not (patterned and "%d" not in form):
+            yield "date is for a pattern that holds the time of day only"
+        yield problem_of(_check_timezone, self.timezone)
 
 
 def _check_timezone(name: str) -> None:
@@ -667,11 +657,10 @@ class RideOptions(Strict):
         used = (self.device, *self.only, *self.name, self.begin, self.end, *self.metadata.values())
         return tuple(dict.fromkeys(used))
 
-    @pydantic.model_validator(mode="after")
-    def _units(self) -> Self:
+    def problems(self) -> Iterator[str | None]:
+        """A unit that is not one of length."""
         if self.least_movement is not None:
-            check_unit("least_movement", self.least_movement.unit, "m")
-        return self
+            yield problem_of(check_unit, "least_movement", self.least_movement.unit, "m")
 
 
 class LoadColumn(Strict):
@@ -680,10 +669,9 @@ class LoadColumn(Strict):
     column: str
     unit: str
 
-    @pydantic.model_validator(mode="after")
-    def _units(self) -> Self:
-        check_unit("load", self.unit, "kg")
-        return self
+    def problems(self) -> Iterator[str | None]:
+        """A unit that is not one of mass."""
+        yield problem_of(check_unit, "load", self.unit, "kg")
 
 
 class WeatherColumn(Strict):
@@ -698,13 +686,7 @@ class WeatherColumn(Strict):
     """
 
     column: str
-    words: dict[str, str] = Field(default_factory=dict)
-
-    @pydantic.field_validator("words")
-    @classmethod
-    def _known(cls, words: dict[str, str]) -> dict[str, str]:
-        refuse(problem_of(given_condition, word) for word in words.values())
-        return {word: given_condition(meant) for word, meant in words.items()}
+    words: dict[str, Condition] = Field(default_factory=dict)
 
 
 class TripColumns(Strict):
@@ -743,11 +725,6 @@ class TripColumns(Strict):
         return tuple(dict.fromkeys(name for name in found if name))
 
 
-def _condition(word: str) -> str:
-    refuse([problem_of(given_condition, word)])
-    return given_condition(word)
-
-
 class TripOptions(Strict):
     """What holds for the whole trip ([trip]).
 
@@ -773,34 +750,25 @@ class TripOptions(Strict):
     line: str | None = None
     clock: str | None = None
     direction: Literal["forward", "reverse"] | None = None
-    weather: str | None = None
+    weather: Condition | None = None
     load: Quantity | None = None
     mass: Quantity | None = None
     start_position: Quantity | Literal["stations"] | None = None
     columns: TripColumns = TripColumns()
 
-    @pydantic.field_validator("weather")
-    @classmethod
-    def _known(cls, weather: str | None) -> str | None:
-        return None if weather is None else _condition(weather)
-
-    @pydantic.model_validator(mode="after")
-    def _units(self) -> Self:
-        problems: list[str | None] = []
+    def problems(self) -> Iterator[str | None]:
+        """Units of another kind, values that no train has, and two that state the same."""
         for name, unit in (("load", "kg"), ("mass", "kg"), ("start_position", "m")):
             quantity: Quantity | Literal["stations"] | None = getattr(self, name)
-            if isinstance(quantity, Quantity):
-                problems.append(problem_of(check_unit, name, quantity.unit, unit))
+            if not isinstance(quantity, Quantity):
+                continue
+            wrong = problem_of(check_unit, name, quantity.unit, unit)
+            yield wrong
+            if wrong is None and name in _PLAUSIBLE:
+                form = form_for(Train, _PLAUSIBLE[name])
+                yield from map(str, form.implausible(quantity.si(unit), name))
         if self.load is not None and self.mass is not None:
-            problems.append("give load or mass, not both")
-        refuse(problems)
-        refuse(
-            str(problem)
-            for name, field in _PLAUSIBLE.items()
-            if (quantity := getattr(self, name)) is not None
-            for problem in form_for(Train, field).implausible(quantity.si("kg"), name)
-        )
-        return self
+            yield "give load or mass, not both"
 
 
 class Limit(Strict):
@@ -849,20 +817,17 @@ class Limits(Strict):
     not_before: datetime.date | None = None
     columns: dict[str, Limit] = Field(default_factory=dict)
 
-    @pydantic.model_validator(mode="after")
-    def _known(self) -> Self:
-        refuse(problem_of(_check_limit, name, limit) for name, limit in self.columns.items())
-        return self
+    def problems(self) -> Iterator[str | None]:
+        """Limits of fields that are not known, or in a unit of another kind."""
+        for name, limit in self.columns.items():
+            unknown = problem_of(known_field, name)
+            yield unknown or problem_of(check_unit, name, limit.unit, known_field(name).unit)
 
     def of(self, name: str) -> Bounds:
         """Bounds [SI] of a column ``"/topic.column"``: the profile's, else the topic table's."""
         limit = self.columns.get(base_name(name))
         item = field_of(name)[2]
         return item.bounds if limit is None else limit.bounds(item.unit)
-
-
-def _check_limit(name: str, limit: Limit) -> None:
-    check_unit(name, limit.unit, known_field(name).unit)
 
 
 class Repair(Strict):
@@ -933,20 +898,15 @@ class Profile(Strict):
         stated = metadata.get("weather")
         return metadata if stated is None else {**metadata, "weather": _condition(stated)}
 
-    @pydantic.model_validator(mode="after")
-    def _columns_fit(self) -> Self:
-        problems = column_problems(self.columns, self.file.format, self.lines, self.telegram)
+    def problems(self) -> Iterator[str | None]:
+        """What does not fit among the columns, and to the format."""
+        yield from column_problems(self.columns, self.file.format, self.lines, self.telegram)
         if (self.telegram is None) == (self.file.format == "telegrams"):
-            problems.append('[telegram] and format = "telegrams" under [file] go together')
+            yield '[telegram] and format = "telegrams" under [file] go together'
         if self.telegram is not None and self.time is not None:
             known = (*self.telegram.columns, ARRIVAL)
-            problems += [
-                f"time: no field '{name}' of the telegram; {suggestion(name, known)}"
-                for name in self.time.names
-                if name not in known
-            ]
-        refuse(problems)
-        return self
+            for name in [name for name in self.time.names if name not in known]:
+                yield f"time: no field '{name}' of the telegram; {suggestion(name, known)}"
 
     def __repr__(self) -> str:
         return as_text(f"Profile '{self.name}'", self._summary())
@@ -1069,7 +1029,7 @@ def profile_of(content: dict[str, Any], *, file: str | Path | None = None) -> Pr
         problems = [one for complaint in complaints for one in _problems(complaint)]
         if any(complaint["loc"] for complaint in complaints):
             # The whole is looked at only where all its parts fit; what else is wrong is listed too.
-            problems += [_split(problem) for problem in _problems_of_columns(content)]
+            problems += [_split(problem) for problem in _problems_of_columns(content) if problem]
         raise InputError.listing(problems, file=file) from error
 
 
@@ -1101,7 +1061,7 @@ def _split(message: str, place: str | None = None) -> InputError:
     return InputError(problem, place=place, remedy=remedy or None)
 
 
-def _problems_of_columns(content: dict[str, Any]) -> list[str]:
+def _problems_of_columns(content: dict[str, Any]) -> Iterator[str | None]:
     """What is wrong with those columns of a profile that can be read one by one."""
     columns: dict[str, Column] = {}
     given = content.get("columns")
