@@ -15,6 +15,7 @@ from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
 from trainlog.railway import Axles, Brake, EffortCurve, RunningResistance
 from trainlog.railway.adhesion import DRY, WET
+from trainlog.simulation.dynamics import CUT, RECOVERING, protect
 from trainlog.simulation.plant import Drive, Plant, PlantState, rail_table
 from trainlog.units import GRAVITY
 
@@ -362,6 +363,35 @@ def test_contact_force_never_exceeds_adhesion() -> None:
     pull = rows["acceleration"] * plant.parameters.body_inertia
     assert pull.max() <= 0.12 * plant.weights.sum() * (1.0 + 1e-9)
     assert pull.max() >= 0.119 * plant.weights.sum()
+
+
+def test_the_friction_brake_uses_no_more_than_the_adhesion_of_the_trailing_axles() -> None:
+    brake = Brake(dead_time=0.0, lag=0.1)
+    train = flirt(resistance=NO_DRAG, max_dynamic_braking_effort=0.0, brake=brake)
+    plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, 0.05)))
+    rows = columns(plant, plant.advance(rolling(plant, 0.0, 30.0), 0.0, 90e3, 1_000, 1))
+    trailing = GRAVITY * (train.mass - train.axles.adhesive_mass)
+    # The wheels of the powered axles are slowed by the rail.
+    inertia = plant.parameters.body_inertia + plant.axles * plant.parameters.axle_inertia
+    slowed = rows["acceleration"][500:]
+    np.testing.assert_allclose(slowed, -0.05 * trailing / inertia, rtol=1e-3)
+
+
+def test_effort_comes_back_once_the_wheel_has_come_back() -> None:
+    """A wheel whose effort was cut has none while its slip is above the release."""
+    plant = Plant.of(level_line(), flirt())
+    state, p = plant.at(0.0, 15.0), plant.parameters
+    mode, memory = np.full(plant.axles, CUT), np.zeros((3, plant.axles))
+    memory[0] = 20e3
+    command = np.full(plant.axles, np.nan)
+    for part, expected in ((0.9 * p.slip_threshold, CUT), (1.1 * p.slip_release, CUT),
+                           (0.9 * p.slip_release, RECOVERING), (0.0, RECOVERING)):  # fmt: skip
+        state.values[3 : 3 + plant.axles] = 15.0 + part
+        protect(state.values, 30e3, mode, memory, command, np.zeros((4, plant.axles)), p)
+        assert np.all(mode == expected), part
+        # Quickly up to a share of what it slipped at.
+        quick = p.step * p.axle_effort * (part == 0.0)
+        np.testing.assert_allclose(command, quick)
 
 
 def test_creep_curves_are_those_of_the_paper_at_its_two_rails() -> None:
