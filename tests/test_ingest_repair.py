@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,17 @@ from ingest_logs import (
     write,
 )
 from recorder_files import MTK_HEADER, drive, mtk_at_rest, mtk_rows
+from refusals import refused
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.ingest import RULES, ingest, report_of
-from trainlog.ingest.clock import longest_nondecreasing
+from trainlog.ingest.clock import drop_clock_jumps, longest_nondecreasing
 from trainlog.ingest.jumps import spikes
-from trainlog.ingest.profile import Repair
+from trainlog.ingest.profile import Limits, Repair
+from trainlog.ingest.recording import Table
 from trainlog.railway import StepProfile
 from trainlog.trip import Trip, seconds
 
@@ -78,6 +82,46 @@ def test_the_longest_ordered_part_is_found(data: st.DataObject) -> None:
     for i in range(time.size):
         best[i] += max((best[j] for j in range(i) if time[j] <= time[i]), default=0)
     assert marked.sum() == best.max()
+
+
+@pytest.mark.parametrize(("step", "within"), [(1.0, 10.0), (4.0, 20.0)])
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_a_time_is_far_off_beyond_the_limit_or_five_steps_of_both_rows_around(
+    step: float, within: float, way: float
+) -> None:
+    for beyond in (0.1, -0.1):
+        time = step * np.arange(100)
+        time[50] += way * (step + within + beyond)  # beside the row that is next to it in time
+        table = timed(time)
+        kept, _ = drop_clock_jumps(table, Limits(sort_within=10.0))
+        assert (50 in kept.rows) == (beyond < 0.0)
+        assert len(kept) == (99 if beyond > 0.0 else 100)
+
+
+@pytest.mark.parametrize("sizes", [(90, 3, 7), (3, 90, 7), (3, 7, 90)])
+def test_the_largest_of_groups_that_pauses_part_is_the_trip(sizes: tuple[int, ...]) -> None:
+    for apart, whole in ((3_600.1, False), (3_599.9, True)):
+        parts = [np.arange(size) + 0.0 for size in sizes]
+        for one, other in pairwise(parts):
+            other += one[-1] + apart
+        kept, _ = drop_clock_jumps(timed(np.concatenate(parts)), Limits(pause=3_600.0))
+        assert len(kept) == (100 if whole else 90)
+
+
+@pytest.mark.parametrize("far", [25, 26])
+def test_a_clock_that_jumps_in_more_than_a_quarter_of_the_rows_is_refused(far: int) -> None:
+    time = np.arange(100.0)
+    time[-far:] += 1e6
+    if far == 25:
+        assert len(drop_clock_jumps(timed(time), Limits())[0]) == 75
+    else:
+        refused(InputError, "26 of 100 rows do not fit", drop_clock_jumps, timed(time), Limits())
+
+
+def timed(time: FloatArray) -> Table:
+    """A table of speeds at times [s]; rows are numbered from 0."""
+    known = START + np.round(SECOND * time).astype(np.int64)
+    return Table(known, np.arange(time.size), {"/train/state.speed": np.arange(time.size) + 0.0})
 
 
 @given(

@@ -36,15 +36,15 @@ from types import FrameType
 from typing import Any
 
 import pytest
-from hypothesis import Phase, settings
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 NEAREST = {
-    "analysis/resistance/regression.py": "resistance_windows resistance_fit passport coast_down",
+    "estimators/regression.py": "regression resistance_windows passport",
+    "analysis/resistance/regression.py": "resistance_diagnostics resistance_windows passport",
     "estimators/rls.py": "rls resets estimators resistance_windows",
     "estimators/condition_passes.py": "condition_passes condition_field traction_map",
-    "trainlog/catalogue/registration.py": "identity catalogue catalogue_versions",
+    "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_views",
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
     "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
@@ -54,7 +54,8 @@ NEAREST = {
 """Modules, and the tests that a fault in them should fail, the quickest first."""
 
 WIDER = {
-    "analysis/resistance/regression.py": "resistance_together resistance_diagnostics calculated"
+    "estimators/regression.py": "coast_down resistance_fit golden",
+    "analysis/resistance/regression.py": "coast_down resistance_fit resistance_together calculated"
     " golden tunnels",
     "estimators/rls.py": "study_rls_sliding_mode resistance_fit golden",
     "estimators/condition_passes.py": "map_views map_difference traction_map_figures golden",
@@ -77,7 +78,7 @@ OPERATORS = {
 NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all",
          "all": "any", "argmin": "argmax", "argmax": "argmin"}  # fmt: skip
 
-SPARE = 60.0
+SPARE = 25.0
 """Time [s] that tests may take beyond three times theirs without a change: else it is killed."""
 
 MEMORY = 12 << 30
@@ -203,6 +204,8 @@ class Watcher:
 
     def pytest_sessionstart(self) -> None:
         """Have failing examples not be made smaller, which takes minutes."""
+        from hypothesis import Phase, settings  # which pytest is to load first
+
         known = settings.get_profile("trainlog")
         settings.register_profile("mutants", known, phases=(Phase.explicit, Phase.generate))
         settings.load_profile("mutants")
@@ -409,19 +412,21 @@ def main() -> None:
     parser.add_argument("--line", type=int, nargs="*", help="only of these lines")
     given = parser.parse_args()
     texts = {each: (CHECKOUT / each).read_bytes() for each in NEAREST}
-    possible = [mutant for each in NEAREST for mutant in mutants_of(each, texts[each])]
-    drawn = random.Random(given.seed).sample(possible, min(given.count, len(possible)))
+    possible = {each: mutants_of(each, texts[each]) for each in NEAREST}
+    share = given.count / sum(map(len, possible.values()))
     modules = given.module or list(NEAREST)
     count, killed, survivors = Counter[str](), Counter[str](), list[Mutant]()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "checkout"
         _copy(folder)
         for module in modules:
-            chosen = [
-                each
-                for each in (possible if given.line else drawn)
-                if each.module == module and (not given.line or each.line in given.line)
-            ]
+            every = possible[module]
+            if given.line:
+                chosen = [each for each in every if each.line in given.line]
+            else:
+                chosen = random.Random(f"{given.seed} {module}").sample(
+                    every, round(share * len(every))
+                )
             if not chosen:
                 continue
             tests = nearest(folder, module)
