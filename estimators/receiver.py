@@ -40,6 +40,9 @@ LEAST_SHARE, ENOUGH = 0.1, 30.0
 """Part of the largest structure function that adds to the uncertainty of each, and the number of
 independent pairs beyond which more of them do not make a lag count more."""
 
+HELD = 1.5
+"""Times a value is repeated on average from which on values are held."""
+
 LEAST_PAIRS = 20
 """Pairs of values from which on a lag is used."""
 
@@ -333,8 +336,11 @@ def speed_noise(
     return noise
 
 
-def white_noise(values: FloatArray) -> float:
+def white_noise(values: FloatArray, hold: float = 1.0) -> float:
     """Standard deviation of white noise on a smooth series, from its second differences.
+
+    Where each value is repeated `hold` times on average, so is its error: that of white noise which
+    says as much taken together. A value that is held makes two second differences, not three.
 
     Examples
     --------
@@ -342,6 +348,9 @@ def white_noise(values: FloatArray) -> float:
     >>> noise = 0.1 * np.random.default_rng(1).standard_normal(5_000)
     >>> round(white_noise(np.arange(5_000) / 50.0 + noise), 2)
     0.1
+    >>> held = np.repeat(noise, 4)
+    >>> round(white_noise(held, 4.0), 2), round(0.1 * 4.0**0.5, 2)
+    (0.2, 0.2)
     """
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]
@@ -349,7 +358,8 @@ def white_noise(values: FloatArray) -> float:
         return 0.0
     # Most are small where values repeat, some large where a train begins to brake.
     size = np.minimum(np.abs(second), np.quantile(np.abs(second), 0.99))
-    return float(np.sqrt(np.mean(size**2) / 6.0))
+    repeats = np.sqrt(1.5) * hold if hold > HELD else 1.0
+    return float(repeats * np.sqrt(np.mean(size**2) / 6.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -554,7 +554,8 @@ class OnLine:
         along = series_of(seconds, np.where(self.aged_std > 0.0, np.nan, self.chainage - driven))
         whole = np.round(np.interp(along.seconds, seconds, missing), 6)
         dense = float(np.median(np.diff(shown.seconds))) < 2.0
-        white = np.sqrt(self.hold) * white_noise(shown.values) if dense else 0.0
+        moving = shown.values[shown.values > MOVING]
+        white = white_noise(moving, self.hold) if dense else 0.0
         white = max(white, SMALLEST_NOISE[1])
         if self.lateness:
             # How late fixes are changes: their places show nothing of the speeds' errors.
