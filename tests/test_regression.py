@@ -66,6 +66,17 @@ def test_rows_that_err_together_widen_what_is_known() -> None:
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.std(errors), rel=0.15)
 
 
+def test_a_mean_of_rows_that_err_alone_has_the_variance_of_a_sample() -> None:
+    """Two rows are enough; of one cluster nothing is known."""
+    left = np.random.default_rng(5).normal(3.0, 2.0, 7)
+    for count in (2, 7):
+        found = regress(left[:count], [Free("mean", np.ones(count), 1e6)])
+        each, mean, clusters = found.clustered(np.arange(count))
+        assert clusters == count
+        np.testing.assert_allclose([each[0], mean], np.var(left[:count], ddof=1), rtol=1e-6)
+    assert regress(left, [Free("mean", np.ones(7), 1e6)]).clustered(np.zeros(7))[1:] == (1.0, 1)
+
+
 def test_a_ratio_has_the_spread_of_both() -> None:
     columns = np.random.default_rng(3).standard_normal((200, 2))
     columns[:, 1] += 0.8 * columns[:, 0]
