@@ -4,9 +4,9 @@
 
 A mutant is a copy of the checkout in which one operator, comparison, number or statement of one
 module is another one; it is killed if the tests nearest to that module fail. The tests that ran the
-line of the mutant are run, the quickest first. Those that survive are listed with their place, and
-go through the other tests of these files and through wider ones where ``--wider`` asks for it: some
-are equivalent to the original, the others show which behaviour no test asks for.
+line of the mutant are run, those of the quickest file first. Those that survive are listed with
+their place, and go through the other tests of these files and through wider ones where ``--wider``
+asks for it: some are equivalent to the original, the others show which behaviour no test asks for.
 
 Each run of tests is a fork of this process, which has loaded the packages that the tests need.
 Kernels of the module are not compiled in the first run of a mutant: a failed assertion there kills
@@ -354,9 +354,14 @@ class Nearest:
     kernels: bool
 
     def of(self, line: int) -> list[str]:
-        """Tests that run a line, the quickest first; all of them if none is seen to."""
-        order = sorted(self.seconds, key=self.seconds.__getitem__)
-        return [each for each in order if line in self.lines[each]] or order
+        """Tests that run a line, by file and the one with the quickest test first; else all."""
+        hit = [each for each in self.seconds if line in self.lines[each]] or [*self.seconds]
+        quickest: dict[str, float] = {}
+        for each in hit:
+            file = each.split("::")[0]
+            quickest[file] = min(quickest.get(file, float("inf")), self.seconds[each])
+        # In a file in its own order, by which its tests share what they make once.
+        return sorted(hit, key=lambda each: quickest[each.split("::")[0]])
 
     def limit(self, tests: Sequence[str]) -> float:
         """Most time that tests may take [s]."""
