@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 import pandas as pd
 from mcap.records import Channel
 
-from trainlog.arrays import IntArray, UintArray
+from trainlog.arrays import UintArray
 from trainlog.display import counted, in_brief
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import sha256
@@ -395,15 +396,14 @@ class _Intervals:
     count : int
     first, last : int
         [ns]; zero without messages.
-    lengths, numbers : (k,) uint64 and int64 arrays
-        Lengths of the intervals between messages [ns], increasing, and how many have each.
+    lengths : Counter of int
+        How many intervals between messages there are of each length [ns].
     """
 
     count: int = 0
     first: int = 0
     last: int = 0
-    lengths: UintArray = field(default_factory=lambda: np.empty(0, np.uint64))
-    numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    lengths: Counter[int] = field(default_factory=Counter)
 
     def add(self, time: UintArray) -> None:
         """Go on with times that are not before those added so far."""
@@ -415,29 +415,27 @@ class _Intervals:
         self.first = self.first if self.count else int(time[0])
         self.count += len(time) - bool(self.count)
         self.last = int(time[-1])
-        intervals = np.diff(time) // _DIFFERENT * _DIFFERENT
-        lengths, numbers = np.unique(intervals, return_counts=True)
-        self.lengths, self.numbers = _merged(
-            np.concatenate([self.lengths, lengths]), np.concatenate([self.numbers, numbers])
-        )
+        lengths, numbers = np.unique(np.diff(time) // _DIFFERENT * _DIFFERENT, return_counts=True)
+        self.lengths.update(dict(zip(lengths.tolist(), numbers.tolist(), strict=True)))
 
     @property
     def median(self) -> float:
         """Median interval [s]; NaN for fewer than two messages."""
-        count = int(self.numbers.sum())
-        if not count:
+        if not self.lengths:
             return np.nan
-        middle = np.searchsorted(np.cumsum(self.numbers), [(count - 1) // 2, count // 2], "right")
-        return float(self.lengths[middle].astype(np.float64).mean() * 1e-9)
+        lengths, numbers = np.array(sorted(self.lengths.items()), dtype=np.float64).T
+        count = self.lengths.total()
+        middle = np.searchsorted(np.cumsum(numbers), [(count - 1) // 2, count // 2], "right")
+        return float(lengths[middle].mean() * 1e-9)
 
     @property
     def largest(self) -> float:
         """Largest interval [s]; NaN for fewer than two messages."""
-        return float(self.lengths[-1]) * 1e-9 if len(self.lengths) else np.nan
+        return max(self.lengths, default=np.nan) * 1e-9
 
     def longer_than(self, interval: float) -> int:
         """How many intervals are longer [s]."""
-        return int(self.numbers[self.lengths.astype(np.float64) * 1e-9 > interval].sum())
+        return sum(number for length, number in self.lengths.items() if length * 1e-9 > interval)
 
 
 def _intervals(source: Source, contents: Contents) -> dict[int, _Intervals]:
@@ -476,13 +474,6 @@ def _groups(contents: Contents) -> Iterator[list[ChunkPlace]]:
         held += place.messages
         end = max(end, place.end)
     yield group
-
-
-def _merged(lengths: UintArray, numbers: IntArray) -> tuple[UintArray, IntArray]:
-    """Each length once, with how many there are."""
-    different, place = np.unique(lengths, return_inverse=True)
-    merged = np.bincount(place, weights=numbers, minlength=len(different))
-    return different, merged.astype(np.int64)
 
 
 _READ_WHOLE, _LOOKED_AT = 500_000, pd.Timedelta("60s")
