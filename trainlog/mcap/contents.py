@@ -580,7 +580,6 @@ class _Scan:
                 if found.indexed:
                     raise
                 # Where bytes are missing, the record before may have taken the head of a chunk.
-                doubtful = max(doubtful, *(loss.end for loss in found.losses[-1:]), 0)
                 behind = search(source, doubtful + 1, at)
                 if behind < at:
                     at = doubtful
@@ -697,9 +696,16 @@ class _Scan:
         if self._found.indexed:
             raise damaged(at, "a chunk is not listed")
         given, places, behind = self._indexes(end)
-        chunk = chunk_at(self._source, at)
-        content = opened(chunk, at)
-        index, declared = (given, []) if fills(content, given) else gone_through(content, at)
+        try:
+            chunk = chunk_at(self._source, at)
+            content = opened(chunk, at)
+            index, declared = (given, []) if fills(content, given) else gone_through(content, at)
+        except LogError as error:
+            if not given or search(self._source, at + 1, behind) < behind:
+                raise
+            # What stands behind its indexes is not lost with it.
+            self._lose(at, behind, error.problem)
+            return behind
         for each in declared:
             self._found.declare(each)
         right = given.keys() == index.keys() and all(

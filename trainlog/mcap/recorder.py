@@ -241,7 +241,10 @@ class Recording:
         UserWarning
             Once, if a topic begins before April 1970, as times in seconds do.
         """
-        table = self._tables.get(topic) or self._begun(topic, values)
+        if topic not in self._tables:
+            with in_file(self._path), self._lock:
+                self._table(topic, values)
+        table = self._tables[topic]
         with self._lock:
             if self._failure or self._closing:
                 self._refuse()
@@ -440,34 +443,21 @@ class Recording:
                 raise LogError(f"{topic.name} is in use already", remedy="declare it once, first")
             self._declared[topic.name] = topic
 
-    def _topic(self, name: str) -> Topic:
-        """The topic of that name, of the table or declared.
+    def _table(self, name: str, values: Mapping[str, Any]) -> Table:
+        """The table of a topic; its first sample decides how many axles there are.
 
         Raises
         ------
         LogError
-            If there is none.
+            If there is no such topic, of the table or declared.
         """
-        if name.startswith(RECORDED) and name not in self._declared:
-            raise LogError(
-                f"{name} has not been declared",
-                remedy="declare its fields with recording.declare(trainlog.recorded_topic(...))",
-            )
-        return self._declared.get(name) or known_topic(name)
-
-    def _begun(self, topic: str, values: Mapping[str, Any]) -> Table:
-        """The table of a topic, made when its first sample comes."""
-        with in_file(self._path), self._lock:
-            return self._table(topic, values)
-
-    def _table(self, name: str, values: Mapping[str, Any]) -> Table:
-        """The table of a topic; its first sample decides how many axles there are."""
-        table = self._tables.get(name)
-        if table is None:
-            topic = self._topic(name)
-            table = Table(topic, len(self._tables) + 1, axles_in(topic, values))
-            self._tables[name] = table
-        return table
+        if name not in self._tables:
+            if name.startswith(RECORDED) and name not in self._declared:
+                remedy = "declare its fields with recording.declare(trainlog.recorded_topic(...))"
+                raise LogError(f"{name} has not been declared", remedy=remedy)
+            topic = self._declared.get(name) or known_topic(name)
+            self._tables[name] = Table(topic, len(self._tables) + 1, axles_in(topic, values))
+        return self._tables[name]
 
     def _run(self) -> None:
         """The recorder's thread: a flush a period, and one at the end."""
