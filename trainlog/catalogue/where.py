@@ -38,7 +38,6 @@ FUNCTIONS = {
     "month": "month(start), 1 to 12",
     "weekday": "weekday(start), 1 is Monday",
     "hour": "hour(start), 0 to 23",
-    "abs": "abs(km_to)",
     "label": "label('configuration'), a fact that the log states",
     "topic": "topic('/train/axles'), the number of its messages",
     "passport": "passport('effort_gain'), a value of the passport",
@@ -71,7 +70,6 @@ _COMPARISONS: dict[type[exp.Expression], Callable[[Any, Any], Any]] = {
     exp.GT: operator.gt,
     exp.GTE: operator.ge,
 }
-_TURNED = {exp.LT: exp.GT, exp.LTE: exp.GTE, exp.GT: exp.LT, exp.GTE: exp.LTE}
 
 
 @dataclass(frozen=True)
@@ -188,9 +186,7 @@ class _Compiler:
         if kind is exp.NEQ:
             return sa.not_(self.comparison(exp.EQ, left, right))
         if _is_literal(left):
-            if _is_literal(right):
-                raise self.refused("compares two literals", left, "compare a column")
-            kind, left, right = _TURNED.get(kind, kind), right, left
+            raise self.refused("begins with a literal", left, "write the column first")
         value, compare = self.value(left), _COMPARISONS[kind]
         if not _is_literal(right):
             other = self.value(right)
@@ -297,11 +293,8 @@ class _Compiler:
         while isinstance(inner, exp.Cast | exp.Paren | exp.TsOrDsToDate):
             inner = inner.this
         value = self.value(inner)
-        kind = "number" if name == "abs" else "time"
-        if value.kind != kind:
-            raise self.refused(f"{name}() takes a {kind}", node, usage)
-        if name == "abs":
-            return replace(value, element=sa.func.abs(value.element), words=f"abs({value.words})")
+        if value.kind != "time":
+            raise self.refused(f"{name}() takes a time", node, usage)
         return _Value("number", "", _calendar(name, value.element), f"{name}({value.words})")
 
     def held(self, name: str, key: str) -> _Value:
