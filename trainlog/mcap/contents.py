@@ -580,6 +580,7 @@ class _Scan:
                 if found.indexed:
                     raise
                 # Where bytes are missing, the record before may have taken the head of a chunk.
+                doubtful = max(doubtful, *(loss.end for loss in found.losses[-1:]), 0)
                 behind = search(source, doubtful + 1, at)
                 if behind < at:
                     at = doubtful
