@@ -29,6 +29,26 @@ def test_good_residuals_raise_no_doubt() -> None:
     assert doubtful <= 4
 
 
+def test_probabilities_of_good_residuals_are_spread_evenly() -> None:
+    """Of few windows, too: half of the trips have less than one half."""
+    found = [
+        diagnosed(residuals(np.random.default_rng(seed).standard_normal(40))) for seed in range(500)
+    ]
+    for name in ("independence", "flatness"):
+        below = np.mean([getattr(each, name) < 0.5 for each in found])
+        assert below == pytest.approx(0.5, abs=0.07), name
+
+
+def test_correlations_are_those_of_neighbours_as_far_as_there_are_any() -> None:
+    value = np.array([3.0, -1.0, 2.0, -2.0, 3.0])
+    about = value - 1.0
+    power = 4.0 + 4.0 + 1.0 + 9.0 + 4.0
+    pairs = [-4.0 - 2.0 - 3.0 - 6.0, 2.0 + 6.0 + 2.0, -6.0 - 4.0, 4.0]
+    assert about @ about == power
+    np.testing.assert_allclose(residuals(value).correlation(), np.array(pairs) / power)
+    assert residuals(np.arange(99.0)).correlation().size == 10
+
+
 def test_each_defect_is_reported() -> None:
     noise = np.random.default_rng(1).standard_normal(300)
     wind = np.convolve(noise, np.ones(5) / np.sqrt(5.0), mode="same")
