@@ -21,6 +21,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from math import isfinite, nan
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -188,7 +189,6 @@ class Recording:
         self._early = False
         self._declared: dict[str, Topic] = {}
         self._tables: dict[str, Table] = {}
-        self._events: list[tuple[int, int, str, str]] = []
         self._written: Counter[str] = Counter()
         self._notes: dict[str, str] = {}
         self._observers: list[Callable[[Trip], object]] = []
@@ -299,7 +299,8 @@ class Recording:
             if self._waiting >= self._limit:
                 table.drop(at, 1)
                 return
-            self._events.append(event)
+            table.rows.append((event[0], table.count, *event[1:]))
+            table.count += 1
             self._waiting += 64 + 4 * (len(message) + len(name))
 
     def note(self, key: str, text: str) -> None:
@@ -469,9 +470,9 @@ class Recording:
             with self._lock:
                 self._due.clear()
                 closing = self._closing
-                rows, events = self._taken()
+                taken = self._taken()
             try:
-                frames = self._frames(rows, events)
+                frames = {table.topic.name: table.frame(rows) for table, rows in taken}
                 with self._round:
                     self._put(frames)
                     if self._observers and frames:
@@ -501,36 +502,22 @@ class Recording:
         if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
             raise FileNotFoundError(errno.ENOENT, "another file has taken its place")
 
-    def _taken(self) -> tuple[list[tuple[Table, bytearray]], list[tuple[int, int, str, str]]]:
-        """The samples by topic and the events that have gathered; the queue is empty then."""
-        rows = [(table, table.rows) for table in self._tables.values() if table.rows]
-        for table, _ in rows:
-            table.rows = bytearray()
-        events, self._events = self._events, []
+    def _taken(self) -> list[tuple[Table, Any]]:
+        """The samples and events that have gathered, by topic; the queue is empty then."""
+        events = self._tables[EVENTS.name]
         for name, table in self._tables.items():
             if table.gap is not None:
                 first, last, count = table.gap
                 span = f"from {np.datetime64(first, 'ns')} to {np.datetime64(last, 'ns')}"
                 problem = f"{count:,} samples of {name} dropped: the queue was full {span}"
-                events.append((first, _WARNING, problem, "trainlog.record"))
+                events.rows.append((first, events.count, _WARNING, problem, "trainlog.record"))
+                events.count += 1
                 table.gap = None
-        self._tables[EVENTS.name].count += len(events)
+        taken = [(table, table.rows) for table in self._tables.values() if table.rows]
+        for table, rows in taken:
+            table.rows = type(rows)()
         self._waiting = 0
-        return rows, events
-
-    def _frames(
-        self, rows: list[tuple[Table, bytearray]], events: list[tuple[int, int, str, str]]
-    ) -> _Frames:
-        """The frames of what was taken, in the order of time, and the number of each row."""
-        frames = {table.topic.name: table.frame(each) for table, each in rows}
-        if events:
-            first = self._tables[EVENTS.name].count - len(events)
-            order = sorted(range(len(events)), key=lambda row: events[row][0])
-            time, *texts = zip(*(events[row] for row in order), strict=True)
-            columns: dict[str, Any] = dict(zip(("level", "message", "name"), texts, strict=True))
-            numbers = np.array(order, dtype=np.uint64) + np.uint64(first)
-            frames[EVENTS.name] = frame_of(EVENTS, time, columns), numbers.astype(np.uint32)
-        return frames
+        return taken
 
     def _show(self, topics: dict[str, pd.DataFrame]) -> None:
         """Give the observers what was written."""
@@ -617,8 +604,8 @@ class Table:
         Of its channel and its schema.
     axles : int
         How many numbers its fields have that have one for each axle; the first sample decides it.
-    rows : bytearray
-        The samples that wait.
+    rows : bytearray, or list of (time, number, level, message, name)
+        The samples, or the events, that wait.
     count : int
         How many samples it was given, those dropped included.
     dropped : int
@@ -630,7 +617,7 @@ class Table:
     topic: Topic
     number: int
     axles: int
-    rows: bytearray = field(default_factory=bytearray)
+    rows: Any = field(default_factory=bytearray)
     count: int = 0
     dropped: int = 0
     gap: tuple[int, int, int] | None = None
@@ -638,6 +625,7 @@ class Table:
     def __post_init__(self) -> None:
         # Where the values of each field stand in a row: one, or one for each axle.
         self.places: dict[str, int | slice] = {}
+        self.rows = [] if self.topic is EVENTS else self.rows
         self.names: list[str] = []
         for each in self.topic.fields if self.topic is not EVENTS else ():
             begin = _HEAD + len(self.names)
@@ -717,8 +705,12 @@ class Table:
             first, last, before = self.gap or (least, greatest, 0)
             self.gap = min(first, least), max(last, greatest), before + count
 
-    def frame(self, rows: bytearray) -> tuple[pd.DataFrame, NDArray[np.uint32]]:
-        """The samples taken, in the order of time, and their numbers as they arrived."""
+    def frame(self, rows: Any) -> tuple[pd.DataFrame, NDArray[np.uint32]]:
+        """What was taken, in the order of time, with its numbers as it arrived."""
+        if self.topic is EVENTS:
+            time, number, *texts = zip(*sorted(rows, key=itemgetter(0)), strict=True)
+            texts_by: dict[str, Any] = dict(zip(("level", "message", "name"), texts, strict=True))
+            return frame_of(EVENTS, time, texts_by), np.array(number).astype(np.uint32)
         words = np.frombuffer(rows, dtype=np.float64).reshape(-1, self.width)
         words = words[np.argsort(words[:, :1].view(np.int64)[:, 0], kind="stable")]
         time, number = words[:, :_HEAD].view(np.int64).T
