@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from analysis.resistance.regression import (
     BRAKE_SCALE_STD,
     DELAY_STD,
     DRAG_STD,
+    LEAST_FORCE,
+    _best_stretch,
     condition_number,
     fit_windows,
 )
@@ -259,6 +262,76 @@ def test_outliers_are_left_out() -> None:
     assert dirty.kept.sum() >= windows.count - 6
     z = (dirty.beta - clean.beta) / np.sqrt(np.diag(dirty.covariance))
     assert np.all(np.abs(z) < 2.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "force"),
+    [(300.0, 420.0, 0.02), (700.0, 1_200.0, -0.02), (0.0, 500.0, 0.02), (0.0, 500.0, -0.02)],
+)
+def test_a_stretch_with_a_force_of_its_own_is_found(
+    first: float, last: float, force: float
+) -> None:
+    """Over mass, of a part of 20 min. A long one may be the right part: the band holds both."""
+    windows = build_windows(recording(noise=0.02, seed=4))
+    inside = (windows.start >= first) & (windows.end <= last)
+    dragged = replace(windows, y=windows.y - force * windows.duration * inside)
+    clean, found = (fit_windows(each, 130e3, 20e3, search=True) for each in (windows, dragged))
+    assert clean.stretches == ()
+    (only,) = found.stretches
+    assert (only.start, only.end) == (pytest.approx(first, abs=12.0), pytest.approx(last, abs=12.0))
+    duration = windows.duration
+    assert only.share == pytest.approx(duration[inside].sum() / duration.sum(), abs=0.02)
+    assert only.ambiguous == (last - first > 300.0)
+    assert abs(only.force - force * 130e3) < 3.0 * only.std
+    assert only.std < 0.1 * abs(only.force)
+    truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
+    half = 0.5 * only.force * only.ambiguous
+    z = (found.beta - half * (np.arange(4) == 0) - truth) / np.sqrt(np.diag(clean.covariance))
+    assert np.all(np.abs(z) < 4.0), z
+    low = found.beta[0] - 2.0 * np.sqrt(found.covariance[0, 0])
+    high = found.beta[0] + 2.0 * np.sqrt(found.covariance[0, 0])
+    assert low < min(truth[0], truth[0] + 2.0 * half)
+    assert max(truth[0], truth[0] + 2.0 * half) < high
+    if only.ambiguous:
+        own = found.covariance[0, 0] - half**2
+        assert 0.5 < own / clean.covariance[0, 0] < 3.0
+    # What is known already is not looked for again, and leads to the same.
+    again = fit_windows(dragged, 130e3, 20e3, stretches=found.stretches)
+    np.testing.assert_allclose(again.beta, found.beta)
+
+
+def test_a_force_that_surveys_err_by_is_no_stretch() -> None:
+    windows = build_windows(recording(noise=0.005, seed=4))
+    inside = (windows.start >= 300.0) & (windows.end <= 420.0)
+    for force, count in ((0.7 * LEAST_FORCE, 0), (1.6 * LEAST_FORCE, 1)):
+        dragged = replace(windows, y=windows.y - force * windows.duration * inside)
+        assert len(fit_windows(dragged, 130e3, 20e3, search=True).stretches) == count
+
+
+def test_the_best_stretch_is_that_of_all_fitted_one_by_one() -> None:
+    """The square of the estimate of its force over its deviation, with all parameters free."""
+    windows = build_windows(recording(noise=0.02, seed=6, duration=400.0))
+    windows = replace(windows, y=windows.y + 0.004 * np.sin(windows.start / 30.0))
+    mass, parts = 130e3, NoiseParts.of(windows, 130e3)
+    regressors = np.column_stack([windows.x, windows.y])
+    prior = np.diag([1.0, 1.0, 10.0, 100.0, 0.0])[:4]
+    prior[0] = np.array([mass, 0.0, 0.0, 0.0, 1.0]) / 0.2
+    likelihood = Likelihood(parts, regressors, prior)
+    edges = np.array([0, 40, 90, 130, 200, 260, windows.count])
+    score, first, last = _best_stretch(windows, likelihood, NOISE, edges)
+    found = {}
+    for one, other in combinations(edges.tolist(), 2):
+        number = np.arange(windows.count)
+        own = -windows.duration * ((number >= one) & (number < other))
+        white = parts.whiten(NOISE, np.column_stack([regressors[:, :-1], own, windows.y]))
+        rows = np.vstack([white, np.insert(prior, 4, 0.0, axis=1)])
+        scale = np.linalg.norm(rows[:, :-1], axis=0)
+        inverse = np.linalg.inv((rows[:, :-1] / scale).T @ (rows[:, :-1] / scale))
+        estimate = inverse @ (rows[:, :-1] / scale).T @ rows[:, -1]
+        found[one, other] = estimate[4] ** 2 / inverse[4, 4]
+    best = max(found, key=lambda each: found[each])
+    assert (first, last) == best
+    assert score == pytest.approx(found[best], rel=1e-6)
 
 
 def test_errors_that_stay_for_kilometres_widen_the_covariance() -> None:
