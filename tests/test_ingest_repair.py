@@ -29,10 +29,15 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.ingest import RULES, ingest, report_of
-from trainlog.ingest.clock import drop_clock_jumps, longest_nondecreasing
+from trainlog.ingest.clock import (
+    drop_before_first_fix,
+    drop_clock_jumps,
+    has_fix,
+    longest_nondecreasing,
+)
 from trainlog.ingest.jumps import spikes
 from trainlog.ingest.profile import Limits, Repair
-from trainlog.ingest.recording import Table
+from trainlog.ingest.recording import NO_TIME, Table
 from trainlog.railway import StepProfile
 from trainlog.trip import Trip, seconds
 
@@ -116,6 +121,48 @@ def test_a_clock_that_jumps_in_more_than_a_quarter_of_the_rows_is_refused(far: i
         assert len(drop_clock_jumps(timed(time), Limits())[0]) == 75
     else:
         refused(InputError, "26 of 100 rows do not fit", drop_clock_jumps, timed(time), Limits())
+
+
+def test_a_fix_has_a_position_satellites_and_an_accuracy() -> None:
+    """On the equator and on the meridian of Greenwich, too, but where both meet receivers say 0."""
+    rows = [  # latitude, longitude, satellites, accuracy, whether it is a fix
+        (47.0, 9.0, 7.0, 2.0, True),
+        (0.0, 9.0, np.nan, np.nan, True),
+        (47.0, 0.0, 7.0, 3_999_999.0, True),
+        (0.0, 0.0, 7.0, 2.0, False),
+        (np.nan, 9.0, 7.0, 2.0, False),
+        (47.0, np.nan, 7.0, 2.0, False),
+        (47.0, 9.0, 0.0, 2.0, False),
+        (47.0, 9.0, 7.0, 4_000_000.0, False),
+    ]
+    *columns, expected = np.array(rows).T
+    names = ("fix.latitude", "fix.longitude", "motion.satellites", "fix.horizontal_accuracy")
+    signals = {f"/gnss/{name}": each for name, each in zip(names, columns, strict=True)}
+    table = replace(timed(np.arange(8.0)), signals=signals)
+    np.testing.assert_array_equal(has_fix(table), expected.astype(bool))
+    position = {name: signals[f"/gnss/{name}"] for name in names[:2]}
+    alone = replace(table, signals={f"/gnss/{name}": each for name, each in position.items()})
+    assert has_fix(alone).sum() == 5  # type: ignore[union-attr]
+    for name in names[:2]:
+        assert has_fix(replace(table, signals={f"/gnss/{name}": columns[0]})) is None
+
+
+def test_rows_before_the_first_fix_leave_logs_of_a_receiver_alone() -> None:
+    fixes = {
+        "/gnss/fix.latitude": np.array([0.0, 47.0, 47.0, 0.0, 47.0]),
+        "/gnss/fix.longitude": np.array([0.0, 9.0, 9.0, 0.0, 9.0]),
+    }
+    table = replace(timed(np.arange(5.0)), signals=fixes)
+    table.time[1] = NO_TIME
+    kept, found = drop_before_first_fix(table, Limits())
+    assert kept.rows.tolist() == [2, 3, 4]
+    assert [each.count for each in found] == [2]
+    speed = {"/train/state.speed": np.ones(5)}
+    for signals in (speed | fixes, speed, {"/gnss/motion.speed": np.ones(5)}):
+        other = replace(table, signals=signals)
+        assert drop_before_first_fix(other, Limits()) == (other, [])
+    never = replace(table, signals={name: 0.0 * each for name, each in fixes.items()})
+    assert len(drop_before_first_fix(never, Limits())[0]) == 0
 
 
 def timed(time: FloatArray) -> Table:
