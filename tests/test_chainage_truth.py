@@ -298,6 +298,18 @@ def test_a_train_that_is_shown_as_fast_where_it_was_cannot_have_stopped() -> Non
     assert np.all(found.age == 0)
 
 
+def test_a_train_that_mostly_runs_fast_stands_at_first() -> None:
+    """A reflection while it stands does not make its start a replay, nor its first fixes wrong."""
+    track = winding(30_000.0)
+    aside = Receiver(bursts=((4.0, 16.0, 38.0 * np.exp(0.3j)),))
+    trip, truth = drive(track, aside, 1)
+    found = estimated(Trip({"/gnss/fix": trip["/gnss/fix"]}, trip.metadata), track)
+    assert found.frame is not None
+    error, std = errors(found.frame, truth, "position")
+    assert np.abs(error).max() < 12.0
+    assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
+
+
 @pytest.mark.parametrize("speed", ["good", "none"])
 def test_replayed_fixes_count_where_they_were_measured(
     speed: str, field_rides: list[tuple]

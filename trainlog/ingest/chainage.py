@@ -90,6 +90,9 @@ geometry."""
 OLDEST = 12.0
 """Age [s] up to which fixes may be late throughout, and from which on they are old ones."""
 
+FASTEST = 0.98
+"""Share of the speeds from fix to fix that are a train's."""
+
 REPLAYED = 3
 """Age [s] from which on a fix of a receiver that is not late throughout is an old one."""
 
@@ -749,8 +752,10 @@ def _usual_speed(seconds: FloatArray, chainage: FloatArray) -> tuple[float, floa
     places = series_of(seconds, chainage, 10.0)
     step = np.diff(places.seconds)
     speed = np.diff(places.values) / step
-    mean = float(np.median(speed))
-    spread = mean_square(speed - mean)
+    # Leaps are no speeds; stands are.
+    speed = np.clip(speed, 0.0, np.quantile(speed, FASTEST))
+    mean = float(np.mean(speed))
+    spread = max(float(np.var(speed)), (0.5 * mean) ** 2)
     close = (step[1:] < 25.0) & (step[:-1] < 25.0)
     change = 1.5 * mean_square(np.diff(speed)[close]) / float(np.median(step))
     return mean, np.sqrt(spread), float(np.clip(2.0 * spread / max(change, 1e-9), 5.0, 120.0))
