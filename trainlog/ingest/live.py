@@ -299,6 +299,9 @@ SOURCE = "trainlog.record"
 WAIT = 0.1
 """How long to wait for the next block before the time is looked at [s]."""
 
+FLUSH = 0.5
+"""A log is whole up to so long [s] before whatever ends the program."""
+
 MOST_KEPT = 1000
 """Malformed lines that are kept in the log; more are counted."""
 
@@ -354,14 +357,11 @@ class LiveOptions:
         A file of the same recorder, whose header names the columns of a stream without one.
     sequence : str
         Column or key with the number that the sender counts its lines with.
-    flush : float [s]
-        As in `trainlog.record`.
     """
 
     source: str = ""
     header: Path | None = None
     sequence: str = "sequence"
-    flush: float = 0.5
 
 
 class LiveIngest:
@@ -463,7 +463,7 @@ class LiveIngest:
         known = metadata_of(Recorded((), 0), rules, given.line, given.train, direction)
         known = {"trip": Path(path).stem} | known | dict(given.metadata or {})
         known |= {"source": options.source} if options.source else {}
-        recording = record(path, metadata=known, attachments=attachments, flush=options.flush)
+        recording = record(path, metadata=known, attachments=attachments, flush=FLUSH)
         limits = bounded_limits(rules.limits, given.line, given.train)
         live = cls(recording, profile, header=header, limits=limits, sequence=options.sequence)
         return recording, live

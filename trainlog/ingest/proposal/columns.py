@@ -15,6 +15,7 @@ from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import in_si
 from trainlog.ingest.motion import (
+    DRIVES,
     EFFORTS,
     ENOUGH,
     GNSS_SPEED,
@@ -29,6 +30,7 @@ from trainlog.ingest.motion import (
 from trainlog.ingest.profile import Column, TripColumns
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.motion import (
+    ALIKE,
     AMBIGUOUS,
     FASTEST,
     TOLERANCE,
@@ -39,7 +41,7 @@ from trainlog.ingest.proposal.motion import (
     same_motion,
     units_of,
 )
-from trainlog.ingest.proposal.times import Clock
+from trainlog.ingest.proposal.times import MOST, Clock
 from trainlog.ingest.proposal.vocabulary import (
     NO_FIELD,
     UNKNOWN,
@@ -66,21 +68,12 @@ brake."""
 EITHER_BRAKE = "the friction brakes' or the sum of both brakes"
 """Open of a braking effort whose brake is not stated: it is taken as the dynamic one's."""
 
-LEVELS = 8
-"""Different values that an effort without a stated unit of force has at least."""
+STRONG = 0.05
+"""Share of the largest effort from which on its sign counts, and of the samples of the rarer sign
+from which on a column has both."""
 
-STRONG, BOTH_SIGNS = 0.05, 0.02
-"""Share of the largest effort from which on its sign counts; of the samples of the rarer sign from
-which on a column has both."""
-
-FOLLOWS = 0.5
+FOLLOWS = DRIVES
 """Correlation, or share of the trip, from which on a column goes with the train's motion."""
-
-HINTS = 0.3
-"""Correlation with the acceleration from which on the sign of an effort is known."""
-
-NUMERIC = 0.6
-"""Share of numbers from which on a column is one of numbers."""
 
 SLOWEST_STEP = 30.0
 """Usual step [s] beyond which rows are no recording of motion."""
@@ -279,7 +272,7 @@ def _content(layout: Layout, name: str) -> tuple[FloatArray | None, str]:
     if column.null_count == len(column):
         return None, "is empty"
     share = layout.share_of_numbers(name)
-    if share >= NUMERIC:
+    if share >= MOST:
         return layout.number(name), ""
     texts = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
     if texts and pc.any(pc.match_substring_regex(column, r"^-?\d{1,3}[ ',.]\d{3}\b")).as_py():
@@ -503,7 +496,7 @@ def _sign(values: FloatArray) -> Literal[1, -1, 0]:
     if top == 0.0:
         return 1
     positive, negative = float(np.mean(known > top)), float(np.mean(known < -top))
-    if min(positive, negative) > BOTH_SIGNS:
+    if min(positive, negative) > STRONG:
         return 0
     return -1 if negative > positive else 1
 
@@ -512,9 +505,9 @@ def _efforts(work: Work, speed: str | None) -> dict[str, Proposed]:
     """Which columns are traction, which braking, with which sign; in no unit yet."""
     for role in (*EFFORTS, BOTH, BRAKING):
         for name in list(work.names.get(role, ())):
-            if not work.stated(name, "force") and np.unique(work.numbers[name]).size < LEVELS:
+            if not work.stated(name, "force") and np.unique(work.numbers[name]).size < ENOUGH:
                 work.names[role].remove(name)
-                work.left[name] = f"an effort of fewer than {LEVELS} values: a state?"
+                work.left[name] = f"an effort of fewer than {ENOUGH} values: a state?"
     found: dict[str, Proposed] = {}
     for role in (DYNAMIC, PNEUMATIC, BRAKING):
         brake = work.first(role)
@@ -550,12 +543,12 @@ def _driving(
     if sign != 0:
         # A traction that is negative where it drives is written with the sign turned.
         why = "traction only, negative: sign -1" if sign < 0 else "traction only"
-        drives = correlation * sign > -HINTS
+        drives = correlation * sign > -FOLLOWS
         other = "" if drives else "braking: the train slows down with it"
         return {TRACTION: Proposed(TRACTION, Column(column=name, sign=sign), why, "", other)}
-    scale = -1.0 if correlation < -HINTS else 1.0
+    scale = -1.0 if correlation < -FOLLOWS else 1.0
     why = f"of both signs, {'negative' if scale < 0.0 else 'positive'} drives"
-    other = "the opposite sign" if abs(correlation) < HINTS else ""
+    other = "the opposite sign" if abs(correlation) < FOLLOWS else ""
     column = Column(column=name, scale=scale, part="positive")
     found = {TRACTION: Proposed(TRACTION, column, why, "", other)}
     if DYNAMIC not in brakes:
@@ -615,9 +608,6 @@ def _place_efforts(work: Work, efforts: dict[str, Proposed], answer: Answer, sta
 USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
 """Units that a further speed is tried in."""
 
-SAME, STATED_SAME = 0.08, 0.12
-"""Relative deviation up to which a further speed is the train's in a unit, in the stated one."""
-
 
 def _speed_unit(work: Work, name: str, ratio: Ratio) -> tuple[str, str, str, str]:
     """The unit in which a column is the train's speed (empty if none), why, check, alternative."""
@@ -630,9 +620,9 @@ def _speed_unit(work: Work, name: str, ratio: Ratio) -> tuple[str, str, str, str
     off = {unit: abs(np.log(times[unit])) for unit in times}
     best = min((unit for unit in USUAL_SPEEDS), key=off.__getitem__)
     check = f"{times[stated or best]:.3f} times the train's speed"
-    if stated and off[stated] < STATED_SAME:
+    if stated and off[stated] < ALIKE:
         return stated, "the file states it", check, ""
-    if off[best] < SAME:
+    if off[best] < ALIKE:
         why, other = "no unit is stated; so it is the train's speed", work.speed_open
         if stated:
             why, other = f"the file states {stated}, which contradicts the speed", stated
@@ -666,7 +656,7 @@ def _place_wheels(work: Work) -> None:
     )
     kept: list[str] = []
     for name, ratio in ratios.items():
-        if ratio.agreement >= FOLLOWS and abs(ratio.value / middle - 1.0) < 0.1:
+        if ratio.agreement >= FOLLOWS and abs(ratio.value / middle - 1.0) < ALIKE:
             kept.append(name)
             continue
         work.left[name] = (
@@ -714,10 +704,10 @@ def _place_lever(work: Work) -> None:
     correlation = 0.0
     if work.speed is not None:
         correlation = driven_mass(work.seconds, work.numbers[name], work.speed).correlation
-    turned = correlation < -HINTS
+    turned = correlation < -FOLLOWS
     why = f"read as {'a share' if unit == '1' else 'per cent'}"
     why += "; the train slows down with it, so sign -1" if turned else ""
-    other = "" if abs(correlation) >= HINTS else "the opposite sign"
+    other = "" if abs(correlation) >= FOLLOWS else "the opposite sign"
     if known.min() >= 0.0 and not turned:
         other = (
             f"traction alone, or neutral at {0.5 * full[unit] / 100.0 if unit == '%' else 0.5:g}"

@@ -26,8 +26,9 @@ from trainlog.units import factor
 WINDOWS, LEAST_WINDOWS = 40, 6
 """Parts of a trip in which two measures of the distance are compared; with motion, at least."""
 
-INLIER = 0.3
-"""Deviation from the median ratio, as a share of it, up to which a window counts."""
+INLIER, ALIKE = 0.3, 0.1
+"""Deviation from the median ratio, as a share of it, up to which a window counts; up to which two
+speeds are the same."""
 
 
 class Ratio(NamedTuple):
@@ -94,7 +95,7 @@ def same_motion(other: FloatArray, speed: FloatArray) -> Ratio:
     """The median factor between two speeds while the train moves."""
     known = np.isfinite(other) & np.isfinite(speed)
     known &= speed > 0.3 * np.nanpercentile(speed, 95)
-    return Ratio.of(other[known] / speed[known], 0.1)
+    return Ratio.of(other[known] / speed[known], ALIKE)
 
 
 class Fixes(NamedTuple):
@@ -251,7 +252,7 @@ def units_of(
         for kind, unit in units.items():
             own = (stated or {}).get(kind)
             cost += OVERRULED * (unit != own) if own else UNITS[kind].get(unit, 0.0)
-        cost += beyond(size["speed"] * fastest, *SPEEDS)
+        cost += too_slow(size["speed"] * fastest) + too_fast(size["speed"] * fastest)
         if math.isfinite(mass) and mass:
             far = max(math.log(low / abs(mass)), math.log(abs(mass) / high))
             cost += OVERRULED * max(0.0, far)
@@ -273,10 +274,14 @@ def units_of(
     return best
 
 
-def beyond(value: float, low: dict[float, float], high: dict[float, float]) -> float:
-    """What a value costs that is below, or above, some bounds."""
-    below = sum(charge for bound, charge in low.items() if value < bound)
-    return below + sum(charge for bound, charge in high.items() if value > bound)
+def too_slow(fastest: float) -> float:
+    """Cost of a highest speed [m/s] that is a low one for a train."""
+    return sum(charge for bound, charge in SPEEDS[0].items() if fastest < bound)
+
+
+def too_fast(fastest: float) -> float:
+    """Cost of a highest speed [m/s] that is a high one for a train."""
+    return sum(charge for bound, charge in SPEEDS[1].items() if fastest > bound)
 
 
 SCALES: dict[str, tuple[dict[str, Any], float]] = {
@@ -294,9 +299,6 @@ SCALES: dict[str, tuple[dict[str, Any], float]] = {
 
 SWAPPED = 1.5
 """Cost of taking latitude for longitude against the columns' names."""
-
-FIXES_MOVE = {0.1: 4.0, 1.0: 3.0, 5.0: 0.8}, {100.0: 2.0, 200.0: 1.0}
-"""Cost of a highest speed [m/s] of the fixes below, and above each of these."""
 
 FASTEST = 110.0
 """Speed [m/s] beyond which fixes do not belong to one train."""
@@ -366,7 +368,8 @@ def positions_of(
             ):
                 continue
             fixes = Fixes.of(seconds, north, east)
-            cost = charge + SWAPPED * swapped + beyond(fixes.speed, *FIXES_MOVE)
+            # Several devices in one file leap: that is refused, and shows no other scale.
+            cost = charge + SWAPPED * swapped + too_slow(fixes.speed)
             ratio = Ratio() if speed is None else fixes.ratio(seconds, speed)
             if ratio.windows >= LEAST_WINDOWS:
                 cost += 15.0 * min(ratio.scatter, 1.0)

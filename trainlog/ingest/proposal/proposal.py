@@ -198,15 +198,11 @@ def propose_profile(
     read = read_parquet if layout.format == "parquet" else read_delimited
     text, profile = _stated(work, readings)
     recording = read(source, profile)
-    pauses = _pauses(recording, profile, source.stem)
-    readings += pauses
+    readings += _pauses(recording, profile, source.stem)
     text, profile = _stated(work, readings)
-    parts = parts_of(recording, profile, source.stem)
-    start = [] if line is None else _start(parts, line, train)
-    readings += start
-    if start:
+    if line is not None:
+        readings += _start(parts_of(recording, profile, source.stem), line, train)
         text, profile = _stated(work, readings)
-    readings += _refused(parts)
     rows = [
         {
             "column": ", ".join(each.column.names),
@@ -280,17 +276,6 @@ def _pauses(recording: Recording, profile: Profile, stem: str) -> list[Reading]:
     why = f"no rows, or standstill, for more than {PAUSE / 60.0:.0f} min between them"
     other = "one trip: leave out pause under [limits]"
     return [Reading("pauses", f"{len(parts)} trips (UTC): {shown}", why, other)]
-
-
-def _refused(parts: list[Recording]) -> list[Reading]:
-    """What the rules of repair would refuse of the file, read so."""
-    for table in [table for part in parts for table in part.tables]:
-        try:
-            repaired(table, Limits(), Repair())
-        except InputError as error:
-            what = "the file as a whole"
-            return [Reading(what, "is refused", error.problem, error.remedy or "")]
-    return []
 
 
 def _preview(recording: Recording) -> pd.DataFrame:

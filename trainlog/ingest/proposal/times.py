@@ -31,7 +31,8 @@ UNKNOWN_DAY = datetime.date(2000, 1, 1)
 """Day that stands for one that the file does not state."""
 
 MOST = 0.8
-"""Share of the cells that a time format must read, and of the steps that must not go back."""
+"""Share of the cells that a time format must read, or that are numbers in a column of numbers, and
+of the steps that must not go back."""
 
 EPOCHS = 1e9, 2.6e9
 """Seconds since 1970 that lie between 2001 and 2052."""
