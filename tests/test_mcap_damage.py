@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+import tempfile
 import tracemalloc
 import warnings
 import zlib
@@ -15,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 import pytest
 import zstandard
+from hypothesis import given, settings, strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.reader import SeekingReader
 from mcap.records import Chunk
@@ -23,6 +25,7 @@ from refusals import refused
 
 from trainlog.errors import LogError
 from trainlog.mcap import Account, DamageWarning, account_of, describe, read_log, write_log
+from trainlog.mcap.records import Source
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -444,3 +447,17 @@ def test_an_index_that_leads_to_a_message_twice_is_not_followed(
         for topic, frame in trip.topics.items():
             part = read_log(tmp_path / "forged.mcap", topics=[topic])
             assert frame.equals(part[topic])
+
+
+@settings(max_examples=20)
+@given(st.lists(st.tuples(st.integers(0, 210_000), st.integers(0, 100_000)), max_size=12))
+def test_any_part_of_a_file_is_read_as_it_stands(parts: list[tuple[int, int]]) -> None:
+    """Small pieces come by a window that is kept, large ones do not."""
+    data = np.random.default_rng(6).bytes(200_000)
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "file").write_bytes(data)
+        with Source(Path(folder) / "file") as source:
+            for offset, length in parts:
+                assert source.read(offset, length) == data[offset : offset + length]
+                assert source.read(offset, length % 99) == data[offset : offset + length % 99]
+            assert source.checksum(7, 190_000) == zlib.crc32(data[7:190_000])

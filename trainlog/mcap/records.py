@@ -454,7 +454,7 @@ _HEAD = np.dtype(
 )
 """What is compared of a message with its index."""
 
-_WINDOW = 2**14
+_WINDOW = 2**16
 """Kept of a file that is read in small pieces [bytes]."""
 
 _PIECE = 2**22
@@ -514,13 +514,16 @@ class _Content:
     """The content of a record as a stream: no more is read than its fields say, none beyond it."""
 
     def __init__(self, read: Read, at: int, end: int) -> None:
-        self._read, self.at, self._end = read, at + RECORD_HEAD, end
+        self.at, self._end, self._first = at, end, at
+        self._read = read
+        self._held = read(at, min(end - at, _WINDOW))
 
     def read(self, length: int) -> bytes:
-        if length > self._end - self.at:
+        at, self.at = self.at, self.at + length
+        if self.at > self._end:
             raise EndOfFile
-        self.at += length
-        return self._read(self.at - length, length)
+        found = self._held[at - self._first : self.at - self._first]
+        return found if len(found) == length else self._read(at, length)
 
 
 def parsed(kind: _Readable[_R_co], read: Read, at: int, end: int, *, exact: bool = False) -> _R_co:
@@ -541,7 +544,7 @@ def parsed(kind: _Readable[_R_co], read: Read, at: int, end: int, *, exact: bool
     LogError
         If the content does not parse.
     """
-    content = _Content(read, at, end)
+    content = _Content(read, at + RECORD_HEAD, end)
     try:
         found = kind.read(ReadDataStream(content))
         if exact and content.at < end:
