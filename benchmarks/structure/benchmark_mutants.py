@@ -4,9 +4,9 @@
 
 A mutant is a copy of the checkout in which one operator, comparison, number or statement of one
 module is another one; it is killed if the tests nearest to that module fail. The tests that ran the
-line of the mutant are run, those of the quickest file first. Those that survive are listed with
-their place, and go through the other tests of these files and through wider ones where ``--wider``
-asks for it: some are equivalent to the original, the others show which behaviour no test asks for.
+line of the mutant are run, those of the quickest file first, then the others of these files. Those
+that survive are listed with their place, and go through wider tests where ``--wider`` asks for it:
+some are equivalent to the original, the others show which behaviour no test asks for.
 
 Each run of tests is a fork of this process, which has loaded the packages that the tests need.
 Kernels of the module are not compiled in the first run of a mutant: a failed assertion there kills
@@ -401,8 +401,12 @@ def _killed_by(folder: Path, mutant: Mutant, tests: Nearest, wider: bool) -> str
         if not run.passed and run.error == "AssertionError":
             return run.failed
     run = run_tests(folder, near, tests.limit(near))
+    # What a test made once, others of its file look at without running the line again.
+    files = {each.split("::")[0] for each in near}
+    rest = [each for each in tests.seconds if each not in near]
+    if run.passed and (beside := [each for each in rest if each.split("::")[0] in files]):
+        run = run_tests(folder, beside, tests.limit(beside))
     if run.passed and wider:
-        rest = [each for each in tests.seconds if each not in near]
         run = run_tests(folder, [*rest, *_files(WIDER[mutant.module])], 1800.0)
     return "" if run.passed else run.failed
 
