@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_cases import FLIRT, drawn, hilly_line
+from trajectory_cases import FLIRT, drawn, hilly_line, slippery
 
 from analysis.trajectory import bound
 from analysis.trajectory.bound import Costate, Hamiltonian, Prices, Segments, reached
@@ -36,6 +36,8 @@ STRONG = replace(FLIRT, max_dynamic_braking_power=9e5)
 SHORT = replace(STRONG, max_dynamic_braking_effort=6e4)
 """Friction alone does more than the dynamic brake."""
 
+SLIPPERY = slippery(hilly_line(), (900.0, 2_600.0, 0.06))
+
 CASES: dict[str, tuple[Any, dict[str, Any]]] = {
     "line": (WEAK, {"objective": "line"}),
     "wheel": (FLIRT, {"objective": "wheel"}),
@@ -43,6 +45,7 @@ CASES: dict[str, tuple[Any, dict[str, Any]]] = {
     "curves": (CURVED, {"objective": "line"}),
     "crossed curves": (CROSSED, {"objective": "line"}),
     "strong friction": (STRONG, {"objective": "line"}),
+    "slippery": (FLIRT, {"objective": "line", "condition_map": SLIPPERY}),
     "common": (SHORT, {"objective": "line", "braking": "common"}),
 }
 
@@ -263,6 +266,11 @@ def test_no_finer_run_is_faster_than_what_is_reached() -> None:
     found = reached(coarse, fine.positions)
     assert np.all(found >= fine.speeds)
     assert np.median(found - fine.speeds) < 0.02
+    any_run = replace(
+        coarse, positions=np.arange(5.0), speeds=np.array([[1.0, 3.0, 3.5, 2.0, 0.0]])
+    )
+    at_nodes = reached(any_run, any_run.positions)
+    np.testing.assert_allclose(at_nodes, any_run.speeds, rtol=3e-4, atol=2e-6)
 
 
 def test_what_a_cell_costs_at_any_speed_has_a_close_bound() -> None:
