@@ -579,8 +579,9 @@ def judged(layout: Layout, *, with_train: bool = False) -> Verdict:
         row = proposal.evidence[proposal.evidence["field"] == name]
         stated = bool(len(row)) and bool(row["alternative"].iloc[0])
         if values is None:
+            effort = key in ("traction", "dynamic", "pneumatic")
             still = float(np.nanmax(np.abs(layout.truth[key]))) < 2e3
-            fields[key] = "right" if still else "missing"
+            fields[key] = "right" if effort and still else "missing"
             continue
         good = _same(layout.truth[key], values, key)
         fields[key] = "right" if good else "stated" if stated else "wrong"

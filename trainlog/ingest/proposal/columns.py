@@ -226,7 +226,6 @@ def columns_of(
     _sort_roles(work)
     _place_motion(work)
     _place_speeds(work)
-    _place_wheels(work)
     _place_lever(work)
     _place_rest(work)
     return work
@@ -609,82 +608,64 @@ USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
 """Units that a further speed is tried in."""
 
 
-def _speed_unit(work: Work, name: str, ratio: Ratio) -> tuple[str, str, str, str]:
-    """The unit in which a column is the train's speed (empty if none), why, check, alternative."""
-    stated = work.stated(name, "speed")
-    if ratio.windows < 2 * ENOUGH or ratio.agreement < FOLLOWS:
-        if stated:
-            return stated, "the file states it", "", "nothing to check it with"
-        return "", "a speed that does not follow the train's", "", ""
-    times = {unit: ratio.value * factor(unit, "m/s")[0] for unit in {stated, *USUAL_SPEEDS} - {""}}
-    off = {unit: abs(np.log(times[unit])) for unit in times}
-    best = min((unit for unit in USUAL_SPEEDS), key=off.__getitem__)
-    check = f"{times[stated or best]:.3f} times the train's speed"
-    if stated and off[stated] < ALIKE:
-        return stated, "the file states it", check, ""
-    if off[best] < ALIKE:
-        why, other = "no unit is stated; so it is the train's speed", work.speed_open
-        if stated:
-            why, other = f"the file states {stated}, which contradicts the speed", stated
-        return best, why, f"{times[best]:.3f} times the train's speed", other
-    if stated:
-        return stated, "the file states it", check, f"{ratio.value:.3g} times the train's speed"
-    return "", f"{ratio.value:.3g} times the train's speed: no unit does that", "", ""
-
-
 def _place_speeds(work: Work) -> None:
-    """The receiver's speed beside the train's."""
-    name = work.first(GNSS_SPEED)
-    if name is None or GNSS_SPEED in work.proposed or work.speed is None:
-        return
-    unit, why, check, other = _speed_unit(work, name, same_motion(work.numbers[name], work.speed))
-    if unit:
-        work.place(GNSS_SPEED, name, unit=unit, why=why, check=check, alternative=other)
-    else:
-        work.left[name] = why
-
-
-def _place_wheels(work: Work) -> None:
-    """Speeds of the axles, and turns as speeds."""
-    names = work.names.get(WHEEL_SPEED, [])
-    if work.speed is None:
-        work.left |= dict.fromkeys(names, "wheel speeds, and no speed to compare them with")
-        return
-    ratios = {name: same_motion(work.numbers[name], work.speed) for name in names}
-    middle = float(
-        np.median([r.value for r in ratios.values() if np.isfinite(r.value)] or [np.nan])
-    )
-    kept: list[str] = []
-    for name, ratio in ratios.items():
-        if ratio.agreement >= FOLLOWS and abs(ratio.value / middle - 1.0) < ALIKE:
-            kept.append(name)
+    """Further speeds: the receiver's beside the train's, those of the axles, and their turns."""
+    work.first(GNSS_SPEED)
+    for target in (GNSS_SPEED, WHEEL_SPEED):
+        names = [] if target in work.proposed else work.names.get(target, [])
+        if work.speed is None:
+            work.left |= dict.fromkeys(names, "a further speed, and none to compare it with")
             continue
-        work.left[name] = (
-            "a wheel speed that does not follow the train's"
-            f" (factor {ratio.value:.4g} in {ratio.agreement:.0%} of the samples)"
-        )
-    if not kept:
-        return
-    name = kept[0]
-    joint = ratios[name]._replace(value=middle)
-    turning = work.stated(name, "rotation")
-    named = work.meanings[name].quantities[:1] == ("rotation",)
-    unit, why, check, other = ("", "", "", "") if turning else _speed_unit(work, name, joint)
-    if unit and named and abs(np.log(middle * factor(unit, "m/s")[0])) > TOLERANCE:
-        unit = ""
-    if unit:
-        work.place(WHEEL_SPEED, *kept, unit=unit, why=why, check=check, alternative=other)
-    elif not turning and not named:
-        work.left |= dict.fromkeys(kept, why)
+        ratios = {name: same_motion(work.numbers[name], work.speed) for name in names}
+        known = [ratio.value for ratio in ratios.values() if np.isfinite(ratio.value)]
+        middle = float(np.median(known or [np.nan]))
+        kept: list[str] = []
+        for name, ratio in ratios.items():
+            enough = ratio.windows >= 2 * ENOUGH and ratio.agreement >= FOLLOWS
+            if enough and abs(ratio.value / middle - 1.0) < ALIKE:
+                kept.append(name)
+            elif target == GNSS_SPEED and (stated := work.stated(name, "speed")):
+                other = "nothing to check it with"
+                work.place(target, name, unit=stated, why=_STATED, alternative=other)
+            else:
+                part = f"factor {ratio.value:.4g} in {ratio.agreement:.0%} of the samples"
+                work.left[name] = f"a speed that does not follow the train's ({part})"
+        if kept:
+            _place_as_speed(work, target, kept, middle)
+
+
+_STATED = "the file states it"
+
+
+def _place_as_speed(work: Work, target: str, names: list[str], ratio: float) -> None:
+    """Propose columns that are a ratio times the train's speed, in the unit that explains it."""
+    stated, turning = work.stated(names[0], "speed"), work.stated(names[0], "rotation")
+    turns = bool(turning) or work.meanings[names[0]].quantities[:1] == ("rotation",)
+    times = {unit: ratio * factor(unit, "m/s")[0] for unit in (*USUAL_SPEEDS, stated) if unit}
+    off = {unit: abs(np.log(each)) for unit, each in times.items()}
+    unit = min(USUAL_SPEEDS, key=off.__getitem__)
+    why, other = "no unit is stated; so it is the train's speed", work.speed_open
+    fits = not turning and off[unit] < (TOLERANCE if turns else ALIKE)
+    if stated and (off[stated] < ALIKE or not fits):
+        other = "" if off[stated] < ALIKE else f"{ratio:.3g} times the train's speed"
+        unit, why, fits = stated, _STATED, True
+    elif stated:
+        why, other = f"the file states {stated}, which contradicts the speed", stated
+    if fits:
+        check = f"{times[unit]:.3f} times the train's speed"
+        work.place(target, *names, unit=unit, why=why, check=check, alternative=other)
+    elif not turns:
+        why = f"{ratio:.3g} times the train's speed: no unit does that"
+        work.left |= dict.fromkeys(names, why)
     else:
-        scale = float(f"{1.0 / middle:.6g}")
+        scale = float(f"{1.0 / ratio:.6g}")
         turning = turning or "rpm"
         radius = scale * _TURNS[turning] / (2.0 * np.pi)
         gear = f"{radius:.4g} m for each radian, so the turns are not the wheels' own (gear)"
         check = f"1 {turning} is {scale:.5g} m/s at the train's speed: "
         check += f"wheels of radius {radius:.3f} m" if 0.25 <= radius <= 0.75 else gear
         work.place(
-            WHEEL_SPEED, *kept, unit="m/s", scale=scale, check=check,
+            target, *names, unit="m/s", scale=scale, check=check,
             why="turns, scaled by the train's speed", alternative=work.speed_open,
         )  # fmt: skip
 
@@ -754,7 +735,7 @@ def _place_acceleration(work: Work, name: str) -> None:
     times = float(np.sum(values * rate) / np.sum(rate**2)) * factor(unit, "m/s^2")[0]
     work.place(
         ACCELERATION, name, unit=unit, sign=-1 if correlation < 0 else 1,
-        why="the file states it" if stated else "the usual unit",
+        why=_STATED if stated else "the usual unit",
         check=f"{times:.2f} times the change of speed",
         alternative="" if abs(np.log(abs(times))) < FOLLOWS else "another unit",
     )  # fmt: skip

@@ -213,12 +213,16 @@ def meaning_of(name: str, unit: str | None = None) -> Meaning:
     (('effort',), ['axle'], 3)
     >>> meaning_of("effort de freinage").qualifiers >= {"braking"}
     True
+    >>> meaning_of("v_ms").unit, meaning_of("t_ms").unit
+    ('m/s', 'ms')
     """
     label, own, sure = split_unit(name)
     if unit is not None or own is None or sure:
         return _meaning(label, unit or own)
-    # What looks like a unit may be a word: "F_t" is no force in tonnes.
+    # What looks like a unit may be a word: "F_t" is no force in tonnes; or lack its stroke: "v_ms".
     found, whole = _meaning(label, own), _meaning(name, None)
+    if own == "ms" and "speed" in found.quantities:
+        return _meaning(label, "m/s")
     if not found.quantities:
         return whole if whole.quantities else found
     possible = set[str]().union(*(_dimensions()[each] for each in found.quantities))
