@@ -33,7 +33,7 @@ from trainlog.ingest.pipeline import (
 )
 from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
 from trainlog.ingest.recording import NO_TIME, Recording as Recorded, Table, base_name, frames
-from trainlog.ingest.sources import Source
+from trainlog.ingest.sources import POLL, Source
 from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed, as_it_came
 from trainlog.ingest.tabular import open_text
 from trainlog.ingest.telegrams import TelegramFramer
@@ -296,9 +296,6 @@ def _time(time: int) -> str:
 SOURCE = "trainlog.record"
 """What events of this module name as their source."""
 
-WAIT = 0.1
-"""How long to wait for the next block before the time is looked at [s]."""
-
 FLUSH = 0.5
 """A log is whole up to so long [s] before whatever ends the program."""
 
@@ -519,7 +516,7 @@ class LiveIngest:
         """
         last = np.inf
         while True:
-            blocks = source.read(WAIT)
+            blocks = source.read(POLL)
             now = clock.monotonic()
             for block in blocks:
                 self.take(block, whole=source.whole)

@@ -26,9 +26,6 @@ HOST = "127.0.0.1"
 WAITING = 2**26
 """How much may wait to be decoded [bytes]."""
 
-DATAGRAM = 65_536
-"""Longest datagram [bytes]."""
-
 RECEIVE_BUFFER = 2**23
 """Asked for, for datagrams that arrive in bursts [bytes]; the system may give less."""
 
@@ -36,10 +33,10 @@ OVERFLOWS = 40
 """SO_RXQ_OVFL of Linux: each datagram states how many were dropped before it."""
 
 POLL = 0.05
-"""How often a file is looked at [s]."""
+"""How often a file, and what has come, is looked at [s]."""
 
 BLOCK = 2**16
-"""Bytes that are read at a time."""
+"""Bytes that are read at a time. A datagram has fewer; more without a line's end are no line."""
 
 
 class Source(ABC):
@@ -170,8 +167,8 @@ class Datagrams(Source):
     def _take(self) -> bytes | None:
         try:
             if not self._counts:
-                return self._socket.recv(DATAGRAM)
-            data, about, _, _ = self._socket.recvmsg(DATAGRAM, 64)
+                return self._socket.recv(BLOCK)
+            data, about, _, _ = self._socket.recvmsg(BLOCK, 64)
         except TimeoutError:
             return b""
         for level, kind, value in about:

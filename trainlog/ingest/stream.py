@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.ingest.mapping import recording_of, wanted_columns
+from trainlog.ingest.mapping import LATEST, NANOSECONDS_PER, recording_of, wanted_columns
 from trainlog.ingest.nmea import Epochs
 from trainlog.ingest.profile import (
     ARRIVAL,
@@ -34,10 +34,11 @@ from trainlog.ingest.profile import (
     suggestion,
 )
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Messages, Table
+from trainlog.ingest.sources import BLOCK
 from trainlog.ingest.tagged import NAV_PVT, NAV_PVT_HEAD, fixes_of_pvt
 from trainlog.ingest.telegrams import chosen, columns_of
 from trainlog.topics import TOPICS
-from trainlog.units import DAY, NANOSECONDS
+from trainlog.units import DAY
 
 UBX = b"\xb5\x62"
 """What a UBX message begins with."""
@@ -47,9 +48,6 @@ UBX_FRAME = 8
 
 LONGEST_UBX = 4096
 """Payload of a UBX message [bytes] beyond which its length is damaged."""
-
-LONGEST_LINE = 65_536
-"""Bytes without the end of a line from which on they are no line."""
 
 Numbered = tuple[int, bytes]
 """A line or message with its number in the stream, from 1."""
@@ -107,7 +105,7 @@ class Framer:
                 *lines, rest = text.split(b"\n")
                 frames += lines
                 at += len(text)
-                if mark >= 0 or whole or len(rest) > LONGEST_LINE:
+                if mark >= 0 or whole or len(rest) > BLOCK:
                     frames.append(rest)
                 else:
                     at -= len(rest)
@@ -425,10 +423,6 @@ def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
             yield name, str(int(each)) if isinstance(each, bool) else repr(each)
 
 
-_EPOCHS = ((1e11, NANOSECONDS), (1e14, 1_000_000), (1e17, 1_000), (np.inf, 1))
-"""Numbers up to which a time since 1970 counts seconds, milliseconds, ... and their length [ns]."""
-
-
 def time_of(value: Any) -> int:
     """A time [ns UTC] as JSON gives it: ISO 8601, or a number since 1970 in s, ms, us or ns.
 
@@ -446,7 +440,8 @@ def time_of(value: Any) -> int:
     if isinstance(value, str):
         found = pd.to_datetime(value, utc=True, errors="coerce", format="ISO8601")
     elif isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value):
-        unit = next(unit for limit, unit in _EPOCHS if abs(value) < limit)
+        units = NANOSECONDS_PER.values()
+        unit = next((unit for unit in units if abs(value) * unit < LATEST), 1)
         whole, rest = divmod(value, 1)
         # A number of seconds since 1970 is known to the microsecond.
         found = pd.Timestamp(int(whole) * unit + int(round(rest * unit, -3)), tz="UTC")
