@@ -205,14 +205,9 @@ def test_an_assumed_time_zone_stays_with_the_trip(driven: Trip, tmp_path: Path) 
     assert zoned.profile.clock is None
 
 
-@pytest.mark.parametrize("stored", [False, True], ids=["now", "earlier version"])
-def test_a_time_zone_that_was_corrected_is_not_assumed(stored: bool, tmp_path: Path) -> None:
-    """Earlier proposals stored the statement as text, which stayed when the zone was corrected."""
+def test_a_time_zone_that_was_corrected_is_not_assumed(tmp_path: Path) -> None:
     proposed = propose_profile("sample_logs/recorder.csv").text
     assert '\ntimezone = "UTC"\n' in proposed
-    if stored:
-        proposed = proposed.replace('assumed_timezone = "UTC"\n', "")
-        proposed += '\nclock = "UTC assumed: the file does not state a zone"\n'
     profile = tmp_path / "own.profile.toml"
     for zone, clock in (("UTC", "UTC assumed: the file does not state a zone"), ("+02:00", None)):
         profile.write_text(

@@ -869,8 +869,6 @@ class Repair(Strict):
         return tuple(name for name in type(self).model_fields if not getattr(self, name))
 
 
-_ASSUMED = re.compile(r"(?P<zone>\S+) assumed: ")
-
 PROFILE_FORMAT = "trainlog/recorder-profile"
 
 
@@ -931,18 +929,11 @@ class Profile(Strict):
 
     @property
     def clock(self) -> str | None:
-        """Where the time of trips comes from: as stated, or that its zone was assumed.
-
-        Proposals of earlier versions stored that statement under ``clock``: it holds only while
-        the zone is the one that it names.
-        """
+        """Where the time of trips comes from: as stated, or that its zone was assumed."""
         zone = None if self.time is None else self.time.timezone
-        stored = _ASSUMED.match(self.trip.clock or "")
-        if self.trip.clock is not None and (stored is None or stored["zone"] == zone):
-            return self.trip.clock
         if self.time is not None and self.time.assumed_timezone == zone:
-            return f"{zone} assumed: the file does not state a zone"
-        return None
+            return self.trip.clock or f"{zone} assumed: the file does not state a zone"
+        return self.trip.clock
 
     @property
     def stated(self) -> dict[str, str]:
