@@ -5,14 +5,15 @@
 Kinematic trips of three trains (regional, freight, tram) on three lines (St.Gallen-Wil, a valley
 line with loops, a tram's streets) are recorded at 1, 5 and 10 Hz with one of four sets of columns:
 the train's speed and distance, the same with fixes, fixes and the receiver's speed, a speed alone.
-Receivers err for tens of seconds, are late, and come back from an outage late or aside; recorders
-lose rows and write irregularly. Half of the files have a clock that was set, with or without a gap
-at that place; the others have real gaps and every other defect.
+Receivers err for tens of seconds, are late, hold a place before an outage, and come back from it
+late or aside; recorders lose rows, write irregularly and round to whole seconds. Half of the files
+have a clock that was set, with or without a gap at that place; the others have real gaps and every
+other defect.
 
 For each kind of file:
 
 - moved: files of which rows were re-dated by the rules of the clock
-- right: of the set ones with a distance (or fixes), and of those with a speed alone, those whose
+- right: of the set ones with the train's distance, with fixes and with a speed alone, those whose
   time across the place is right to within 0.2 s (0.6 s where rows carry whole seconds or the size
   is known only from the motion, at a gap)
 - wrong: share of rows more than 0.5 s off
@@ -54,8 +55,8 @@ SIZES = (-20.0, -12.0, -7.4, -1.4, -1.0, -2.0, 1.0, 2.0, 2.6, 17.0, 18.0, 30.0)
 
 COLUMNS = ("distance", "both", "fixes", "speed")
 
-CLEAN = ("gaps", "late after gaps", "stops in gaps", "lost rows", "irregular", "late speed",
-         "late blocks")  # fmt: skip
+CLEAN = ("gaps", "late after gaps", "stops in gaps", "held at gaps", "lost rows", "irregular",
+         "rounded", "late speed", "late blocks")  # fmt: skip
 SET = ("set", "set at a gap", "set, defects", "mixed")
 
 
@@ -136,6 +137,15 @@ def made(kind: str, seed: int) -> Made:
     elif kind == "late after gaps":
         for _ in range(rng.integers(1, 4)):
             gap(float(rng.uniform(2.0, 12.0)), behind=True)
+    elif kind == "held at gaps":
+        # Under a roof a receiver goes on at a speed that was, or stays, until it sees the sky.
+        for _ in range(rng.integers(2, 6)):
+            first = int(rng.choice(moving))
+            blind = seconds[first] - rng.uniform(3.0, 20.0)
+            lose(first, rng.uniform(2.0, 12.0))
+            pace = rng.choice([0.0, rng.uniform(0.3, 0.9)])
+            since = (seconds - blind) * ((seconds >= blind) & (seconds < seconds[first]))
+            late[:] = np.maximum(late, since * (1.0 - pace))
     elif kind == "stops in gaps" and stops.size:
         for _ in range(2):
             first = max(int(rng.choice(stops)) - int(rng.uniform(5.0, 30.0) * rate), 1)
@@ -146,6 +156,11 @@ def made(kind: str, seed: int) -> Made:
             lose(int(rng.integers(1, seconds.size - 1)), rng.uniform(0.5, 3.0))
     elif kind == "irregular":
         jitter = rng.uniform(0.05, 0.35) / rate
+    elif kind == "rounded":
+        # A phone's fixes come a little more or less often than once a second.
+        seconds = begin + np.arange(seconds.size) * rng.uniform(0.97, 1.03) / rate
+        seconds = seconds[seconds < at[-1]]
+        keep, late = keep[: seconds.size], late[: seconds.size]
     if kind in ("late speed", "set, defects"):
         late += rng.uniform(0.5, 3.0)
     if kind in SET:
@@ -198,7 +213,7 @@ def made(kind: str, seed: int) -> Made:
         count = int(rng.uniform(2.0, 12.0) * rate)
         block, rest = order[first : first + count], order[first + count : first + 3 * count]
         order = np.concatenate([order[:first], rest, block, order[first + 3 * count :]])
-    if seed % 5 == 4 and rate > 1.0:
+    if (seed % 5 == 4 and rate > 1.0) or (kind == "rounded" and rate == 1.0):
         shown = np.floor(shown + 1e-6)
     stamps = START + np.round(shown * 1e9).astype(np.int64)
     table = Table(
@@ -265,10 +280,10 @@ def main() -> int:
     parser.add_argument("--kind", nargs="*", default=[*CLEAN, *SET])
     parser.add_argument("--verbose", action="store_true")
     args = parser.parse_args()
-    print(f"{'kind':<16} files moved {'right':>20} wrong[%] suspected refused cuts[%]  ms a file")
+    print(f"{'kind':<16} files moved {'right':>28} wrong[%] suspected refused cuts[%]  ms a file")
     for kind in args.kind:
         count = args.files // (len(CLEAN) if kind in CLEAN else len(SET))
-        results, alone, refused, took = [], [], 0, 0.0
+        results, columns, refused, took = [], [], 0, 0.0
         for seed in range(args.seed * 1_000, args.seed * 1_000 + count):
             case = made(kind, seed)
             began = clock_time.process_time()
@@ -281,7 +296,7 @@ def main() -> int:
                 continue
             took += clock_time.process_time() - began
             results.append(found)
-            alone.append(COLUMNS[seed % len(COLUMNS)] == "speed")
+            columns.append(COLUMNS[seed % len(COLUMNS)])
             bad = found[2] > 0.01 or (found[0] if kind in CLEAN else not found[1])
             if args.verbose and (bad or found[3] or found[4]):
                 size = SIZES[seed % len(SIZES)] if kind in SET else 0.0
@@ -291,13 +306,13 @@ def main() -> int:
                 print(f"  {seed} {kind} {made_of}: {found}")
         values = np.array(results, dtype=float).reshape(-1, 6)
         moved, _, wrong, suspected, differ, total = values.sum(axis=0)
-        with_speed = np.array(alone, dtype=bool)
+        known_by = np.array(columns)
         right = "/".join(
             f"{values[which, 1].sum():.0f} of {np.count_nonzero(which)}"
-            for which in (~with_speed, with_speed)
+            for which in (np.isin(known_by, COLUMNS[:2]), known_by == "fixes", known_by == "speed")
         )
         print(
-            f"{kind:<16} {count:5d} {moved:5.0f} {right if kind in SET else '':>20}"
+            f"{kind:<16} {count:5d} {moved:5.0f} {right if kind in SET else '':>28}"
             f" {100.0 * wrong / max(len(results), 1):8.2f} {suspected:9.0f} {refused:7d}"
             f" {100.0 * differ / max(total, 1.0):7.2f} {1e3 * took / max(len(results), 1):9.0f}",
             flush=True,

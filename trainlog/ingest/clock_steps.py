@@ -3,10 +3,12 @@
 A clock is set by 1024 weeks where the receiver's week number rolled over, by whole days where it
 had no date before its first fix, by quarters of an hour where the time zone or summer time was
 corrected, by seconds where the receiver learnt the leap seconds or the recorder the time. A step
-back gives times twice. A step forward looks like a gap. How far the train came meanwhile decides
-whether rows are missing or the clock was set: distances over 5 and 20 s before and after the step,
-against how they usually depart from the speeds in this recording. Where that leaves it open, or
-both seem to have happened, the step is reported and left as it is.
+back gives times twice: rows of such times whose values differ are of two clocks, and rows of times
+that nobody wrote before were written late. A step forward looks like a gap. How far the train came
+meanwhile shows whether rows are missing, the clock was set, or both: distances over 2 and 20 s
+before and after the step, against how they usually depart from the speeds in this recording, and
+against how hard the train starts and brakes in it. What is likelier than missing rows, but not
+surely, is reported and left as it is.
 
 Rows of both clocks may be mixed for a while. Then it is the count of rows since the last one before
 and to the first one after that shows by which clock each was written.
@@ -14,13 +16,15 @@ and to the first one after that shows by which clock each was written.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.clock import (
+    REGULAR,
     Result,
     has_fix,
     longest_nondecreasing,
@@ -33,6 +37,7 @@ from trainlog.ingest.motion import (
     ENOUGH,
     GATE,
     GNSS_SPEED,
+    HALF_SPAN,
     MOVING,
     POSITION,
     SPEED,
@@ -42,7 +47,6 @@ from trainlog.ingest.motion import (
     speed_of,
 )
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.receiver import LOSS_DENSITY
 from trainlog.ingest.recording import Finding, Table
 from trainlog.units import DAY, NANOSECONDS
 
@@ -67,14 +71,8 @@ MAJORITY = 2.0 / 3.0
 MOST_EDGES = 50
 """Steps beyond which it is not the clock that was set."""
 
-CHAIN = 15.0
-"""Time [s] between two steps that may belong to one setting of the clock."""
-
-MOST_MISFITS = 0.05
-"""Share of rows between the first and the last step that may fit neither clock."""
-
-LEAST_CHANGES = 5
-"""Changes from one clock to the other that it takes to call them mixed."""
+LEAST_TWICE = 5
+"""Rows whose times were written before that it takes to call the clock set back."""
 
 LEAST_STEP = 0.6
 """Smaller steps [s] are left: receivers themselves are late by as much."""
@@ -83,9 +81,11 @@ LARGEST = 60.0, 900.0
 """Longer steps forward [s] are pauses, after which a receiver may begin where it left off; longer
 ones back are of zones and dates."""
 
-BRAKING, STARTING = 1.2, 1.0
-"""Braking and acceleration [m/s²] with which any train may have become slower, or faster, and as
-fast as before again, unseen."""
+HARDEST = 0.3, 1.2
+"""Acceleration and braking [m/s²] of which every train, and of which some train, is capable."""
+
+UNSEEN = 1.5
+"""How much harder than elsewhere in the recording a train may accelerate and brake unseen."""
 
 WINDOWS = 2.0, 20.0
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
@@ -94,18 +94,8 @@ after a gap has caught up within the longer one."""
 SMALLEST_STD = 0.2
 """Standard deviation [m] that no distance undercuts."""
 
-LEAP = 0.3
-"""Part of a step back by which the clock leaps on at least behind rows that were written late."""
-
-LEAST_SIZE, LONGEST_TAKEN = 2.0, 60.0
-"""A clock that was set while rows were missing is put right by a size of at least so many standard
-deviations, where they are missing no longer [s]."""
-
-LEAST_AROUND = 2
-"""Rows, one a second, without another step that there must be on both sides."""
-
-SURE = 6.0
-"""How much likelier (logarithm) a setting must be than missing rows to be undone."""
+LIKELY, SURE = 6.0, 10.0
+"""How much likelier (logarithm) than missing rows a setting must be to be suspected and undone."""
 
 
 def undo_clock_steps(table: Table, limits: Limits) -> Result:
@@ -121,12 +111,13 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
         return table, []
     shift = _too_early(time, limits)
     shift = shift + _coarse(time + shift, limits)
-    shift = shift + _to_last(_seconds(table.at(time + shift))[0])
+    found = _seconds(table.at(time + shift))
+    shift = shift + found.level
     if not shift.any():
         return table, []
     sizes = ", ".join(_size(int(size)) for size in np.unique(shift[shift != 0]))
     note = f"moved by {sizes}"
-    return table.at(time + shift), table.found("clock_step", shift != 0, note=note)
+    return table.at(found.time), table.found("clock_step", shift != 0, note=note)
 
 
 def suspect_clock_steps(table: Table, limits: Limits) -> Result:
@@ -134,7 +125,7 @@ def suspect_clock_steps(table: Table, limits: Limits) -> Result:
     findings: list[Finding] = []
     if len(table) < ENOUGH:
         return table, findings
-    undecided = _seconds(table)[1]
+    undecided = _seconds(table).undecided
     if undecided:
         marked = np.zeros(len(table), dtype=np.bool_)
         marked[[place + 1 for place, _ in undecided]] = True
@@ -187,7 +178,11 @@ def _coarse(time: IntArray, limits: Limits) -> IntArray:
     edges = np.count_nonzero(weeks) + np.count_nonzero(days) + np.count_nonzero(others)
     if not 0 < edges <= MOST_EDGES:
         return none
-    shift = _to_latest(_levels(weeks)) + _to_dated(time, _levels(days)) + _to_most(_levels(others))
+    week, zone = _levels(weeks), _levels(others)
+    values, counts = np.unique(zone, return_counts=True)
+    # The latest week that is no slip of a few rows, and the zone of the most rows.
+    shift = week[_common(week)].max() - week + values[np.argmax(counts)] - zone
+    shift += _to_dated(time, _levels(days))
     before, after = _disorder(time, limits.pause), _disorder(time + shift, limits.pause)
     return shift if after < before else none
 
@@ -195,26 +190,6 @@ def _coarse(time: IntArray, limits: Limits) -> IntArray:
 def _levels(edges: IntArray) -> IntArray:
     """How far the clock is off in each row, against the first [ns]."""
     return np.concatenate(([0], np.cumsum(edges)))
-
-
-def _to_most(levels: IntArray) -> IntArray:
-    """What puts every row on the level of the most rows."""
-    values, counts = np.unique(levels, return_counts=True)
-    return np.asarray(values[np.argmax(counts)] - levels)
-
-
-def _to_latest(levels: IntArray) -> IntArray:
-    """What puts every row on the latest level that is no slip of a few rows."""
-    values, counts = np.unique(levels, return_counts=True)
-    real = values[(counts >= ENOUGH) | (counts == counts.max())]
-    return np.asarray(real.max() - levels)
-
-
-def _to_last(levels: IntArray) -> IntArray:
-    """What puts every row on the last level that is no slip of a few rows: clocks are set right."""
-    _, owner, counts = np.unique(levels, return_inverse=True, return_counts=True)
-    real = np.flatnonzero((counts >= ENOUGH)[owner] | (counts == counts.max())[owner])
-    return np.asarray(levels[real[-1]] - levels)
 
 
 UNDATED = (
@@ -264,6 +239,22 @@ def _disorder(time: IntArray, pause: float) -> int:
 # ------------------------------------------------------------------ seconds
 
 
+class _Found(NamedTuple):
+    """What steps of seconds do to the rows.
+
+    Attributes
+    ----------
+    level, time : (n,) array [ns]
+        How far each row is moved, and where to; whole seconds where the file has no others.
+    undecided : list of (int, float)
+        Rows behind which the clock may have been set, and by how many seconds.
+    """
+
+    level: IntArray
+    time: IntArray
+    undecided: list[tuple[int, float]]
+
+
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """Rows in the order of the file, with a time that goes on within whole seconds.
@@ -292,22 +283,59 @@ class _Rows:
 
     @classmethod
     def of(cls, table: Table) -> _Rows | None:
-        """The rows of a table; None if they come too rarely."""
-        usual = rows_per_second(table)
-        seconds = seconds_of(table)
+        """The rows of a table; None if they come too rarely, or are written several times each."""
+        usual, seconds = rows_per_second(table), seconds_of(table)
+        repeated = usual > 1 and len(table) > 1.5 * usual * (np.ptp(seconds) + 1.0)
         if usual > 1:
             time, period = _with_fractions(seconds, usual), 1.0 / usual
         else:
             time, period = seconds, usual_step(table.time)
-        if period <= 0.0 or period > 2.0:
+        if repeated or not 0.0 < period <= 2.0:
             return None
         late = np.diff(time) - period
         steps = (np.abs(late) > max(LEAST_STEP, 0.7 * period)) | (np.diff(seconds) < 0.0)
         return cls(table, time, period, usual > 1, late, np.flatnonzero(steps))
 
-    def size(self, before: int, after: int) -> float:
-        """How far [s] the clock goes ahead between two rows beyond what their number takes."""
-        return float(self.time[after] - self.time[before] - (after - before) * self.period)
+    @property
+    def least(self) -> float:
+        """Smaller settings [s] are left: whole seconds of single rows are rounded."""
+        rounded = not self.whole and not np.any(self.table.time % NANOSECONDS)
+        return LEAST_STEP + rounded
+
+    def size(self, size: float, std: float = 0.0) -> float:
+        """By how many seconds the clock was set: whole ones if they are as good.
+
+        Where rows carry whole seconds, one that is missing moves the others of its second.
+        """
+        likely = max(2.0 * std, 1.5 * self.period * self.whole)
+        return float(round(size)) if abs(size - round(size)) <= likely else size
+
+    def at(self, level: FloatArray) -> IntArray:
+        """Time of each row [ns] that is moved by a level [s]."""
+        if not self.whole:
+            return self.table.time + np.round(level * NANOSECONDS).astype(np.int64)
+        # What lies within a second is rebuilt from the rows of each second.
+        seconds = np.floor(np.round(self.time + level, 6)) - np.floor(np.round(self.time, 6))
+        return self.table.time + seconds.astype(np.int64) * NANOSECONDS
+
+    def written_twice(self, place: int) -> float:
+        """Share of the rows behind a step back whose times were written before, with other values.
+
+        Times are given again up to that of the row before the step.
+        """
+        following = np.append(self.steps, self.time.size - 1)
+        beyond = following[np.searchsorted(following, place, side="right")] + 1
+        after = np.arange(place + 1, beyond)
+        after = after[self.time[after] < self.time[place] + 0.5 * self.period]
+        back = round((self.time[place] - self.time[place + 1]) / self.period)
+        before = np.arange(max(place - 2 * (back + after.size), 0), place + 1)
+        before = before[np.argsort(self.time[before], kind="stable")]
+        nearest = np.searchsorted(self.time[before], self.time[after] - 0.5 * self.period)
+        nearest = before[np.minimum(nearest, before.size - 1)]
+        twice = np.abs(self.time[nearest] - self.time[after]) <= 0.5 * self.period
+        columns = self.table.signals.values()
+        other = [np.abs(column[nearest] - column[after]) > 0.0 for column in columns]
+        return float(np.mean(twice & np.any(other, axis=0)))
 
 
 def _with_fractions(seconds: FloatArray, usual: int) -> FloatArray:
@@ -329,7 +357,7 @@ def _with_fractions(seconds: FloatArray, usual: int) -> FloatArray:
     goes_on = np.diff(value) == 1.0
     after_step = np.concatenate(([True], ~goes_on)) & np.concatenate((goes_on, [False]))
     # Two short seconds that together make one: the clock went ahead by one between them.
-    short = sizes < usual - 1
+    short = sizes < usual
     pair = short[1:] & short[:-1] & (np.abs(sizes[1:] + sizes[:-1] - usual) <= 1) & goes_on
     after_step |= np.concatenate(([False], pair))
     from_end = (after_step & (sizes < usual))[group]
@@ -337,24 +365,22 @@ def _with_fractions(seconds: FloatArray, usual: int) -> FloatArray:
     return np.asarray(seconds + (rank + np.where(from_end, rest, 0)) / usual)
 
 
-def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, float]]]:
-    """How far [ns] steps of seconds set the clock; undecided ones by row and size [s]."""
+def _seconds(table: Table) -> _Found:
+    """What steps of seconds do to the rows."""
+    doubled = np.zeros(len(table), dtype=np.bool_)
     if rows_per_second(table) == 1:
-        doubled = same_as_previous(table) & (np.diff(table.time, prepend=table.time[0] - 1) == 0)
-        if doubled.any():
-            single = np.flatnonzero(~doubled)
-            shift, open_ = _seconds(table.take(single))
-            behind = np.cumsum(~doubled) - 1
-            return shift[behind], [(int(single[place]), size) for place, size in open_]
-    level = np.zeros(len(table))
-    rows = _Rows.of(table)
+        doubled[1:] = same_as_previous(table)[1:] & (np.diff(table.time) == 0)
+    single, behind = np.flatnonzero(~doubled), np.cumsum(~doubled) - 1
+    rows = _Rows.of(table.take(single) if doubled.any() else table)
+    nothing = _Found(np.zeros(len(table), dtype=np.int64), table.time, [])
     if rows is None or not rows.steps.size:
-        return level.astype(np.int64), []
-    clusters = np.split(rows.steps, np.flatnonzero(np.diff(rows.steps) * rows.period > CHAIN) + 1)
+        return nothing
+    apart = np.flatnonzero(np.diff(rows.steps) * rows.period > WINDOWS[-1])
+    clusters = np.split(rows.steps, apart + 1)
     if len(clusters) > MOST_EDGES:
-        return level.astype(np.int64), []
-    motion = _Motion.of(rows)
-    undecided: list[tuple[int, float]] = []
+        return nothing
+    level = np.zeros(single.size)
+    motion, undecided = _Motion.of(rows), []
     for cluster in clusters:
         mixed = _mixed(rows, cluster)
         if mixed is not None:
@@ -367,8 +393,11 @@ def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, float]]]:
             if sure:
                 level[place + 1 :] += size
             elif abs(size) > 1.5 * rows.period:  # else a row is lost, or one too many
-                undecided.append((place, size))
-    return np.round(level * NANOSECONDS).astype(np.int64), undecided
+                undecided.append((int(single[place]), size))
+    # Clocks are set right: the last level holds.
+    level = level[_common(level)][-1] - level
+    moved = np.round(level * NANOSECONDS).astype(np.int64)
+    return _Found(moved[behind], rows.at(level)[behind], undecided)
 
 
 def _mixed(rows: _Rows, steps: IntArray) -> tuple[float, IntArray] | None:
@@ -377,66 +406,47 @@ def _mixed(rows: _Rows, steps: IntArray) -> tuple[float, IntArray] | None:
     And which rows from the first step to the last one are by the new clock; None if they are not
     so mixed.
     """
-    if steps.size < LEAST_CHANGES:
+    if steps.size < ENOUGH:
         return None
     before, after = int(steps[0]), int(steps[-1]) + 1
-    size = rows.size(before, after)
+    inner = np.arange(before + 1, after)
+    by_count = rows.time[before] + (np.append(inner, after) - before) * rows.period
+    # Of a second of which rows are mixed only the whole is known.
+    unsure = 1.5 * rows.period if rows.whole else 0.0
+    size = rows.size(float(rows.time[after] - by_count[-1]), unsure)
+    shown = np.floor(rows.time[inner]) + 0.5 if rows.whole else rows.time[inner]
+    slack = 0.5 + 2.0 * rows.period if rows.whole else max(0.5 * rows.period, 0.25)
     if abs(size) < LEAST_STEP:
         return None
-    size = round(size) if rows.whole else size
-    inner = np.arange(before + 1, after)
-    by_count = rows.time[before] + (inner - before) * rows.period
-    # Of a second of which rows are mixed only the whole is known.
-    shown = np.floor(rows.time[inner]) + 0.5 if rows.whole else rows.time[inner]
-    ahead = ((shown - by_count) / size > 0.5).astype(np.int64)
-    slack = 0.5 + 2.0 * rows.period if rows.whole else max(0.5 * rows.period, 0.25)
-    misfits = np.abs(shown - by_count - size * ahead) > slack
-    if np.count_nonzero(misfits) > MOST_MISFITS * inner.size:
-        return None
-    if np.count_nonzero(np.diff(np.concatenate(([0], ahead, [1])))) < LEAST_CHANGES:
-        return None
-    return size, ahead
+    ahead = ((shown - by_count[:-1]) / size > 0.5).astype(np.int64)
+    fits = np.abs(shown - by_count[:-1] - size * ahead) <= slack
+    changes = np.count_nonzero(np.diff(np.concatenate(([0], ahead, [1]))))
+    return (size, ahead) if np.mean(fits) >= REGULAR and changes >= ENOUGH else None
 
 
 def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, bool]:
     """By how many seconds the clock was set after a row, 0 if it was not; and whether that is sure.
 
-    What the distance across the place exceeds that of the speeds by is nothing where no row is
-    missing, and the way of a train that went on, or braked and went on, where rows are.
+    A step back that gives times again says so by itself; where the rows of these times are new,
+    they were written late.
     """
     late = float(rows.late[place])
-    seen = None if motion is None else motion.across(place)
-    if seen is None or not -LARGEST[1] < late < LARGEST[0]:
+    if not -LARGEST[1] < late < LARGEST[0]:
         return 0.0, False
-    # Rows that were written late: behind them time leaps on to where it was before.
-    leaps = np.flatnonzero(rows.late[place + 1 :] > LEAP * abs(late)) + place + 2
-    if late < 0.0 and np.any(np.abs(rows.time[leaps] - rows.time[place]) < 2.5 * rows.period):
+    if late < 0.0 and rows.written_twice(place) <= MAJORITY:
         return 0.0, False
-    excess, std, speed = seen
-    # How far the way is from any that a train can come in the time that is shown, against how far
-    # it is from that of rows that are missing besides, or of none. A receiver that begins late
-    # after a gap has come less far, but never further.
-    ahead = max(late, 0.0)
-    most = speed * late + 0.25 * STARTING * ahead**2
-    brakes = min(ahead, 2.0 * speed / BRAKING)
-    less = np.maximum(speed * brakes - 0.25 * BRAKING * brakes**2 - excess, 0.0) * (late > 0.0)
-    beside = np.maximum(less, excess - most)
-    missing = bool(np.any(np.abs(excess) > GATE * std))
-    likelier = 0.5 * (np.maximum(beside, 0.0) ** 2 - (0.0 if missing else excess) ** 2) / std**2
-    took = np.maximum(excess, 0.0) / speed * missing
-    unsure = np.hypot(std, np.sqrt(LOSS_DENSITY * took**3 / 12.0)) / speed
-    best = int(np.argmin(unsure))
-    size = late - float(took[best])
-    if missing:
-        least = np.min(likelier) if less.any() else np.max(likelier)
-        shown = least > 0.5 * GATE**2 and np.min(excess) > 0.0
-        sure = took[best] < LONGEST_TAKEN and abs(size) > LEAST_SIZE * unsure[best]
-    else:
-        shown, sure = np.min(likelier) > 0.0, np.max(likelier) > SURE
-    if not shown or abs(size) < LEAST_STEP:
+    shown = (0.0, 0.0, 0.0) if motion is None else motion.likelier(place, late)
+    again = late <= -LEAST_TWICE * rows.period
+    likelier, size = shown[0] + SURE * again, rows.size(late - shown[1], shown[2])
+    if abs(size) < rows.least or likelier < LIKELY:
         return 0.0, False
-    # A file of whole seconds gives no others.
-    return float(round(size)) if rows.whole else size, bool(sure)
+    return size, likelier >= SURE
+
+
+def _common(levels: IntArray | FloatArray) -> BoolArray:
+    """Which rows are on a level that is no slip of a few rows."""
+    _, owner, counts = np.unique(levels, return_inverse=True, return_counts=True)
+    return np.asarray(((counts >= ENOUGH) | (counts == counts.max()))[owner])
 
 
 # ------------------------------------------------------------------ what the motion shows
@@ -458,9 +468,13 @@ class _Motion:
         By the scale of the distance.
     broken : (k,) array of int
         How many steps lie before each row.
-    usual : (w, 3) array [s], [m], [m]
-        Of `WINDOWS` that are known each, and median and standard deviation of what `rest` changes
-        by over so long before and after a place without a step.
+    usual : (w, 2) array [s], [m]
+        Of `WINDOWS` that are known each, and the standard deviation of what `rest` changes by over
+        so long before and after a place without a step.
+    hardest : (2,) array [m/s²]
+        How hard the train may start and brake unseen.
+    signed : bool
+        Whether the distance is the train's own rather than that between fixes.
     """
 
     rows: IntArray
@@ -469,6 +483,8 @@ class _Motion:
     speed: FloatArray
     broken: IntArray
     usual: FloatArray
+    hardest: FloatArray
+    signed: bool
 
     @classmethod
     def of(cls, rows: _Rows) -> _Motion | None:
@@ -485,91 +501,107 @@ class _Motion:
             # Fixes that a receiver holds while the train moves show no distance.
             again = np.diff(places[known], prepend=np.nan) == 0.0
             known = known[~(again & (speed[known] > MOVING))]
-        if known.size < ENOUGH:
-            return None
         passed = rows.late + rows.period
         passed[rows.steps] = rows.period
-        time = np.concatenate(([0.0], np.cumsum(np.maximum(passed, 0.0))))
-        broken = np.zeros(time.size, dtype=np.int64)
-        broken[rows.steps + 1] = 1
-        broken = np.cumsum(broken)
+        time = np.concatenate(([0.0], np.cumsum(np.maximum(passed, 0.0))))[known]
+        broken = np.searchsorted(rows.steps, known)
         # One row a second, and the first and the last one between steps.
-        number = np.floor(time[known]).astype(np.int64) + broken[known] * (int(time[-1]) + 2)
-        first = np.diff(number, prepend=-1) != 0
-        edges = np.diff(broken[known], append=-1) != 0
-        nodes = known[first | edges]
-        driven = cumulative_trapezoid(speed[known], time[known], initial=0.0)
-        driven = np.interp(time[nodes], time[known], driven)
-        along = places[nodes].real if signed else _along(places[nodes], broken[nodes], time[nodes])
+        first = (np.diff(np.floor(time), prepend=-1) != 0) | (np.diff(broken, prepend=-1) != 0)
+        nodes = np.flatnonzero(first | (np.diff(broken, append=-1) != 0))
+        if nodes.size < ENOUGH:
+            return None
+        driven = cumulative_trapezoid(speed[known], time, initial=0.0)[nodes]
+        known, time, broken = known[nodes], time[nodes], broken[nodes]
+        chords = np.cumsum(np.abs(np.diff(places[known], prepend=places[known[0]])))
+        along = places[known].real if signed else chords
         # Distance over the integral of the speed, the median over up to 20 s without a step.
-        last = np.searchsorted(broken[nodes], broken[nodes], side="right") - 1
-        later = np.minimum(np.searchsorted(time[nodes], time[nodes] + WINDOWS[-1]), last)
+        last = np.searchsorted(broken, broken, side="right") - 1
+        later = np.minimum(np.searchsorted(time, time + WINDOWS[-1]), last)
         by_speed = driven[later] - driven
         found = agreement(along[later] - along, by_speed, by_speed > WINDOWS[-1] * MOVING)
         if found is None:
             return None
-        motion = cls(
-            nodes,
-            time[nodes],
-            along - found.ratio * driven,
-            found.ratio * speed[nodes],
-            broken[nodes],
-            np.zeros((0, 3)),
-        )
-        return motion._calibrated()
-
-    def _calibrated(self) -> _Motion | None:
-        """With what is usual where no step is; None where that is not known."""
-        moving = np.flatnonzero(self.speed > MOVING)
+        rest, speed = along - found.ratio * driven, found.ratio * speed[known]
+        later = np.minimum(np.searchsorted(time, time + 2.0 * HALF_SPAN), last)
+        rate = (speed[later] - speed) / np.maximum(time[later] - time, 2.0 * HALF_SPAN)
+        hardest = np.clip(UNSEEN * np.abs(np.quantile(rate, (0.99, 0.01))), *HARDEST)
         usual = []
         for window in WINDOWS:
-            left, right = self._around(moving, moving, window)
-            whole = self.broken[left] == self.broken[right]
-            whole &= self.time[right] - self.time[left] > 1.5 * window
-            change = (self.rest[right] - self.rest[left])[whole]
-            if change.size < ENOUGH:
-                continue
-            middle = float(np.median(change))
-            size = np.abs(change - middle)
-            tail = float(np.quantile(size, 0.9)) / 1.64
-            usual.append((window, middle, max(robust_std(size), tail, SMALLEST_STD)))
-        return replace(self, usual=np.array(usual)) if usual else None
+            left, right = _around(time, np.flatnonzero(speed > MOVING), window)
+            whole = (broken[left] == broken[right]) & (time[right] - time[left] > 1.5 * window)
+            change = np.abs(rest[right] - rest[left])[whole]
+            if change.size >= ENOUGH:
+                # Nine of ten lie within 1.64 standard deviations.
+                usual.append((window, max(float(np.quantile(change, 0.9)) / 1.64, SMALLEST_STD)))
+        if not usual:
+            return None
+        return cls(known, time, rest, speed, broken, np.array(usual), hardest, signed)
 
-    def _around(
-        self, before: IntArray, after: IntArray, window: float | FloatArray
-    ) -> tuple[IntArray, IntArray]:
-        """The rows a time [s] before ones, and after others."""
-        left = np.searchsorted(self.time, self.time[before] - window)
-        right = np.searchsorted(self.time, self.time[after] + window, side="right") - 1
-        return left, right
+    def likelier(self, place: int, late: float) -> tuple[float, float, float]:
+        """How much likelier (logarithm) than `late` seconds without rows a setting of the clock is.
 
-    def across(self, place: int) -> tuple[FloatArray, FloatArray, float] | None:
-        """How far the train came across the step after a row beyond what its speeds show.
-
-        By window, less what is usual, with its standard deviation [m]; and the speed there [m/s].
-        None where the train stands, or other steps are too close.
+        And the time [s] without rows besides, with its standard deviation. What the distance across
+        the place exceeds that of the speeds by is nothing where no row is missing, and the way of
+        the train meanwhile where rows are. Zeros where the train stands, or other steps are too
+        close.
         """
+        nothing = 0.0, 0.0, 0.0
         after = int(np.searchsorted(self.rows, place, side="right"))
         before = after - 1
         if before < 0 or after >= self.rows.size or self.broken[after] != self.broken[before] + 1:
-            return None
-        speed = 0.5 * float(self.speed[before] + self.speed[after])
-        edges = np.searchsorted(self.broken, self.broken[before])
-        beyond = np.searchsorted(self.broken, self.broken[after], side="right") - 1
-        if speed < MOVING or min(before - edges, beyond - after) < LEAST_AROUND:
-            return None
-        windows, middle, std = self.usual.T
-        left, right = self._around(np.array([before]), np.array([after]), windows)
-        change = self.rest[np.minimum(right, beyond)] - self.rest[np.maximum(left, edges)]
-        return change - middle, std, speed
+            return nothing
+        edges = int(np.searchsorted(self.broken, self.broken[before]))
+        beyond = int(np.searchsorted(self.broken, self.broken[after], side="right")) - 1
+        speeds = self.speed[[before, after]]
+        speed = float(np.mean(speeds))
+        if np.min(speeds) < MOVING or min(before - edges, beyond - after) < 2:
+            return nothing
+        windows, std = self.usual.T
+        left = np.maximum(_around(self.time, before, windows)[0], edges)
+        right = np.minimum(_around(self.time, after, windows)[1], beyond)
+        way = self.rest[right] - self.rest[left]
+        # How far the way is from any that a train can come in the time that is shown, against how
+        # far it is from that of rows that are missing besides, or of none. A receiver that begins
+        # late after a gap has caught up within the longer window.
+        least, most = self._reach(speeds, late)
+        missing = bool(np.any(np.abs(way) > GATE * std))
+        beside = way - np.clip(way, least, most)
+        gain = 0.5 * (beside**2 - (0.0 if missing else way) ** 2) / std**2
+        likelier = float(np.min(gain) if missing or np.min(gain) <= 0.0 else np.max(gain))
+        if not missing:
+            return likelier, 0.0, 0.0
+        if not self.signed:
+            # Receivers hold places around a gap, and the line bends in it.
+            likelier = 0.0
+        # The mean of the speeds, and how far speeds that bend lie above it.
+        around = [left[0], before, after, right[0]]
+        rates = np.diff(self.speed[around]) / np.maximum(np.diff(self.time[around]), 1.0)
+        bent = (rates[0] - rates[2]) / 12.0 * way / speed
+        took = way / (speed + np.clip(bent, -0.3 * speed, 0.3 * speed))
+        reach = [np.subtract(*self._reach(speeds, each)) / 6.0 for each in took]
+        unsure = np.hypot(std, reach) / speed
+        best = int(np.argmin(unsure))
+        if not 0.0 < took[best] < LARGEST[0]:
+            return nothing
+        return likelier, float(took[best]), float(unsure[best])
+
+    def _reach(self, speeds: FloatArray, time: float) -> tuple[float, float]:
+        """How far [m] a train may come in a time [s] at least and at most, from speed to speed."""
+        way, gained = float(np.mean(speeds)) * time, speeds[1] - speeds[0]
+        starts, brakes = self.hardest
+        if time <= 0.0:
+            return way, way
+        # Speed rises as fast as it may and falls as fast, or the other way round, or to a stand.
+        beside = max(starts * time - gained, 0.0) * max(brakes * time + gained, 0.0)
+        beside /= 2.0 * (starts + brakes)
+        stands = speeds[0] / brakes + speeds[1] / starts < time
+        stop = 0.5 * (speeds[0] ** 2 / brakes + speeds[1] ** 2 / starts)
+        return stop if stands else way - beside, way + beside
 
 
-def _along(points: ComplexArray, broken: IntArray, time: FloatArray) -> FloatArray:
-    """Distance [m] along fixes; across a step it is negative where they go back."""
-    chord = np.diff(points)
-    size = np.abs(chord)
-    step = np.diff(broken) != 0
-    behind = np.maximum(np.searchsorted(time, time[:-1] - 3.0), 0)
-    heading = points[:-1] - points[behind]
-    size[step & (np.real(chord * np.conj(heading)) < 0.0)] *= -1.0
-    return np.concatenate(([0.0], np.cumsum(size)))
+def _around(
+    time: FloatArray, places: int | IntArray, window: float | FloatArray
+) -> tuple[IntArray, IntArray]:
+    """The rows a time [s] before and after places."""
+    left = np.searchsorted(time, time[places] - window)
+    return left, np.searchsorted(time, time[places] + window, side="right") - 1
