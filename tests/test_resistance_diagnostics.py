@@ -59,7 +59,11 @@ def test_each_defect_is_reported() -> None:
     assert "not normal" in " ".join(diagnosed(residuals(spiky)).doubts)
     speed = np.linspace(5.0, 35.0, 300)
     tilted = noise + (speed - 20.0) / 15.0
-    assert "change with speed" in " ".join(diagnosed(residuals(tilted, speed)).doubts)
+    for size in (1.0, 0.05):  # whatever the noise is taken for
+        found = diagnosed(residuals(size * tilted, speed))
+        assert "change with speed" in " ".join(found.doubts)
+    nothing = diagnosed(residuals(np.zeros(20), np.full(20, 9.0)))
+    assert (nothing.normality, nothing.flatness, nothing.independence) == (1.0, 1.0, 1.0)
 
 
 def test_a_fit_gives_its_residuals_their_place() -> None:
