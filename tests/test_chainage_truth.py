@@ -310,6 +310,21 @@ def test_a_train_that_mostly_runs_fast_stands_at_first() -> None:
     assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
 
 
+def test_a_recording_that_begins_among_replayed_fixes_has_a_chainage() -> None:
+    """A motion between two groups of fixes that contradict each other is away from both."""
+    track = winding(20_000.0)
+    run = paced(float(track.positions[-1]), PACES["regional"], 3)
+    trip, truth = receive(track, run, Field(places="replayed"), 8)
+    time = trip["/gnss/fix"].index
+    begin = time[int(0.3 * len(time))]
+    cut = Trip({name: frame.loc[begin:] for name, frame in trip.topics.items()}, trip.metadata)
+    found = estimated(cut, track)
+    assert found.frame is not None
+    error, std = errors(found.frame, truth, "position")
+    assert np.median(np.abs(error)) < 5.0
+    assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
+
+
 @pytest.mark.parametrize("speed", ["good", "none"])
 def test_replayed_fixes_count_where_they_were_measured(
     speed: str, field_rides: list[tuple]

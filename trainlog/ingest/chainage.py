@@ -557,8 +557,8 @@ class OnLine:
         along = series_of(seconds, np.where(self.aged_std > 0.0, np.nan, self.chainage - driven))
         whole = np.round(np.interp(along.seconds, seconds, missing), 6)
         dense = float(np.median(np.diff(shown.seconds))) < 2.0
-        moving = shown.values[shown.values > MOVING]
-        white = white_noise(moving, self.hold) if dense else 0.0
+        of_moving = shown.values[shown.values > MOVING]
+        white = white_noise(of_moving, self.hold) if dense else 0.0
         white = max(white, SMALLEST_NOISE[1])
         if self.lateness:
             # How late fixes are changes: their places show nothing of the speeds' errors.
@@ -730,6 +730,8 @@ class OnLine:
         )
         along = (chainage - motion.position) / spread
         departure = np.hypot(along, aside / std)
+        # Where most depart it is the motion that is away: those depart that do so most.
+        departure /= max(float(np.median(departure[self.known])), 1.0)
         departure[_ends(self.track, chainage, std)] = np.inf
         return held(departure, self.fixes.seconds)
 
