@@ -257,13 +257,19 @@ class TestCompaction:
         assert bytes_of(path) == bytes_of(tmp_path / "whole.map")
 
     def test_sums_that_several_maps_hold_are_added_up(self, tmp_path: Path) -> None:
+        parts = []
         for number in range(2):
             given_to(tmp_path / f"{number}.map", [piece(number, "wet")])
             with MapFile(tmp_path / f"{number}.map") as file:
                 file.compact(99_999)
+                parts.append(file.sums()["wet"])
         merge_files([tmp_path / "0.map", tmp_path / "1.map"], tmp_path / "both.map")
         given_to(tmp_path / "whole.map", [piece(0, "wet"), piece(1, "wet")])
         assert bytes_of(tmp_path / "both.map") == bytes_of(tmp_path / "whole.map")
+        total = DailyEvidence.total(parts)
+        with MapFile(tmp_path / "both.map") as file:
+            assert file.sums() == {"wet": total}
+        assert MapFile.of_map(read_map(tmp_path / "whole.map")).sums() == {"wet": total}
 
     def test_a_log_is_still_known_and_its_drive_decided(self, tmp_path: Path) -> None:
         path = tmp_path / "a.map"
