@@ -192,12 +192,10 @@ class OnLine:
         As estimated on this trip [m], [m/s].
     along_std : float [m]
         Of a further noise of the positions, along the line alone: fixes that come late.
-    caught_up, late_std : (n,) array [m]
+    caught_up, late_rest, late_prior : (n,) array [m]
         How far the train was ahead of each fix when it came, where the receiver is late throughout,
-        and its standard deviation as the fixes are judged.
-    late_rest, late_prior : (n,) array [m]
-        By how much `caught_up` is more than it is for the mean lateness, and the standard deviation
-        of that beforehand: the motion and how late each fix is are estimated together.
+        by how much that is more than it is for the mean lateness, and the standard deviation of
+        that beforehand: the motion and how late each fix is are estimated together.
     aged_std : (n,) array [m]
         Standard deviation of the place of old fixes by that of their age; 0 for others.
     lateness : float [s]
@@ -221,8 +219,8 @@ class OnLine:
         self.judged = self.misplaced = self.aside
         self.reasons_aside: Counter[str] = Counter()
         self.along_std = self.delay = 0.0
-        self.caught_up, self.late_std, self.aged_std = np.zeros((3, points.size))
-        self.late_rest, self.late_prior = np.zeros((2, points.size))
+        self.caught_up, self.late_rest, self.late_prior = np.zeros((3, points.size))
+        self.aged_std = np.zeros(points.size)
         self.lateness = 0.0
         self.common_delay = Delay(0.0, 0.0)
         self.speed_noise: ReceiverNoise | None = None
@@ -313,13 +311,8 @@ class OnLine:
         spread = robust_std(aside[~np.isnan(aside)])
         fitting = np.isfinite(chainage)
         if self.gated:
-            unsure = np.hypot(std, self.late_std)
-            fitting &= (
-                np.hypot(
-                    aside / np.hypot(spread, std), (chainage - course) / np.hypot(spread, unsure)
-                )
-                < GATE
-            )
+            unsure = np.hypot(spread, std)
+            fitting &= np.hypot(aside / unsure, (chainage - course) / unsure) < GATE
         if speed_aware:
             fit = np.where(fitting, chainage, np.nan)
             self.common_delay = common_delay(self.fixes, fit)
@@ -386,10 +379,9 @@ class OnLine:
         late = lateness(at, seen.values, *parts, evident=aged > 0.5)
         if late is not None:
             age, spread = (np.interp(seconds, at, each) for each in late)
-            self.late_std = spread * pace
             self._bring_forward(age)
             chainage = chainage + self.caught_up
-            std = np.hypot(std, self.late_std)
+            std = np.hypot(std, spread * pace)
             found = receiver_states(seconds, chainage, std, driven, unsure)
         self._without_speeds("contradicted", found.doubted)
         return self._put_in_time(found, chainage)
@@ -721,13 +713,7 @@ class OnLine:
     ) -> BoolArray:
         """Fixes that do not go with the motion, along the line or beside it."""
         std = self._usual(aside)
-        spread = np.sqrt(
-            std**2
-            + motion.position_std**2
-            + self.along_std**2
-            + self.late_std**2
-            + self.aged_std**2
-        )
+        spread = np.sqrt(std**2 + motion.position_std**2 + self.along_std**2 + self.aged_std**2)
         along = (chainage - motion.position) / spread
         departure = np.hypot(along, aside / std)
         # Where most depart it is the motion that is away: those depart that do so most.
