@@ -310,6 +310,27 @@ def test_a_train_that_mostly_runs_fast_stands_at_first() -> None:
     assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
 
 
+@pytest.mark.parametrize("begin", [300.0, 520.0])
+def test_a_receiver_that_keeps_its_place_and_speed_is_believed_neither(begin: float) -> None:
+    """It shows a stand of 80 s, with digits that change, while the tram goes on."""
+    track = streets()
+    run = paced(float(track.positions[-1]), PACES["tram"], 3)
+    trip, truth = receive(track, run, Field(interval=0.2, outages=0.0, reflections=0.0), 4)
+    fix, motion = trip["/gnss/fix"].copy(), trip["/gnss/motion"].copy()
+    time = (fix.index - fix.index[0]).total_seconds().to_numpy()
+    kept = (time >= begin) & (time < begin + 80.0)
+    first = int(np.argmax(kept))
+    for name in ("latitude", "longitude"):
+        fix.loc[kept, name] = fix[name].iloc[first] + 1e-9 * (time[kept] - begin)
+    motion.loc[kept, "speed"] = 0.0
+    found = estimated(Trip({"/gnss/fix": fix, "/gnss/motion": motion}, trip.metadata), track)
+    assert found.frame is not None
+    error, std = errors(found.frame, truth, "position")
+    assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
+    at = np.arange(error.size)
+    assert np.median(np.abs(error[(at < begin) | (at > begin + 80.0)])) < 5.0
+
+
 def test_a_recording_that_begins_among_replayed_fixes_has_a_chainage() -> None:
     """A motion between two groups of fixes that contradict each other is away from both."""
     track = winding(20_000.0)

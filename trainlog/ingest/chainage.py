@@ -44,7 +44,18 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.errors import InputError
 from trainlog.ingest.clock import Result
 from trainlog.ingest.matching import GEOMETRY_STD, EdgeTracks, edge_nodes, rough_noise
-from trainlog.ingest.motion import ENOUGH, GATE, MOVING, POSITION, covered, held, rate_of, scale_of
+from trainlog.ingest.motion import (
+    ENOUGH,
+    GATE,
+    MOVING,
+    POSITION,
+    RESTING,
+    covered,
+    held,
+    rate_of,
+    repeats,
+    scale_of,
+)
 from trainlog.ingest.profile import Profile, Quantity
 from trainlog.ingest.receiver import (
     LOSS_DENSITY,
@@ -383,8 +394,22 @@ class OnLine:
             chainage = chainage + self.caught_up
             std = np.hypot(std, spread * pace)
             found = receiver_states(seconds, chainage, std, driven, unsure)
-        self._without_speeds("contradicted", found.doubted)
-        return self._put_in_time(found, chainage)
+        kept = self._kept_until(found.doubted)
+        self.computed |= kept & np.isfinite(self.points)
+        self.points[kept] = np.nan
+        self._without_speeds("contradicted", found.doubted | kept)
+        return self._put_in_time(found, np.where(kept, np.nan, chainage))
+
+    def _kept_until(self, doubted: BoolArray) -> BoolArray:
+        """Rows at which a receiver keeps its speed and place until it is elsewhere at once."""
+        runs = repeats(self.fixes.speed)
+        at = self.fixes.seconds[runs.known]
+        beyond = np.minimum(runs.last + 2, runs.known.size - 1)
+        rests = at[runs.last] - at[runs.first] >= RESTING
+        within = np.logical_or.reduceat(np.append(doubted[runs.known], False), runs.first)
+        chosen = rests & (within | doubted[runs.known[beyond]])
+        first, last = runs.known[runs.first[chosen]], runs.known[runs.last[chosen]]
+        return covered(first, last + 1, doubted.size)
 
     def _bring_forward(self, age: FloatArray) -> None:
         """Bring the fixes of a receiver that is late throughout forward, by their age [s].
