@@ -50,6 +50,7 @@ from trainlog.ingest.motion import (
     MOVING,
     POSITION,
     RESTING,
+    RESTING_SAMPLES,
     covered,
     held,
     rate_of,
@@ -405,7 +406,7 @@ class OnLine:
         runs = repeats(self.fixes.speed)
         at = self.fixes.seconds[runs.known]
         beyond = np.minimum(runs.last + 2, runs.known.size - 1)
-        rests = at[runs.last] - at[runs.first] >= RESTING
+        rests = (at[runs.last] - at[runs.first] >= RESTING) & (runs.samples >= RESTING_SAMPLES)
         within = np.logical_or.reduceat(np.append(doubted[runs.known], False), runs.first)
         chosen = rests & (within | doubted[runs.known[beyond]])
         first, last = runs.known[runs.first[chosen]], runs.known[runs.last[chosen]]
