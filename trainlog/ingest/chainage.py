@@ -105,6 +105,9 @@ OLDEST = 12.0
 FASTEST = 0.98
 """Share of the speeds from fix to fix that are a train's."""
 
+LEAP = 150.0
+"""Speed [m/s] from fix to fix with which a receiver that kept its place is elsewhere."""
+
 REPLAYED = 3
 """Age [s] from which on a fix of a receiver that is not late throughout is an old one."""
 
@@ -403,13 +406,18 @@ class OnLine:
 
     def _kept_until(self, doubted: BoolArray) -> BoolArray:
         """Rows at which a receiver keeps its speed and place until it is elsewhere at once."""
+        seconds, known = self.fixes.seconds, np.flatnonzero(np.isfinite(self.points))
+        pace = np.abs(np.diff(self.points[known])) / np.diff(seconds[known])
+        leaps = np.zeros(doubted.size, dtype=np.bool_)
+        leaps[known[1:][pace > LEAP]] = True
         runs = repeats(self.fixes.speed)
-        at = self.fixes.seconds[runs.known]
-        beyond = np.minimum(runs.last + 2, runs.known.size - 1)
-        rests = (at[runs.last] - at[runs.first] >= RESTING) & (runs.samples >= RESTING_SAMPLES)
-        within = np.logical_or.reduceat(np.append(doubted[runs.known], False), runs.first)
-        chosen = rests & (within | doubted[runs.known[beyond]])
-        first, last = runs.known[runs.first[chosen]], runs.known[runs.last[chosen]]
+        rests = runs.samples >= RESTING_SAMPLES
+        first, last = runs.known[runs.first[rests]], runs.known[runs.last[rests]]
+        soon = np.searchsorted(seconds, seconds[last] + RESTING) - 1
+        for flags in (leaps, doubted):
+            count = np.cumsum(flags)
+            found = count[soon] > count[first]
+            first, last, soon = first[found], last[found], soon[found]
         return covered(first, last + 1, doubted.size)
 
     def _bring_forward(self, age: FloatArray) -> None:
