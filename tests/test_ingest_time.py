@@ -357,6 +357,21 @@ def test_a_gap_at_a_standstill_is_a_gap(tmp_path: Path) -> None:
     assert len(trip["/train/state"]) == 450
 
 
+def test_a_train_that_comes_twenty_metres_in_an_hour_at_70_is_suspected(tmp_path: Path) -> None:
+    """A recorder may have been off, or its clock was set to another zone: it is said, not moved."""
+    time = np.arange(600.0)
+    shown = time + np.where(time >= 300.0, 3600.0, 0.0)
+    stamps = pd.to_datetime(1_714_543_200 + shown, unit="s").strftime("%Y-%m-%dT%H:%M:%SZ")
+    speed, way = 19.5 + np.sin(time / 30.0), 19.5 * time - 30.0 * np.cos(time / 30.0)
+    table = zip(stamps, speed, way, strict=True)
+    rows = [f"{stamp},{pace:.2f},{metres:.1f}" for stamp, pace, metres in table]
+    path = tmp_path / "run.csv"
+    path.write_text("t,v,s\n" + "\n".join(rows) + "\n")
+    report = report_of(ingest(path, profile=profile_of(table_profile({}))))
+    assert report.counts == {"clock_step_suspected": 1, "gaps": 1}
+    assert any("+3600 s: a gap, a step of the clock or both" in line for line in report.lines())
+
+
 def undated(folder: Path, date: str, rows: int) -> tuple[Case, Path]:
     """An MTK log of whole seconds whose first `rows` rows have the date `date`, but fixes."""
     case = recorded(folder, "hilly", LAYOUTS[0], None, count=120.0)

@@ -78,8 +78,8 @@ LEAST_STEP = 0.6
 """Smaller steps [s] are left: receivers themselves are late by as much."""
 
 LARGEST = 60.0, 900.0
-"""Longer steps forward [s] are pauses, after which a receiver may begin where it left off; longer
-ones back are of zones and dates."""
+"""Longer steps forward [s] are pauses, after which a recorder may begin where it left off: they are
+reported where the train cannot have come so little; longer ones back are of zones and dates."""
 
 HARDEST = 0.3, 1.2
 """Acceleration and braking [m/s²] of which every train, and of which some train, is capable."""
@@ -129,7 +129,7 @@ def suspect_clock_steps(table: Table, limits: Limits) -> Result:
     if undecided:
         marked = np.zeros(len(table), dtype=np.bool_)
         marked[[place + 1 for place, _ in undecided]] = True
-        sizes = ", ".join(f"{size:+.2g} s" for _, size in undecided)
+        sizes = ", ".join(f"{round(size, 1):+.9g} s" for _, size in undecided)
         note = f"{sizes}: a gap, a step of the clock or both, which the motion leaves open"
         findings += table.found("clock_step_suspected", marked, note=note)
     if limits.not_before is None and table.time[-1] < EARLY and has_fix(table) is not None:
@@ -431,7 +431,8 @@ def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, boo
     they were written late.
     """
     late = float(rows.late[place])
-    if not -LARGEST[1] < late < LARGEST[0]:
+    pause = late >= LARGEST[0]
+    if late <= -LARGEST[1] or (pause and (motion is None or not motion.signed)):
         return 0.0, False
     if late < 0.0 and rows.written_twice(place) <= MAJORITY:
         return 0.0, False
@@ -440,7 +441,7 @@ def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, boo
     likelier, size = shown[0] + SURE * again, rows.size(late - shown[1], shown[2])
     if abs(size) < rows.least or likelier < LIKELY:
         return 0.0, False
-    return size, likelier >= SURE
+    return size, likelier >= SURE and not pause
 
 
 def _common(levels: IntArray | FloatArray) -> BoolArray:
