@@ -58,6 +58,24 @@ def test_gpx_comes_back(tmp_path: Path, seed: int, speed: str, offset: str) -> N
     assert trip.metadata["horizontal_accuracy"] == "3 m times HDOP"
 
 
+def test_a_count_of_unix_time_decides_the_zone_of_a_gpx(tmp_path: Path) -> None:
+    """Times that name no zone are UTC by the standard, and local where a phone does not keep it."""
+    run = drive(60, 1.0)
+    text = gpx_text(run, offset="+02:00").replace("+02:00", "")
+    trip = read(tmp_path, "plain.gpx", text)
+    assert trip.metadata["clock"] == "GNSS, no zone stated, taken as UTC"
+    assert trip.start.value == run.time[0] + 7200 * 1_000_000_000
+    points = text.split("</trkpt>")
+    for per_second in (1, 1000):
+        counts = run.time // (1_000_000_000 // per_second)
+        added = [f"<unix>{count}</unix><pace>4.2</pace></trkpt>" for count in counts]
+        beside = zip(points, [*added, ""], strict=True)
+        trip = read(tmp_path, "unix.gpx", "".join(a + b for a, b in beside))
+        assert trip.metadata["clock"] == "Unix time, beside times that state no zone"
+        np.testing.assert_array_equal(trip["/gnss/fix"].index.as_unit("ns").asi8, run.time)
+        assert report_of(trip).not_used["<pace> of track points"] == 60
+
+
 def test_whole_gpx_in_utf_16_is_not_called_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "run.gpx"
     text = gpx_text(drive(40, 1.0)).replace("UTF-8", "UTF-16").rstrip()

@@ -7,6 +7,7 @@ refused, so that a small file cannot grow. Points of waypoints and routes are co
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -42,6 +43,8 @@ SPELLINGS = {
     "accuracy_horizontal": "horizontal_accuracy",
     "vacc": "vertical_accuracy",
     "accuracy_vertical": "vertical_accuracy",
+    "unix": "unix",
+    "unixtime": "unix",
 }
 """What an element of a track point, or of its extensions, means; without its namespace."""
 
@@ -66,6 +69,12 @@ LAYOUT = Profile(
     },
 )
 """What the elements mean, in the words of a profile."""
+
+ZONE, UNIX = re.compile(r"(Z|[+-]\d\d:?\d\d)$", re.IGNORECASE), re.compile(r"\d+(\.\d*)?")
+"""The end of a time that states its zone, and a count of Unix time."""
+
+MILLISECONDS = 1e11
+"""Counts of Unix time beyond this are of milliseconds."""
 
 CUT_OFF = (
     expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS],
@@ -93,6 +102,7 @@ class _Reader:
     parser: Any
     tracks: list[_Track] = field(default_factory=list)
     others: Counter[str] = field(default_factory=Counter)
+    unread: Counter[str] = field(default_factory=Counter)
     creator: str = ""
     root: str = ""
     depth: int = 0
@@ -117,9 +127,7 @@ class _Reader:
             }
         elif local in ("wpt", "rtept"):
             self.others[local] += 1
-        elif (self.point is not None and local.lower() in SPELLINGS) or (
-            local == "name" and self.depth == 3 and self.tracks
-        ):
+        elif self.point is not None or (local == "name" and self.depth == 3 and self.tracks):
             self.text = []
 
     def end(self, name: str) -> None:
@@ -131,9 +139,11 @@ class _Reader:
             self.point = None
         elif self.text is not None:
             text = "".join(self.text).strip()
-            if self.point is not None:
+            if self.point is not None and local.lower() in SPELLINGS:
                 # A point's own elements come before those of its extensions, and count.
-                self.point.setdefault(SPELLINGS.get(local.lower(), local), text)
+                self.point.setdefault(SPELLINGS[local.lower()], text)
+            elif self.point is not None:
+                self.unread[local] += bool(text)
             elif self.tracks and not self.tracks[-1].name:
                 self.tracks[-1].name = text
         self.text = None
@@ -175,6 +185,8 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
             remedy="give the track that was recorded, not waypoints or a planned route",
         )
     not_used = {f"points <{kind}>": count for kind, count in sorted(reader.others.items())}
+    read = sorted(reader.unread.items())
+    not_used |= {f"<{name}> of track points": count for name, count in read if count}
     if len(filled) < len(reader.tracks):
         not_used["tracks without points"] = len(reader.tracks) - len(filled)
     found: list[Recording] = []
@@ -222,6 +234,23 @@ def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:
     return reader, cut
 
 
+def _clock(track: _Track) -> tuple[str, Profile]:
+    """Which clock a track's times are of, and how they are read.
+
+    GPX asks for UTC. Where no time says so, a count of Unix time beside it is believed first.
+    """
+    times = [point.get("time", "") for point in track.points]
+    if any(ZONE.search(time) for time in times) or not any(times):
+        return "GNSS, UTC", LAYOUT
+    counts = [point.get("unix", "") for point in track.points]
+    if not all(UNIX.fullmatch(count) for count in counts):
+        return "GNSS, no zone stated, taken as UTC", LAYOUT
+    unit = "ms" if float(counts[0]) > MILLISECONDS else "s"
+    options = TimeOptions(column="unix", format="epoch", unit=unit)
+    clock = "Unix time, beside times that state no zone"
+    return clock, LAYOUT.model_copy(update={"time": options})
+
+
 def _recording(
     track: _Track,
     trip: str,
@@ -234,11 +263,11 @@ def _recording(
         name: pa.array([point.get(name) or None for point in track.points], pa.string())
         for name in COLUMNS
     }
-    metadata = {"clock": "GNSS, UTC", "segments": str(track.segments)}
+    clock, layout = _clock(track)
+    metadata = {"clock": clock, "segments": str(track.segments)}
     metadata |= {
         key: value for key, value in (("track", track.name), ("recorder", creator)) if value
     }
-    layout = LAYOUT
     for accuracy, dop, metres in (
         ("horizontal_accuracy", "hdop", HORIZONTAL_PER_HDOP),
         ("vertical_accuracy", "vdop", VERTICAL_PER_VDOP),
