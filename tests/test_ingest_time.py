@@ -394,6 +394,20 @@ def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(
     assert error_of(trip["/gnss/motion"].index.as_unit("ns").asi8, case) < 0.15
 
 
+def test_a_receiver_may_lose_its_date_again_and_again(tmp_path: Path) -> None:
+    """Sixty blocks of ten rows each, as an MTK logger in a city writes them."""
+    case = recorded(tmp_path, "hilly", LAYOUTS[0], None, count=120.0)
+    lines = case.path.read_text().splitlines()
+    blocks = [i for i in range(1, 1200) if i // 10 % 2 == 0]
+    for i in blocks:
+        lines[i] = lines[i].replace("2024,5,1,", "2000,0,0,", 1)
+    case.path.write_text("\n".join(lines) + "\n")
+    trip = ingest(case.path)
+    assert report_of(trip).counts["clock_step"] == len(blocks)
+    assert report_of(trip).rows_dropped == 0
+    assert error_of(trip["/gnss/motion"].index.as_unit("ns").asi8, case) < 0.15
+
+
 def test_dates_of_zeros_in_text(tmp_path: Path) -> None:
     times = [f"2024-05-01T06:00:{i:02d}Z" for i in range(40)]
     times[:15] = [f"0000-00-00T06:00:{i:02d}Z" for i in range(15)]

@@ -175,8 +175,10 @@ def _coarse(time: IntArray, limits: Limits) -> IntArray:
     others[np.abs(others) > MOST_ZONE] = 0
     if not np.any(others < 0):
         others[:] = 0
-    edges = np.count_nonzero(weeks) + np.count_nonzero(days) + np.count_nonzero(others)
-    if not 0 < edges <= MOST_EDGES:
+    steps = np.array([np.count_nonzero(each) for each in (weeks, days, others)])
+    # A receiver may lose its date, and find it again, as often as it loses the sky.
+    counted = steps[[0, 2]] if _undated(time).any() else steps
+    if not steps.any() or counted.sum() > MOST_EDGES:
         return none
     week, zone = _levels(weeks), _levels(others)
     values, counts = np.unique(zone, return_counts=True)
