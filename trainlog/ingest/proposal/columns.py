@@ -448,7 +448,9 @@ def _unit_reason(stated: str, answer: Answer, kind: str, unit: str = "") -> tupl
     """Why a unit was taken, and the alternative."""
     if not stated:
         others = " or ".join(answer.others.get(kind, ())[:2])
-        return "no known unit is stated; this one agrees with the other columns", others
+        compared = answer.distance.windows + answer.chords.windows or answer.driven.seconds
+        why = "agrees with the other columns" if compared else "is the usual one"
+        return f"no known unit is stated; this one {why}", others
     if stated == (unit or answer.units[kind]):
         return f"the file states {stated}", ""
     why = f"the file states {stated}, which contradicts the other columns"
@@ -470,7 +472,7 @@ def _place_position(work: Work, name: str, answer: Answer, stated: str) -> None:
         return
     why, other = _unit_reason(stated, answer, "length")
     length = answer.si("length")
-    checks = [f"{length * float(np.ptp(known)) / 1e3:.2f} km in all"]
+    checks = [f"its values span {length * float(np.ptp(known)) / 1e3:.2f} km"]
     to_one = length / answer.si("speed")
     checks += _in_words(ratio, "it changes by", "the integral of the speed", to_one)
     falling = ratio.value < 0.0 if ratio.windows else known[-1] < known[0]
