@@ -997,7 +997,7 @@ def _findings(fixes: Fixes, matched: OnLine) -> tuple[Finding, ...]:
     """What was set aside, by rule."""
     count = int(np.count_nonzero(matched.computed))
     computed = f"{count} extrapolated, held or replayed by the receiver" if count else ""
-    late_by = f"{matched.lateness:.1f} s in the mean; brought forward by the speeds"
+    late_by = f"late by {matched.lateness:.1f} s in the mean; brought forward by the speeds"
     # A delay of fixes and speeds together concerns every speed.
     late = np.isfinite(fixes.speed) & (matched.common_delay.value > 0.0)
     counts = (
