@@ -212,6 +212,35 @@ def smooth_motion(
     )
 
 
+def reach(speeds: ArrayLike, time: float, starts: float, brakes: float) -> tuple[float, float]:
+    """How far [m] a train may come in a time at least and at most, from one speed to another.
+
+    Its speed falls as fast as it may and rises as fast, or the other way round, or to a stand.
+
+    Parameters
+    ----------
+    speeds : (2,) array [m/s]
+        At first and at last.
+    time : float [s]
+    starts, brakes : float [m/s²]
+        How hard it may start and brake.
+
+    Examples
+    --------
+    >>> reach((10.0, 10.0), 60.0, 1.0, 1.0), reach((10.0, 10.0), 10.0, 1.0, 1.0)
+    ((100.0, 1500.0), (75.0, 125.0))
+    """
+    first, last = np.asarray(speeds, dtype=np.float64)
+    way, gained = 0.5 * (first + last) * time, last - first
+    if time <= 0.0:
+        return float(way), float(way)
+    beside = max(starts * time - gained, 0.0) * max(brakes * time + gained, 0.0)
+    beside /= 2.0 * (starts + brakes)
+    stands = first / brakes + last / starts < time
+    stop = 0.5 * (first**2 / brakes + last**2 / starts)
+    return float(stop if stands else way - beside), float(way + beside)
+
+
 def _checked_times(time: ArrayLike) -> FloatArray:
     instants = np.asarray(time, dtype=np.float64)
     if instants.ndim != 1 or instants.size < 2 or not np.all(np.isfinite(instants)):

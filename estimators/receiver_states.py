@@ -34,6 +34,7 @@ import numpy as np
 from numba import njit
 
 from estimators.linear_gaussian import LinearGaussian
+from estimators.motion import reach
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 OLDEST = 70
@@ -217,12 +218,12 @@ def _halted(seconds: FloatArray, along: FloatArray, std: FloatArray, gap: FloatA
         if min(pace) <= 0.0:
             continue
         took = gap[after]
+        least, _ = reach(pace, took, STARTING, BRAKING)
+        short = least - (along[after] - along[before])
+        # How long it brakes and starts: an error of its speeds is one of the way for as long.
         braking = np.clip((pace[0] - pace[1] + STARTING * took) / (STARTING + BRAKING), 0.0, took)
         braking = min(braking, pace[0] / BRAKING)
         starting = min(took - braking, pace[1] / STARTING)
-        least = (pace[0] - 0.5 * BRAKING * braking) * braking
-        least += (pace[1] - 0.5 * STARTING * starting) * starting
-        short = least - (along[after] - along[before])
         spread = np.sqrt(
             2.0 * std[after] ** 2 + (braking * unsure[0]) ** 2 + (starting * unsure[1]) ** 2
         )

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from estimators.motion import reach
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.clock import (
     REGULAR,
@@ -566,7 +567,7 @@ class _Motion:
         # How far the way is from any that a train can come in the time that is shown, against how
         # far it is from that of rows that are missing besides, or of none. A receiver that begins
         # late after a gap has caught up within the longer window.
-        least, most = self._reach(speeds, late)
+        least, most = reach(speeds, late, *self.hardest)
         missing = bool(np.any(np.abs(way) > GATE * std))
         beside = way - np.clip(way, least, most)
         gain = 0.5 * (beside**2 - (0.0 if missing else way) ** 2) / std**2
@@ -581,25 +582,12 @@ class _Motion:
         rates = np.diff(self.speed[around]) / np.maximum(np.diff(self.time[around]), 1.0)
         bent = (rates[0] - rates[2]) / 12.0 * way / speed
         took = way / (speed + np.clip(bent, -0.3 * speed, 0.3 * speed))
-        reach = [np.subtract(*self._reach(speeds, each)) / 6.0 for each in took]
-        unsure = np.hypot(std, reach) / speed
+        widths = [np.subtract(*reach(speeds, each, *self.hardest)) / 6.0 for each in took]
+        unsure = np.hypot(std, widths) / speed
         best = int(np.argmin(unsure))
         if not 0.0 < took[best] < LARGEST[0]:
             return nothing
         return likelier, float(took[best]), float(unsure[best])
-
-    def _reach(self, speeds: FloatArray, time: float) -> tuple[float, float]:
-        """How far [m] a train may come in a time [s] at least and at most, from speed to speed."""
-        way, gained = float(np.mean(speeds)) * time, speeds[1] - speeds[0]
-        starts, brakes = self.hardest
-        if time <= 0.0:
-            return way, way
-        # Speed rises as fast as it may and falls as fast, or the other way round, or to a stand.
-        beside = max(starts * time - gained, 0.0) * max(brakes * time + gained, 0.0)
-        beside /= 2.0 * (starts + brakes)
-        stands = speeds[0] / brakes + speeds[1] / starts < time
-        stop = 0.5 * (speeds[0] ** 2 / brakes + speeds[1] ** 2 / starts)
-        return stop if stands else way - beside, way + beside
 
 
 def _around(
