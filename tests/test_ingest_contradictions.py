@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.integrate import cumulative_trapezoid
 from simulated_line import flirt, hilly_line
 from test_ingest_chainage import winding
 
@@ -241,9 +242,9 @@ def test_a_table_without_time_is_passed_over_in_a_folder_alone(tmp_path: Path) -
     assert states == {"devices.csv": "passed_over", "broken.csv": "refused"}
 
 
-def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, seed: int = 0) -> str:
-    """What ingest states of the motion along a way [m, north + i east] at 1 Hz."""
-    noise = np.random.default_rng(seed).normal(0.0, 1.0, (2, way.size))
+def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, rows: slice | np.ndarray) -> Trip:
+    """A trip of fixes along a way [m, north + i east] and of speeds at 1 Hz, in some rows."""
+    noise = np.random.default_rng(0).normal(0.0, 1.0, (2, way.size))
     metre = np.degrees(1.0 / 6_371_000.0)
     frame = pd.DataFrame(
         {
@@ -253,7 +254,7 @@ def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, seed: int = 0) ->
             "v": np.abs(speed + 0.1 * noise[0]),
         }
     )
-    frame.to_csv(tmp_path / "run.csv", index=False)
+    frame[rows].to_csv(tmp_path / "run.csv", index=False)
     names = {"/gnss/motion.speed": ("v", "m/s")}
     names |= {f"/gnss/fix.{each}": (each[:3], "deg") for each in ("latitude", "longitude")}
     profile = Profile.model_validate(
@@ -266,17 +267,21 @@ def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, seed: int = 0) ->
             "columns": {field: {"column": name, "unit": u} for field, (name, u) in names.items()},
         }
     )
-    (made,) = ingest_all(tmp_path / "run.csv", tmp_path / "logs", profile).of("made", "repaired")
-    return made.metadata.get("motion_evidence", "")
+    return ingest(tmp_path / "run.csv", profile)
+
+
+def evidence(tmp_path: Path, way: np.ndarray, speed: np.ndarray) -> str:
+    """What ingest states of the motion."""
+    return walked(tmp_path, way, speed, slice(None)).metadata.get("motion_evidence", "")
 
 
 def test_what_no_train_does_is_stated(tmp_path: Path) -> None:
     second = np.arange(900.0)
     ones = np.ones(second.size)
-    assert walked(tmp_path, 0.0 * second, 0.1 * ones).startswith("the train never moves")
-    circle = walked(tmp_path, 5.0 * np.exp(1j * second * 1.4 / 5.0), 1.4 * ones)
+    assert evidence(tmp_path, 0.0 * second, 0.1 * ones).startswith("the train never moves")
+    circle = evidence(tmp_path, 5.0 * np.exp(1j * second * 1.4 / 5.0), 1.4 * ones)
     assert circle.endswith("bends of a few metres")
-    shaken = walked(tmp_path, 20.0 * second, 20.0 + 12.0 * (-1.0) ** second)
+    shaken = evidence(tmp_path, 20.0 * second, 20.0 + 12.0 * (-1.0) ** second)
     assert "accelerates by more than 4 m/s²" in shaken
 
 
@@ -288,4 +293,53 @@ def test_tight_curves_and_turning_loops_are_a_trains_motion(tmp_path: Path, radi
     driven = np.cumsum(speed)
     turned = np.clip((driven - 0.4 * driven[-1]) / radius, 0.0, np.pi)
     way = np.cumsum(speed * np.exp(1j * turned))
-    assert walked(tmp_path, way, speed) == ""
+    assert evidence(tmp_path, way, speed) == ""
+
+
+def shown(tmp_path: Path, age: np.ndarray, rows: np.ndarray | None = None) -> Trip:
+    """A winding trip with a good speed, whose fixes show where the train was so long ago [s]."""
+    second = np.arange(1_200.0)
+    speed = 14.0 + 10.0 * np.sin(second / 45.0)
+    driven = cumulative_trapezoid(speed, initial=0.0)
+    way = cumulative_trapezoid(speed * np.exp(0.6j * np.sin(driven / 900.0)), initial=0.0)
+    late = np.interp(second - age, second, way.real) + 1j * np.interp(
+        second - age, second, way.imag
+    )
+    return walked(tmp_path, late, speed, np.ones(1_200, dtype=bool) if rows is None else rows)
+
+
+def of_the_fixes(trip: Trip) -> list[tuple[str, int, str]]:
+    found = [each for each in report_of(trip).findings if each.column == "/gnss/fix"]
+    return [(each.rule, each.count, each.note) for each in found]
+
+
+@pytest.mark.parametrize("age", [0.0, 5.0])
+def test_fixes_that_are_late_throughout_are_stated_without_a_line(
+    tmp_path: Path, age: float
+) -> None:
+    trip = shown(tmp_path, np.full(1_200, age))
+    found = of_the_fixes(trip)
+    assert trip["/gnss/fix"]["latitude"].count() == 1_200
+    if not age:
+        assert found == []
+        return
+    ((rule, count, note),) = found
+    assert (rule, count) == ("contradicted", 1_200)
+    assert float(note.split()[2]) == pytest.approx(age, abs=0.8)
+
+
+@pytest.mark.parametrize("fast", [0.0, 0.5])
+def test_replayed_fixes_are_stated_without_a_line(tmp_path: Path, fast: float) -> None:
+    """After a tunnel of 40 s the fixes of its begin, for two minutes or until caught up."""
+    second = np.arange(1_200.0)
+    age = np.where(second < 720.0, np.maximum(40.0 - fast * (second - 600.0), 0.0), 0.0)
+    age[:600] = 0.0
+    trip = shown(tmp_path, age, (second < 560.0) | (second >= 600.0))
+    ((rule, count, note),) = of_the_fixes(trip)
+    assert rule == "off_line"
+    assert count == pytest.approx(np.count_nonzero(age > 2.5), abs=3)
+    assert int(note.split()[6]) == pytest.approx(40, abs=1)
+    assert trip["/gnss/fix"]["latitude"].count() == 1_160
+    # Nor was the clock set in the tunnel, although the fixes after it go on where it begins.
+    assert report_of(trip).count("clock_step") == 0
+    assert trip["/gnss/fix"].index[-1] == pd.Timestamp("2024-05-01T06:19:59Z")

@@ -39,7 +39,7 @@ from estimators.receiver import (
     structure,
     white_noise,
 )
-from estimators.receiver_states import LATE_STD, SPACING, ReceiverStates, lateness, receiver_states
+from estimators.receiver_states import LATE_STD, ReceiverStates, receiver_states
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.errors import InputError
 from trainlog.ingest.clock import Result
@@ -59,8 +59,9 @@ from trainlog.ingest.motion import (
 )
 from trainlog.ingest.profile import Profile, Quantity
 from trainlog.ingest.receiver import (
-    LOSS_DENSITY,
     ODOMETER_STD,
+    OLDEST,
+    REPLAYED,
     Driven,
     Fixes,
     common_delay,
@@ -70,7 +71,9 @@ from trainlog.ingest.receiver import (
     fixes_of,
     hold_of,
     kept_on,
+    late_throughout,
     slipping_wheels,
+    unmeasured,
 )
 from trainlog.ingest.recording import Finding, Table
 from trainlog.ingest.rules import quantum
@@ -99,17 +102,11 @@ DRIFT = 0.1
 """Random walk [m/√s] of the chainage beyond the integral of the speed: curves cut short by the
 geometry."""
 
-OLDEST = 12.0
-"""Age [s] up to which fixes may be late throughout, and from which on they are old ones."""
-
 FASTEST = 0.98
 """Share of the speeds from fix to fix that are a train's."""
 
 LEAP = 150.0
 """Speed [m/s] from fix to fix with which a receiver that kept its place is elsewhere."""
-
-REPLAYED = 3
-"""Age [s] from which on a fix of a receiver that is not late throughout is an old one."""
 
 AGE_STD, AGE_TIME = 3.0, 60.0
 """Standard deviation of the age of an old fix [s], and for how long its error lasts [s]."""
@@ -377,27 +374,14 @@ class OnLine:
             known = np.isfinite(chainage)
             most = np.mean((found.age >= REPLAYED)[known] | found.wrong[known]) > MOST_ASIDE
             return chainage if most else self._put_in_time(found, chainage, measured=False)
-        pace, known = self.fixes.any_speed, np.isfinite(self.fixes.any_speed)
-        pace = np.interp(seconds, seconds[known], pace[known])
-        step = np.diff(seconds[known], prepend=seconds[known][0])
-        # How unsteady this train's speed is between two that were measured.
-        bend = mean_square(np.diff(self.fixes.any_speed[known], 2)) / (2.0 * np.median(step))
-        lost = np.cumsum(min(LOSS_DENSITY, 2.0 * bend) * step**3 / 12.0)
-        unsure = np.interp(seconds, seconds[known], lost)
-        found = receiver_states(seconds, chainage, std, driven, unsure)
-        short, moving = found.age <= OLDEST, np.isfinite(chainage) & (pace > MOVING)
-        aged = float(np.mean((short & (found.age > 0))[moving])) if moving.any() else 0.0
-        seen = series_of(seconds, np.where(short, chainage - driven, np.nan), SPACING)
-        at = seen.seconds
-        parts = (np.interp(at, seconds, each) for each in (pace, unsure, std))
-        # A receiver that is late throughout shows an age sooner or later.
-        late = lateness(at, seen.values, *parts, evident=aged > 0.5)
+        speed = unmeasured(seconds, self.fixes.any_speed)
+        found = receiver_states(seconds, chainage, std, driven, speed.unsure)
+        late = late_throughout(seconds, chainage, driven, found.age, std, speed)
         if late is not None:
-            age, spread = (np.interp(seconds, at, each) for each in late)
-            self._bring_forward(age)
+            self._bring_forward(late.value)
             chainage = chainage + self.caught_up
-            std = np.hypot(std, spread * pace)
-            found = receiver_states(seconds, chainage, std, driven, unsure)
+            std = np.hypot(std, late.std * speed.pace)
+            found = receiver_states(seconds, chainage, std, driven, speed.unsure)
         kept = self._kept_until(found.doubted)
         self.computed |= kept & np.isfinite(self.points)
         self.points[kept] = np.nan

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from estimators.motion import reach
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import (
     REGULAR,
     Result,
@@ -91,6 +91,9 @@ UNSEEN = 1.5
 WINDOWS = 2.0, 20.0
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
 after a gap has caught up within the longer one."""
+
+REPLAYING = 300.0
+"""For how long receivers replay after a gap [s]."""
 
 SMALLEST_STD = 0.2
 """Standard deviation [m] that no distance undercuts."""
@@ -573,7 +576,8 @@ class _Motion:
         gain = 0.5 * (beside**2 - (0.0 if missing else way) ** 2) / std**2
         likelier = float(np.min(gain) if missing or np.min(gain) <= 0.0 else np.max(gain))
         if not missing:
-            return likelier, 0.0, 0.0
+            caught_up = not self.signed and self._caught_up(after, 0.5 * speed * late)
+            return nothing if caught_up else (likelier, 0.0, 0.0)
         if not self.signed:
             # Receivers hold places around a gap, and the line bends in it.
             likelier = 0.0
@@ -588,6 +592,21 @@ class _Motion:
         if not 0.0 < took[best] < LARGEST[0]:
             return nothing
         return likelier, float(took[best]), float(unsure[best])
+
+    def _caught_up(self, first: int, least: float) -> bool:
+        """Whether fixes come `least` [m] further than the speeds say in the minutes after a row.
+
+        Then the receiver replayed, after a gap, what it had kept, until it showed its own place.
+        """
+        marks = np.arange(self.time[first], self.time[-1], WINDOWS[-1])
+        at = np.searchsorted(self.time, marks)
+        whole = np.diff(self.broken[at]) == 0
+        further = np.diff(self.rest[at])
+        if least <= 0.0 or not whole.any():
+            return False
+        leaps = whole & (further > GATE * robust_std(further[whole]))
+        soon = marks[1:] <= self.time[first] + REPLAYING
+        return bool(further[leaps & soon].sum() >= least)
 
 
 def _around(

@@ -41,7 +41,7 @@ from trainlog.ingest.profile import (
     own_topics,
     parse_profile,
 )
-from trainlog.ingest.receiver import without_contradicted
+from trainlog.ingest.receiver import old_fixes, without_contradicted
 from trainlog.ingest.recording import Finding, Recording, Table, field_of, frames
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
@@ -547,7 +547,7 @@ def _trip(
         if (line is None or line.geometry is None) and profile.repair.contradicted:
             judged, contradicted = without_contradicted(kept)
             changed += changes("contradicted", kept, judged)
-            kept, found = judged, found + contradicted
+            kept, found = judged, found + contradicted + old_fixes(judged)
         repairs.add(number, changed)
         tables.append(_from_start(kept, profile.trip.start_position))
         findings += found

@@ -21,10 +21,12 @@ from estimators.receiver import (
     Delay,
     WheelSpeeds,
     integral,
+    mean_square,
     pairs_at,
     series_of,
 )
-from trainlog.arrays import BoolArray, ComplexArray, FloatArray, robust_std
+from estimators.receiver_states import SPACING, Lateness, lateness, receiver_states
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import Result
 from trainlog.ingest.motion import (
     ACCURACY,
@@ -35,6 +37,7 @@ from trainlog.ingest.motion import (
     MOVING,
     RESTING,
     RESTING_SAMPLES,
+    SPEED,
     SPEED_STD,
     agreement,
     covered,
@@ -42,8 +45,9 @@ from trainlog.ingest.motion import (
     plane,
     repeats,
     seconds_of,
+    speed_of,
 )
-from trainlog.ingest.recording import Table
+from trainlog.ingest.recording import Finding, Table
 from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
@@ -113,6 +117,17 @@ UNCHECKED_DENSITY = 5.0
 
 LOSS_DENSITY = 1.6
 """Spectral density of a train's acceleration [m²/s³]: how unsure an unmeasured speed becomes."""
+
+OLDEST, REPLAYED = 12.0, 3
+"""Age [s] up to which fixes may be late throughout, and from which on they are old ones; age from
+which on a fix of a receiver that is not late throughout is an old one."""
+
+CORNER, CORNER_STDS = 30.0, 10.0
+"""Least distance [m], and in standard deviations of a fix, between the corners of the path of the
+fixes: closer ones follow its errors."""
+
+LONGEST_STEP = 3.0
+"""Usual steps between fixes that are no outage."""
 
 LEAST_DELAY = 0.4
 """A smaller delay [s] is not corrected."""
@@ -510,9 +525,7 @@ def without_contradicted(table: Table) -> Result:
     if np.count_nonzero(known) < LEAST_COMPARED or np.count_nonzero(np.isfinite(speed)) < 2:
         return table, []
     seconds = seconds_of(table)
-    accuracy = table.signals.get(ACCURACY, np.full(speed.size, np.nan))
-    stated = accuracy[known & (accuracy > 0.0)]
-    std = np.sqrt(2.0) * (float(np.median(stated)) if stated.size else FIX_STD)
+    std = np.sqrt(2.0) * _fix_std(table, points)
     doubtful = contradicted(seconds, points, speed, std)
     if not doubtful.any():
         return table, []
@@ -530,6 +543,136 @@ def without_contradicted(table: Table) -> Result:
     wrong &= doubtful
     found = table.found("contradicted", wrong, GNSS_SPEED, "by the way along the fixes")
     return (table.without(GNSS_SPEED, wrong) if wrong.any() else table), found
+
+
+class Unmeasured(NamedTuple):
+    """A speed at every row [m/s], and the variance of its integral where it was not measured."""
+
+    pace: FloatArray
+    unsure: FloatArray
+
+
+def unmeasured(seconds: FloatArray, speed: FloatArray) -> Unmeasured:
+    """A speed on a line between its samples, and how unsure its integral is by that [m²]."""
+    known = np.isfinite(speed)
+    step = np.diff(seconds[known], prepend=seconds[known][0])
+    # How unsteady this train's speed is between two that were measured.
+    bend = mean_square(np.diff(speed[known], 2)) / (2.0 * np.median(step))
+    lost = np.cumsum(min(LOSS_DENSITY, 2.0 * bend) * step**3 / 12.0)
+    return Unmeasured(*(np.interp(seconds, seconds[known], each) for each in (speed[known], lost)))
+
+
+def late_throughout(
+    seconds: FloatArray,
+    along: FloatArray,
+    driven: FloatArray,
+    age: IntArray,
+    std: FloatArray,
+    speed: Unmeasured,
+) -> Lateness | None:
+    """By how much fixes are late throughout, at every row; None if they are not.
+
+    Parameters
+    ----------
+    along, driven : (n,) array [m]
+        Of the fixes, and the integral of the speed.
+    age : (n,) array [s]
+        Of each fix, if the receiver is not late throughout: one that is shows an age sooner or
+        later.
+    std : (n,) array [m]
+    """
+    short, moving = age <= OLDEST, np.isfinite(along) & (speed.pace > MOVING)
+    aged = float(np.mean((short & (age > 0))[moving])) if moving.any() else 0.0
+    seen = series_of(seconds, np.where(short, along - driven, np.nan), SPACING)
+    parts = (np.interp(seen.seconds, seconds, each) for each in (*speed, std))
+    late = lateness(seen.seconds, seen.values, *parts, evident=aged > 0.5)
+    if late is None:
+        return None
+    return Lateness(*(np.interp(seconds, seen.seconds, each) for each in late))
+
+
+def way_along(points: ComplexArray, std: float) -> FloatArray | None:
+    """How far along their own path fixes lie [m], NaN where absent; None without a path.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> way_along(np.array([0j, 40.0, np.nan, 60.0, 80.0, 80.0 + 40.0j]), 1.0)
+    array([  0.,  40.,  nan,  60.,  80., 120.])
+    """
+    known = np.flatnonzero(np.isfinite(points))
+    place, corners = points[known], [0]
+    least = max(CORNER, CORNER_STDS * std)
+    for number in range(1, known.size):
+        if abs(place[number] - place[corners[-1]]) > least:
+            corners.append(number)
+    if len(corners) < 2:
+        return None
+    legs = np.diff(place[corners])
+    length = np.abs(legs)
+    way = np.concatenate(([0.0], np.cumsum(length)))
+    leg = np.searchsorted(corners, np.arange(known.size), side="right") - 1
+    leg = np.minimum(leg, legs.size - 1)
+    from_corner = (place - place[corners][leg]) * np.conj(legs / length)[leg]
+    found = np.full(points.size, np.nan)
+    found[known] = way[leg] + from_corner.real
+    return found
+
+
+def old_fixes(table: Table) -> list[Finding]:
+    """Fixes that show where the train was earlier, by a speed and the way along the fixes alone.
+
+    Where no line is known they are counted, and stay: replayed ones after an outage, until the
+    receiver is at once where the train is, and those of a receiver that is late throughout.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(0.0, 900.0)
+    >>> speed = 12.0 + 8.0 * np.sin(time / 40.0)
+    >>> driven = 12.0 * time - 320.0 * np.cos(time / 40.0)
+    >>> signals = {
+    ...     "/gnss/fix.latitude": np.full(900, 47.0),
+    ...     "/gnss/fix.longitude": 9.0 + np.interp(time - 5.0, time, driven) / 75_834.0,
+    ...     "/gnss/motion.speed": speed,
+    ... }
+    >>> table = Table((1e9 * time).astype(np.int64), np.arange(900), signals)
+    >>> [each.note for each in old_fixes(table)]
+    ['late by 5.2 s in the mean, by the speeds']
+    """
+    points, speed = plane(table), speed_of(table, GNSS_SPEED, SPEED)
+    if points is None or speed is None:
+        return []
+    seconds, std = seconds_of(table), _fix_std(table, points)
+    along = way_along(points, std)
+    driven = integral(seconds, speed)[0]
+    fixed = np.flatnonzero(np.isfinite(points))
+    if along is None or fixed.size < LEAST_COMPARED or not np.isfinite(driven).all():
+        return []
+    measured, stds = unmeasured(seconds, speed), np.full(seconds.size, std)
+    # The way through an outage is not known: it bends.
+    apart, way = np.diff(seconds[fixed]), np.diff(driven[fixed])
+    bent = np.zeros(seconds.size)
+    bent[fixed[1:]] = np.where(apart > LONGEST_STEP * np.median(apart), way, 0.0) ** 2
+    measured = Unmeasured(measured.pace, measured.unsure + np.cumsum(bent))
+    found = receiver_states(seconds, along, stds, driven, measured.unsure)
+    late = late_throughout(seconds, along, driven, found.age, stds, measured)
+    if late is not None:
+        moving = np.isfinite(points) & (measured.pace > MOVING)
+        note = f"late by {np.mean(late.value[moving]):.1f} s in the mean, by the speeds"
+        return table.found("contradicted", np.isfinite(points), "/gnss/fix", note)
+    age = np.where(np.isfinite(points), found.age, np.nan)
+    behind = driven - np.interp(seconds - found.age, seconds, driven)
+    old = held(age, seconds, OLDEST, REPLAYED - 0.5) & (behind > GATE * std)
+    note = f"replayed by the receiver, up to {found.age[old].max(initial=0)} s old by the speeds"
+    return table.found("off_line", old, "/gnss/fix", note)
+
+
+def _fix_std(table: Table, points: ComplexArray) -> float:
+    """Standard deviation of a fix on each axis [m], as the receiver usually states it."""
+    accuracy = table.signals.get(ACCURACY, np.full(points.size, np.nan))
+    stated = accuracy[np.isfinite(points) & (accuracy > 0.0)]
+    return float(np.median(stated)) if stated.size else FIX_STD
 
 
 def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
