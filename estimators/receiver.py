@@ -61,8 +61,9 @@ DELAY_BLOCK = 20.0
 OUTLIER = 4.685
 """Residuals beyond this many standard deviations have no weight (Tukey's biweight)."""
 
-LARGEST_GAP = 2.5
-"""Between speeds further apart [s], and than so many steps, none is interpolated."""
+LARGEST_GAP, WIDEST_GAP = 2.5, 30.0
+"""Between speeds further apart [s], and than so many steps, none is interpolated; nor between those
+further apart than the second, however wide the steps: a train stops and starts meanwhile."""
 
 DELAY_TURNS, REWEIGHTED = 12, 5
 """Times the delay is sought around the one found, and the residuals are weighted anew each time."""
@@ -193,7 +194,8 @@ def mean_square(values: FloatArray) -> float:
 def integral(seconds: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Integral of a speed [m] at every sample, and how long it was missing until then [s].
 
-    Across gaps of the speed the integral goes on a line; a gap is longer than 2.5 s and 2.5 steps.
+    Across gaps of the speed the integral goes on a line; a gap is longer than 2.5 s and 2.5 steps,
+    or than 30 s.
 
     Examples
     --------
@@ -206,7 +208,7 @@ def integral(seconds: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatA
         return np.full(speed.size, np.nan), np.zeros(speed.size)
     time, value = seconds[known], speed[known]
     steps = np.diff(time)
-    late = steps > LARGEST_GAP * max(1.0, float(np.median(steps)))
+    late = steps > min(LARGEST_GAP * max(1.0, float(np.median(steps))), WIDEST_GAP)
     driven = cumulative_trapezoid(value, time, initial=0.0)
     missing = np.concatenate(([0.0], np.cumsum(np.where(late, steps, 0.0))))
     outside = np.maximum(seconds - time[-1], 0.0) - np.maximum(time[0] - seconds, 0.0)

@@ -32,6 +32,7 @@ from trainlog.ingest.motion import (
     SPEED,
     SPEED_STD,
     STANDING,
+    STEEPEST,
     WHEEL_SPEED,
     Agreement,
     agreement,
@@ -119,6 +120,14 @@ class Runs:
     def rows(self, chosen: BoolArray, size: int) -> BoolArray:
         """The rows of the chosen runs but for the first of each, which was measured."""
         return covered(self.first[chosen] + 1, self.last[chosen] + 1, size)
+
+    def leaps(self, seconds: FloatArray, values: Column) -> BoolArray:
+        """Which of them begin or end with a change that no train's speed makes at once."""
+        known = np.flatnonzero(np.isfinite(values))
+        apart = np.diff(seconds[known], prepend=-np.inf, append=np.inf)
+        first, last = (np.searchsorted(known, rows) for rows in (self.first, self.last))
+        most = self.step + STEEPEST * np.array([apart[first], apart[last + 1]])
+        return np.asarray(np.any(np.array([self.before, self.after]) > most, axis=0))
 
     @property
     def broken(self) -> BoolArray:
@@ -398,10 +407,13 @@ class _Motion:
         resting = self._covered(name, np.ones(runs.value.size, dtype=np.bool_), own.size)
         compared = []
         for other, pace in self._others(name).items():
-            ratio, std = _agreement(own, pace, ~resting, name, other)
+            ratio, std, _ = _agreement(own, pace, ~resting, name, other)
             allowed = runs.step + SPEED_MARGIN + GATE * std
             compared.append(self._compared(name, own - ratio * pace, std, allowed))
         contradicted, asked = _verdict(compared, runs)
+        # No train changes its speed so at once: the receiver had held it, and wheels do not slip.
+        if name == GNSS_SPEED:
+            contradicted |= (runs.value != 0.0) & runs.leaps(self.seconds, self.values[name])
         # Nothing to compare with: it rests far longer than it ever does, and then jumps.
         jumps = np.fmax(runs.before, runs.after) > 3.0 * max(runs.step, runs.usual_jump)
         unusual = (runs.samples >= UNUSUAL * runs.usual_repeats) & (runs.value != 0.0)

@@ -40,12 +40,19 @@ MOVING = 1.0
 """Speed [m/s] from which on a train moves, and ratios of columns mean something: receivers show as
 much at rest, and hold a position that stands."""
 
+STEEPEST = 1.5
+"""No train on wheels gains or loses speed faster than this [m/s²]; slipping wheels do."""
+
 RESTING, RESTING_SAMPLES = 10.0, 6
 """A value that repeats for so long [s], in so many samples, may be frozen."""
 
 GATE, HOLD = 4.5, 2.5
 """What departs by more than `GATE` standard deviations is off; so are its neighbours, one after the
 other, down to `HOLD`."""
+
+INLIER, HOLDS = 0.3, 0.6
+"""Deviation from the median ratio of two columns, as a share of it, up to which a sample has this
+ratio; share of the samples from which on the columns do."""
 
 CHORD = 20.0
 """Time [s] between two fixes whose distance is compared with the distance driven."""
@@ -205,10 +212,18 @@ class Agreement(NamedTuple):
     ratio : float
     std : float
         Robust standard deviation of the first less the ratio times the other.
+    share : float
+        Part of the samples that have this ratio, to 30 per cent.
     """
 
     ratio: float
     std: float
+    share: float = 1.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether most samples have this ratio, as those in two units do."""
+        return self.share >= HOLDS
 
 
 def agreement(one: FloatArray, other: FloatArray, moving: BoolArray) -> Agreement | None:
@@ -223,14 +238,17 @@ def agreement(one: FloatArray, other: FloatArray, moving: BoolArray) -> Agreemen
     Examples
     --------
     >>> speed = np.linspace(3.0, 20.0, 50)
-    >>> agreement(1.944 * speed, speed, speed > MOVING).ratio.__round__(3)
-    1.944
+    >>> found = agreement(1.944 * speed, speed, speed > MOVING)
+    >>> round(found.ratio, 3), found.holds
+    (1.944, True)
     """
     both = moving & np.isfinite(one) & np.isfinite(other)
     if np.count_nonzero(both) < ENOUGH:
         return None
-    ratio = float(np.median(one[both] / other[both]))
-    return Agreement(ratio, robust_std(one[both] - ratio * other[both]))
+    each = one[both] / other[both]
+    ratio = float(np.median(each))
+    share = float(np.mean(np.abs(each - ratio) <= INLIER * abs(ratio)))
+    return Agreement(ratio, robust_std(one[both] - ratio * other[both]), share)
 
 
 def rate_of(seconds: FloatArray, values: FloatArray) -> FloatArray:
@@ -340,7 +358,7 @@ def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]
 
 
 def scale_of(seconds: FloatArray, points: ComplexArray, speed: FloatArray) -> float:
-    """Distance by a speed over the distance between fixes, the median over 20 s; NaN if unknown.
+    """Distance by a speed over that between fixes, over 20 s; NaN if unknown, or no one factor.
 
     Parameters
     ----------
@@ -362,7 +380,7 @@ def scale_of(seconds: FloatArray, points: ComplexArray, speed: FloatArray) -> fl
     whole = np.abs(missing[second] - missing[first]) < 1e-6
     moving = np.minimum(chord, by_speed) > CHORD * MOVING
     found = agreement(by_speed, chord, whole & moving)
-    return np.nan if found is None else found.ratio
+    return found.ratio if found is not None and found.holds else np.nan
 
 
 class Repeats(NamedTuple):

@@ -39,6 +39,7 @@ from trainlog.ingest.motion import (
     RESTING_SAMPLES,
     SPEED,
     SPEED_STD,
+    STEEPEST,
     agreement,
     covered,
     held,
@@ -74,9 +75,6 @@ that are only rounded change one by one, and after times that vary."""
 
 SLIP_TIME = 5.0
 """Wheels that changed speed too fast twice within this time [s] are not trusted between."""
-
-STEEPEST = 1.5
-"""No train on wheels gains or loses speed faster than this [m/s²]; slipping wheels do."""
 
 EVEN, ROUNDING = 0.02, 0.03
 """Part of the usual change of a step that is still the same step, and the change [m] that comes of

@@ -142,7 +142,7 @@ def ratios(table: Table, limits: Limits) -> Iterator[tuple[str, float, str]]:
         for name, other in table.signals.items():
             if name == GNSS_SPEED or name.startswith(WHEEL_SPEED):
                 found = agreement(other, speed, speed > MOVING)
-                if found is not None:
+                if found is not None and found.holds:
                     yield name, found.ratio, f"{name} is {found.ratio:.4g} times {SPEED}"
     points = plane(table)
     for name in (GNSS_SPEED, SPEED):

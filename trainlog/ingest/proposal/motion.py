@@ -17,7 +17,16 @@ import numpy as np
 from estimators.receiver import integral
 from trainlog.arrays import FloatArray
 from trainlog.ingest.mapping import in_si
-from trainlog.ingest.motion import CHORD, LATITUDE, LONGITUDE, DrivenMass, driven_mass, rate_of
+from trainlog.ingest.motion import (
+    CHORD,
+    HOLDS,
+    INLIER,
+    LATITUDE,
+    LONGITUDE,
+    DrivenMass,
+    driven_mass,
+    rate_of,
+)
 from trainlog.ingest.profile import Column
 from trainlog.ingest.recording import METRES_PER_DEGREE
 from trainlog.railway.train import Train
@@ -26,9 +35,8 @@ from trainlog.units import factor
 WINDOWS, LEAST_WINDOWS = 40, 6
 """Parts of a trip in which two measures of the distance are compared; with motion, at least."""
 
-INLIER, ALIKE = 0.3, 0.1
-"""Deviation from the median ratio, as a share of it, up to which a window counts; up to which two
-speeds are the same."""
+ALIKE = 0.1
+"""Deviation from the median ratio, as a share of it, up to which two speeds are the same."""
 
 
 class Ratio(NamedTuple):
@@ -64,7 +72,7 @@ class Ratio(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether most of the trip has this factor."""
-        return self.windows >= LEAST_WINDOWS and self.agreement >= 0.6
+        return self.windows >= LEAST_WINDOWS and self.agreement >= HOLDS
 
     @property
     def exact(self) -> bool:
