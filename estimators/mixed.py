@@ -31,6 +31,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.linalg import lapack
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
@@ -305,13 +306,12 @@ class _Model:
         k, d = values.shape
         one = np.broadcast_to(np.eye(d), (k, d, d))
         # The mean is an effect that every trip has.
-        self.places = [np.zeros(k, dtype=np.int64)]
-        self.loadings = [one]
-        for first, group in zip(self.first, groups, strict=True):
-            has = group.index >= 0
-            loading = one if group.loading is None else group.loading
-            self.places.append(np.where(has, first + group.index, 0))
-            self.loadings.append(np.where(has[:, None, None], loading, 0.0))
+        self.places = np.zeros((1 + len(groups), k), dtype=np.int64)
+        self.loadings = np.zeros((1 + len(groups), k, d, d))
+        self.loadings[0] = one
+        for number, (first, group) in enumerate(zip(self.first, groups, strict=True), start=1):
+            self.places[number] = np.where(group.index >= 0, first + group.index, -1)
+            self.loadings[number] = one if group.loading is None else group.loading
 
     def solve(self, state: _State) -> Solution:
         """Mean and effects; Henderson (1975), eq. (5)."""
@@ -351,21 +351,10 @@ class _Model:
         self, scale: FloatArray, weights: FloatArray, trips: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """What some trips add to both sides, (n, n, d, d) and (n, d)."""
-        d, n = self.values.shape[1], self.size
-        right, cells, parts = np.zeros((n, d)), list[IntArray](), list[FloatArray]()
         trust = np.linalg.inv(self.variances[trips] + scale / weights[trips, None, None])
-        for number, (place, loading) in enumerate(zip(self.places, self.loadings, strict=True)):
-            turned = loading[trips].transpose(0, 2, 1) @ trust
-            one = place[trips]
-            right += _summed(one, np.einsum("kij,kj->ki", turned, self.values[trips]), n)
-            cells.append(one * n + one)
-            parts.append(turned @ loading[trips])
-            for other, load in zip(self.places[:number], self.loadings[:number], strict=True):
-                both = turned @ load[trips]
-                cells += [one * n + other[trips], other[trips] * n + one]
-                parts += [both, both.transpose(0, 2, 1)]
-        left = _summed(np.concatenate(cells), np.concatenate(parts), n * n)
-        return left.reshape(n, n, d, d), right
+        places, loadings = self.places[:, trips], self.loadings[:, trips]
+        left, right = _equations(self.values[trips], trust, places, loadings, self.size)
+        return left, right
 
     def solved(self, left: FloatArray, right: FloatArray) -> Solution:
         """Effects and their covariance."""
@@ -382,18 +371,13 @@ class _Model:
         """What mean and effects make of each trip, (k, d)."""
         total = np.zeros_like(self.values)
         for place, loading in zip(self.places, self.loadings, strict=True):
-            total += np.einsum("kij,kj->ki", loading, effects[place])
+            has = place >= 0
+            total[has] += np.einsum("kij,kj->ki", loading[has], effects[place[has]])
         return total
 
     def uncertainty(self, covariance: FloatArray) -> FloatArray:
         """Covariance of `expected`, (k, d, d)."""
-        total = np.zeros_like(self.variances)
-        for number, (place, loading) in enumerate(zip(self.places, self.loadings, strict=True)):
-            total += loading @ covariance[place, :, place, :] @ loading.transpose(0, 2, 1)
-            for other, load in zip(self.places[:number], self.loadings[:number], strict=True):
-                part = loading @ covariance[place, :, other, :] @ load.transpose(0, 2, 1)
-                total += part + part.transpose(0, 2, 1)
-        return total
+        return np.asarray(_uncertainty(covariance, self.places, self.loadings))
 
     def gains(self, scale: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Share of a difference that is a trip's own, and its variance, each (k, d, d)."""
@@ -424,12 +408,60 @@ class _Model:
         return np.asarray((self.tail + spread.shape[0]) / (self.tail + distance))
 
 
-def _summed(place: IntArray, parts: FloatArray, count: int) -> FloatArray:
-    """Sums (count, ...) of parts (k, ...) by their place."""
-    cells = parts[0].size
-    flat = place[:, None] * cells + np.arange(cells)
-    sums = np.bincount(flat.ravel(), parts.ravel(), count * cells)
-    return np.asarray(sums.reshape(count, *parts.shape[1:]))
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _equations(
+    values: FloatArray, trust: FloatArray, places: IntArray, loadings: FloatArray, size: int
+) -> tuple[FloatArray, FloatArray]:
+    """Both sides of the equations of trips, (size, size, d, d) and (size, d)."""
+    k, d = values.shape
+    left, right = np.zeros((size, size, d, d)), np.zeros((size, d))
+    turned = np.zeros((d, d))
+    for trip in range(k):
+        for one in range(len(places)):
+            row = places[one, trip]
+            if row < 0:
+                continue
+            for i in range(d):
+                for j in range(d):
+                    total = 0.0
+                    for n in range(d):
+                        total += loadings[one, trip, n, i] * trust[trip, n, j]
+                    turned[i, j] = total
+                    right[row, i] += total * values[trip, j]
+            for other in range(one + 1):
+                column = places[other, trip]
+                if column < 0:
+                    continue
+                for i in range(d):
+                    for j in range(d):
+                        total = 0.0
+                        for n in range(d):
+                            total += turned[i, n] * loadings[other, trip, n, j]
+                        left[row, column, i, j] += total
+                        if other < one:
+                            left[column, row, j, i] += total
+    return left, right
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _uncertainty(covariance: FloatArray, places: IntArray, loadings: FloatArray) -> FloatArray:
+    """Covariance (k, d, d) of what the effects make of each trip."""
+    groups, k, d = loadings.shape[:3]
+    found = np.zeros((k, d, d))
+    for trip in range(k):
+        for one in range(groups):
+            for other in range(groups):
+                row, column = places[one, trip], places[other, trip]
+                if row < 0 or column < 0:
+                    continue
+                for i in range(d):
+                    for n in range(d):
+                        turned = 0.0
+                        for j in range(d):
+                            turned += loadings[one, trip, i, j] * covariance[row, j, column, n]
+                        for j in range(d):
+                            found[trip, i, j] += turned * loadings[other, trip, j, n]
+    return found
 
 
 def _spread(
