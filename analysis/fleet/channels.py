@@ -299,10 +299,27 @@ def _levels(own: FloatArray, known: FloatArray, train: IntArray) -> IntArray:
 
 def _without_outliers(value: FloatArray) -> FloatArray:
     """Values, those far from the median of their neighbours drawn in."""
-    near = pd.Series(value).rolling(5, center=True, min_periods=1).median().to_numpy()
+    near = medians(value, 2, 2)
     apart = value - near
     reach = OUTLYING * robust_std(apart[apart != 0.0]) if apart.any() else 0.0
     return np.asarray(near + np.clip(apart, -reach, reach))
+
+
+def medians(x: FloatArray, before: int, after: int = 0) -> FloatArray:
+    """Median, (n,), of each value, up to `before` earlier ones and up to `after` later ones.
+
+    Examples
+    --------
+    >>> medians(np.array([1.0, 9.0, 2.0, 3.0]), 2).tolist()
+    [1.0, 5.0, 2.0, 3.0]
+    """
+    if x.size == 0:
+        return x
+    padded = np.pad(x, (before, after), constant_values=np.inf)
+    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(padded, before + 1 + after), axis=1)
+    each = np.arange(x.size)
+    count = np.minimum(each, before) + 1 + np.minimum(x.size - 1 - each, after)
+    return np.asarray(0.5 * (ordered[each, (count - 1) // 2] + ordered[each, count // 2]))
 
 
 def _parting(value: FloatArray, known: FloatArray) -> int:
@@ -366,6 +383,8 @@ TAILS = np.array([2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 20.0, 60.0])
 NEIGHBOURS = 10
 """Trips of the same train, before, whose median a trip is compared with to see how trips differ."""
 
+FEWEST = 4
+"""Fewer trips before are not compared with."""
 
 ALIKE = 1e-6
 """Scatter of trips, over the expected one, below which it is that of rounding."""
@@ -376,9 +395,10 @@ CHI_SQUARE_QUARTILE = 0.1015
 
 def _tail(deviation: FloatArray, train: IntArray) -> tuple[float, float]:
     """Degrees of freedom and scale of a Student distribution of trips around their neighbours."""
-    frame = pd.Series(deviation).groupby(train)
-    before = frame.transform(lambda each: each.shift(1).rolling(NEIGHBOURS, min_periods=4).median())
-    apart = (pd.Series(deviation) - before).dropna().to_numpy()
+    parts = [deviation[train == each] for each in range(int(train.max()) + 1)]
+    apart = np.concatenate(
+        [own[FEWEST:] - medians(own, NEIGHBOURS - 1)[FEWEST - 1 : -1] for own in parts]
+    )
     # Values that are alike, as of a recorder that rounds, do not show how far others may be.
     if apart.size < 3 * NEIGHBOURS or robust_std(apart) < ALIKE:
         return TAIL, 1.2
@@ -402,23 +422,24 @@ def _log_student(x: FloatArray, tail: float) -> FloatArray:
 
 def _wander(own: FloatArray, train: IntArray, days: FloatArray) -> float:
     """Variance a day by which levels of trains change, by the lower quartile of changes."""
-    groups = pd.Series(own).groupby(train)
-    smooth = groups.transform(lambda each: each.rolling(5, min_periods=5).median())
-    by_train = smooth.groupby(train)
-    near = (smooth - by_train.shift(5)).to_numpy()
-    far = (smooth - by_train.shift(20)).to_numpy()
-    day = pd.Series(days).groupby(train)
-    gap = (pd.Series(days) - day.shift(20)).to_numpy()
-    gap = gap - (pd.Series(days) - day.shift(5)).to_numpy()
-    changes = pd.DataFrame({"far": far**2, "near": near**2, "gap": gap})[gap > 0.0].dropna()
-    trains = changes.groupby(train[changes.index])
-    # The smaller ones: half of the pairs may lie on both sides of a jump.
-    medians = trains.quantile(0.25).assign(gap=trains["gap"].median())
-    if len(changes) < 30:
+    rates, count = [], 0
+    for each in range(int(train.max()) + 1):
+        smooth, day = medians(own[train == each], 4)[4:], days[train == each][4:]
+        gap = day[15:-5] - day[:-20]
+        apart = gap > 0.0
+        if apart.any():
+            # The smaller ones: half of the pairs may lie on both sides of a jump.
+            far, near = (
+                np.quantile(np.square(smooth[20:] - earlier)[apart], 0.25)
+                for earlier in (smooth[:-20], smooth[15:-5])
+            )
+            rates.append((far - near) / np.median(gap[apart]))
+            count += int(apart.sum())
+    if count < 30:
         return 0.0
     # By the train in the middle: one that jumped does not make all others wander. Less what the
     # trains differ by: noise alone must not look like wandering.
-    rate = ((medians["far"] - medians["near"]) / medians["gap"]).to_numpy()
+    rate = np.array(rates)
     middle = float(np.median(rate))
     doubt = robust_std(rate - middle) * np.sqrt(0.5 * np.pi / rate.size)
     return float(max(middle - 2.0 * doubt, 0.0) / CHI_SQUARE_QUARTILE)

@@ -35,6 +35,7 @@ from analysis.fleet.channels import (
     Series,
     beyond,
     channel_table,
+    medians,
     raw_step,
     series_of,
 )
@@ -715,15 +716,15 @@ def _changes(series: Series, own: FloatArray, std: FloatArray, days: FloatArray)
     best = np.ones(own.size)
     if own.size < WINDOWS[0] + FEWEST_BEFORE:
         return best
-    past, typical, centre = _medians(own, BEFORE), _medians(std, BEFORE), _means(days, BEFORE)
+    past, typical, centre = medians(own, BEFORE - 1), medians(std, BEFORE - 1), _means(days, BEFORE)
     count = np.minimum(np.arange(1.0, own.size + 1.0), BEFORE)
     for window in WINDOWS:
         if own.size < window + FEWEST_BEFORE:
             break
         now = slice(window + FEWEST_BEFORE - 1, None)
         earlier = slice(FEWEST_BEFORE - 1, own.size - window)
-        size, before = _medians(std, window)[now], count[earlier]
-        apart = np.abs(_medians(own, window)[now] - past[earlier]) - series.channel.tolerance
+        size, before = medians(std, window - 1)[now], count[earlier]
+        apart = np.abs(medians(own, window - 1)[now] - past[earlier]) - series.channel.tolerance
         gap = _means(days, window)[now] - centre[earlier]
         known = 0.5 * np.pi * typical[earlier] ** 2 / before
         uncertain = np.sqrt(known + series.wander * gap)
@@ -733,15 +734,6 @@ def _changes(series: Series, own: FloatArray, std: FloatArray, days: FloatArray)
         p[few] = _medians_apart((apart / size)[few], scale[few], before[few], window, series.tail)
         best[now] = np.minimum(best[now], p)
     return best
-
-
-def _medians(x: FloatArray, window: int) -> FloatArray:
-    """Median of the last values up to each, (n,): of so many, or of all that there are."""
-    before = np.concatenate([np.full(window - 1, np.inf), x])
-    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(before, window), axis=1)
-    each = np.arange(x.size)
-    count = np.minimum(each + 1, window)
-    return np.asarray(0.5 * (ordered[each, (count - 1) // 2] + ordered[each, count // 2]))
 
 
 def _means(x: FloatArray, window: int) -> FloatArray:
