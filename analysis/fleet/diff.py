@@ -12,12 +12,13 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from scipy.sparse import csr_array
 from scipy.special import stdtr
 
 from analysis.adhesion.condition_map import empty_map_of
@@ -82,11 +83,6 @@ class Values:
     std: FloatArray
     counted: bool = False
 
-    @property
-    def stated(self) -> BoolArray:
-        """The rows that state a band of their own."""
-        return (self.std > 0.0) & (not self.counted)
-
 
 def by_definition(left: pd.DataFrame, right: pd.DataFrame) -> tuple[str, ...]:
     """What the parameters of two sides change by definition; blanked in both tables.
@@ -131,8 +127,7 @@ def aligned(one: pd.DataFrame, other: pd.DataFrame) -> tuple[pd.DataFrame, pd.Da
     for table in (one, other):
         number: Any = table.groupby(ids, sort=False).cumcount() if len(table) else []
         pieces.append(table.assign(_number=number).set_index([*ids, "_number"]))
-    every = pieces[0].index.union(pieces[1].index)
-    left, right = (piece.reindex(every).reset_index() for piece in pieces)
+    left, right = (piece.reset_index() for piece in pieces[0].align(pieces[1], axis=0))
     for column in _ABOUT:
         if column in left and column in right and column not in ids:
             left[column] = left[column].where(left[column].notna(), right[column])
@@ -270,71 +265,105 @@ LEAST_TRIPS = 3
 CLASSES = ("same", "rounding", "within", "beyond")
 """Of a difference: the same to the bit, within rounding, within the band, beyond the band."""
 
-MOVED = (
-    "analysis", "estimate", "unit", "key", "trip", "train", "kind", "place", "start",
-    "first", "second", "std", "bands", "banded",
-)  # fmt: skip
-MEANS = (
-    "analysis", "estimate", "unit", "of", "name", "trips", "moved", "value", "value_std",
-    "shift", "shift_std", "bands", "p", "q", "systematic", "beyond",
-)  # fmt: skip
+SAME, ROUNDED, WITHIN, BEYOND = range(len(CLASSES))
+
+FRAMES: dict[str, tuple[str, ...]] = {
+    "estimates": ("analysis", "estimate", "unit", "rows", *CLASSES, "band_ratio"),
+    "trip_counts": ("analysis", "trips", *CLASSES),
+    "moved": (
+        "analysis", "estimate", "unit", "key", "trip", "train", "kind", "place", "start",
+        "first", "second", "std", "bands", "banded",
+    ),
+    "means": (
+        "analysis", "estimate", "unit", "of", "name", "trips", "moved", "value", "value_std",
+        "shift", "shift_std", "bands", "p", "q", "systematic", "beyond",
+    ),
+    "verdicts": (
+        "analysis", "key", "trip", "train", "kind", "line", "start", "first", "second",
+    ),
+    "words": (
+        "analysis", "key", "trip", "train", "kind", "line", "start", "estimate", "first", "second",
+    ),
+    "places": ("place", "layer", "from_km", "to_km", "first", "second", "std_log", "bands"),
+}  # fmt: skip
+"""Columns of the frames of a `FleetDiff`."""
 
 
-def classes_of(mine: Values, its: Values) -> tuple[IntArray, FloatArray]:
-    """Of each row the class of its difference, and the half width of its band."""
-    a, b = mine.value, its.value
-    difference = np.abs(b - a)
-    std = np.fmin(np.where(mine.std > 0.0, mine.std, np.nan), its.std)
-    std = np.where(std > 0.0, std, np.where(mine.std > 0.0, mine.std, np.nan))
-    finite = a[np.isfinite(a)]
-    typical = float(np.sqrt(np.mean(np.square(finite)))) if finite.size else 0.0
+@dataclass(frozen=True)
+class Pair:
+    """The estimates of the same rows on both sides.
+
+    Attributes
+    ----------
+    names : list of str
+    units : list of str
+        As they are shown.
+    a, b : (n, m) array
+        Of each row, by estimate: the first side's and the second's.
+    a_std, b_std : (n, m) array
+        NaN: no band.
+    counted : (m,) bool array
+        See `Values`.
+    """
+
+    names: list[str]
+    units: list[str]
+    a: FloatArray
+    b: FloatArray
+    a_std: FloatArray
+    b_std: FloatArray
+    counted: BoolArray
+
+
+def paired(name: str, left: pd.DataFrame, right: pd.DataFrame) -> Pair:
+    """The estimates that both tables of an analysis give, where any row has one."""
+    columns = {column.name: column for column in ANALYSES[name].columns} if name in ANALYSES else {}
+    counts = {each.name for each in columns.values() if each.unit == "1" and each.kind == "count"}
+    one, other = (estimates(table, counts | _COUNTS) for table in (left, right))
+    names = [
+        each
+        for each in one
+        if each in other and np.isfinite([one[each].value, other[each].value]).any()
+    ]
+    units = [columns[each].unit if each in columns else UNITS.get(each, "") for each in names]
+    a, b, a_std, b_std = (
+        np.array([getattr(side[each], what) for each in names]).reshape(len(names), len(left)).T
+        for what in ("value", "std")
+        for side in (one, other)
+    )
+    shown = [{"1": "", "ns": "s"}.get(unit, unit) for unit in units]
+    counted = np.array([one[each].counted for each in names], dtype=np.bool_)
+    return Pair(names, shown, a, b, a_std, b_std, counted)
+
+
+_COUNTS = {"slips"}
+"""Counts that may not be known, which a column of counts cannot hold."""
+
+
+def classes_of(pair: Pair) -> tuple[IntArray, FloatArray]:
+    """The class of each difference, and the half width of its band, both (n, m)."""
+    a, b = pair.a, pair.b
+    a_std, b_std = (np.where(std > 0.0, std, np.nan) for std in (pair.a_std, pair.b_std))
+    difference, std = np.abs(b - a), np.fmin(a_std, b_std)
+    known = np.isfinite(a)
+    squares = np.sum(np.square(a, where=known, out=np.zeros(a.shape)), axis=0)
+    typical = np.sqrt(squares / np.maximum(known.sum(axis=0), 1))
     size = np.fmax(np.abs(a), np.abs(b))
     rounding = ROUNDING * np.fmax(size, 1e-3 * typical) + ROUNDING_OF_BAND * np.nan_to_num(std)
     band = np.where(np.isfinite(std), REACH * std, WITHOUT_BAND * np.fmax(size, typical))
-    found = np.full(a.size, CLASSES.index("beyond"))  # given by one side alone
-    found[difference <= band] = CLASSES.index("within")
-    found[difference <= rounding] = CLASSES.index("rounding")
+    found = np.full(a.shape, BEYOND)  # given by one side alone
+    found[difference <= band] = WITHIN
+    found[difference <= rounding] = ROUNDED
     # A band that changed alone is no move of its estimate, but not the same either.
     equal = (a == b) | (np.isnan(a) & np.isnan(b))
-    alike = (mine.std == its.std) | (np.isnan(mine.std) & np.isnan(its.std))
-    found[equal] = CLASSES.index("within")
-    near = np.abs(its.std - mine.std) <= 2.0 * ROUNDING_OF_BAND * mine.std
-    found[equal & near] = CLASSES.index("rounding")
-    found[equal & alike] = CLASSES.index("same")
+    alike = (pair.a_std == pair.b_std) | (np.isnan(pair.a_std) & np.isnan(pair.b_std))
+    found[equal] = WITHIN
+    found[equal & (np.abs(pair.b_std - pair.a_std) <= 2.0 * ROUNDING_OF_BAND * a_std)] = ROUNDED
+    found[equal & alike] = SAME
     return found, band
 
 
-def moved_rows(
-    name: str,
-    estimate: str,
-    unit: str,
-    about: pd.DataFrame,
-    mine: Values,
-    its: Values,
-    band: FloatArray,
-    rows: BoolArray,
-) -> pd.DataFrame:
-    """The rows of an estimate that moved beyond its band, by how many bands."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bands = np.abs(its.value - mine.value)[rows] / band[rows]
-    stated: dict[str, Any] = {
-        "first": mine.value[rows],
-        "second": its.value[rows],
-        "std": mine.std[rows],
-    }
-    stated |= {"bands": np.where(np.isnan(bands), np.inf, bands)}
-    stated |= {"banded": (mine.stated | its.stated)[rows]}
-    return about.assign(analysis=name, estimate=estimate, unit=unit, **stated)
-
-
-def mean_shifts(
-    about: pd.DataFrame,
-    estimate: str,
-    unit: str,
-    mine: Values,
-    its: Values,
-    classes: IntArray,
-) -> pd.DataFrame:
+def mean_shifts(about: pd.DataFrame, pair: Pair, classes: IntArray) -> pd.DataFrame:
     """The mean of a difference over all trips, over those of each train and of each place.
 
     Weighted by the precision of the first side, where it states one; a count by its own chance
@@ -342,45 +371,44 @@ def mean_shifts(
     shift is that of the differences' own scatter; that of the mean value the larger of what the
     bands and the scatter of the values give.
     """
-    both = np.isfinite(mine.value) & np.isfinite(its.value)
-    banded = both & np.isfinite(mine.std) & mine.stated
-    use = banded if banded.any() else both
-    a, d = mine.value[use], (its.value - mine.value)[use]
-    weight = mine.std[use] ** -2 if banded.any() else np.ones(a.size)
-    moved = (classes > CLASSES.index("rounding"))[use]
+    moved = classes > ROUNDED
+    both = np.isfinite(pair.a) & np.isfinite(pair.b) & moved.any(axis=0)
+    stated = both & (pair.a_std > 0.0) & ~pair.counted
+    banded = stated.any(axis=0)
+    use = np.where(banded, stated, both)
+    weight = np.where(use & banded, pair.a_std, 1.0) ** -2 * use
+    a, d = np.where(use, pair.a, 0.0), np.where(use, pair.b - pair.a, 0.0)
+    chance = np.where(use & pair.counted, pair.a_std, 0.0) ** 2
     parts = []
-    for of, names in (
-        ("all trips", np.full(a.size, "all", dtype=object)),
-        ("train", about["train"].to_numpy(object)[use]),
-        ("place", about["place"].to_numpy(object)[use]),
-    ):
-        codes, labels = pd.factorize(names, sort=True)
-        if of != "all trips" and len(labels) < 2:
-            continue
-        kept = codes >= 0
-        sums = [
-            np.bincount(codes[kept], each[kept], len(labels))
-            for each in (np.ones(a.size), weight, weight * a, weight * d, moved * 1.0)
-        ]
-        count, total = sums[0], sums[1]
-        value, shift = sums[2] / total, sums[3] / total
-        scatter = [
-            np.bincount(codes[kept], (weight**2 * (each - mean[codes]) ** 2)[kept], len(labels))
-            for each, mean in ((a, value), (d, shift))
-        ]
-        spread = np.sqrt(count / np.maximum(count - 1, 1))
-        value_std, shift_std = (spread * np.sqrt(each) / total for each in scatter)
-        if banded.any():
-            value_std = np.fmax(value_std, np.sqrt(1.0 / total))
-        if mine.counted:
-            chance = np.bincount(codes[kept], (mine.std[use] ** 2)[kept], len(labels))
-            value_std = np.fmax(value_std, np.sqrt(chance) / total)
+    for of in ("all trips", "train", "place"):
+        names = about[of] if of in about else np.full(len(about), "all", dtype=object)
+        codes, labels = pd.factorize(np.asarray(names, dtype=object), sort=True)
+        kept = np.flatnonzero(codes >= 0)
+        by = csr_array((np.ones(kept.size), (codes[kept], kept)), (len(labels), len(about)))
+        count, total = by @ use.astype(np.float64), by @ weight
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value, shift = by @ (weight * a) / total, by @ (weight * d) / total
+            value_std, shift_std = (
+                np.sqrt(count / np.maximum(count - 1.0, 1.0) * (by @ square)) / total
+                for square in (
+                    (weight * np.where(use, each - mean[codes], 0.0)) ** 2
+                    for each, mean in ((a, value), (d, shift))
+                )
+            )
+            value_std = np.where(banded, np.fmax(value_std, np.sqrt(1.0 / total)), value_std)
+            value_std = np.fmax(value_std, np.sqrt(by @ chance) / total)
+        several = (count > 0.0).sum(axis=0) > (of != "all trips")
+        column, row = np.nonzero(((count > 0.0) & several).T)
         parts.append(
             pd.DataFrame(
                 {
-                    "estimate": estimate, "unit": unit, "of": of, "name": labels,
-                    "trips": count.astype(np.int64), "moved": sums[4].astype(np.int64),
-                    "value": value, "value_std": value_std, "shift": shift, "shift_std": shift_std,
+                    "estimate": np.array(pair.names, dtype=object)[column],
+                    "unit": np.array(pair.units, dtype=object)[column],
+                    "of": of, "name": np.asarray(labels, dtype=object)[row],
+                    "trips": count[row, column].astype(np.int64),
+                    "moved": (by @ (moved & use).astype(np.float64))[row, column].astype(np.int64),
+                    "value": value[row, column], "value_std": value_std[row, column],
+                    "shift": shift[row, column], "shift_std": shift_std[row, column],
                 }
             )
         )  # fmt: skip
@@ -406,10 +434,7 @@ def judged(means: pd.DataFrame) -> pd.DataFrame:
         bands=bands, p=p, q=q, systematic=systematic, beyond=systematic & (bands > 1.0)
     )
     order = found.sort_values(["beyond", "bands"], ascending=False, ignore_index=True)
-    return order[list(MEANS)]
-
-
-PLACES = ("place", "layer", "from_km", "to_km", "first", "second", "std_log", "bands")
+    return order[list(FRAMES["means"])]
 
 
 def moved_places(left: pd.DataFrame, right: pd.DataFrame) -> list[dict[str, Any]]:
@@ -729,8 +754,13 @@ class FleetDiff(Presented):
     @property
     def beyond(self) -> bool:
         """Whether anything moved beyond its band, or is given by one side alone."""
-        means = len(self.means) and bool(self.means["beyond"].any())
-        return bool(len(self.moved) or len(self.verdicts) or len(self.places) or means)
+        moved = (
+            self.moved,
+            self.verdicts,
+            self.places,
+            self.means[self.means["beyond"].astype(bool)],
+        )
+        return any(map(len, moved))
 
     @property
     def same(self) -> bool:
@@ -746,10 +776,7 @@ class FleetDiff(Presented):
 
     def summary(self) -> dict[str, str]:
         """How many estimates moved how far."""
-        counts = {
-            name: f"{int(self.estimates[name].sum()):,}" if len(self.estimates) else "0"
-            for name in CLASSES
-        }
+        counts = {name: f"{int(self.estimates[name].sum()):,}" for name in CLASSES}
         return counts | {"given by one side": f"{len(self.verdicts):,}"}
 
     def facts(self) -> dict[str, Any]:
@@ -775,7 +802,7 @@ class FleetDiff(Presented):
     @property
     def systematic(self) -> pd.DataFrame:
         """Means that moved systematically, the farthest first."""
-        return self.means[self.means["systematic"]] if len(self.means) else self.means
+        return self.means[self.means["systematic"].astype(bool)]
 
     def tables(self, most: int = MOST, *, changed: bool = True) -> list[WordTable]:
         """Counts, means, verdicts, places, single estimates and texts.
@@ -803,11 +830,9 @@ class FleetDiff(Presented):
             caption="Beyond the band: an estimate at least, or one side alone has a result.",
         )  # fmt: skip
         estimates = self.estimates
-        if changed and len(estimates):
+        if changed:
             estimates = estimates[estimates["within"] + estimates["beyond"] > 0]
-        places = self.places
-        if len(places):
-            places = places.sort_values("bands", ascending=False)
+        places = self.places.sort_values("bands", ascending=False)
         return [
             counts.add_rows(self.trip_counts.to_dict("records")),
             listed("means", "Means that moved", self.systematic, MEAN_COLUMNS,
@@ -833,8 +858,7 @@ class FleetDiff(Presented):
         )  # fmt: skip
         if not self.beyond:
             return f"nothing moved beyond its band on {trips}{left_out}."
-        means = int(self.means["beyond"].sum()) if len(self.means) else 0
-        banded = int(self.moved["banded"].sum()) if len(self.moved) else 0
+        means, banded = int(self.means["beyond"].sum()), int(self.moved["banded"].sum())
         others = len(self.moved) - banded
         parts = [
             f"{counted(banded, 'estimate')} of single trips" if banded else "",
@@ -923,6 +947,11 @@ class Results:
     table: pd.DataFrame
     outcomes: pd.DataFrame
 
+    def of(self, keys: set[str]) -> Results:
+        """Those of some trips."""
+        table, outcomes = self.table, self.outcomes
+        return Results(table[table["key"].isin(keys)], outcomes[outcomes["key"].isin(keys)])
+
 
 def _read(catalogue: Catalogue, side: Version, name: str, where: str | None) -> Results:
     given = side.computations[name]
@@ -932,124 +961,87 @@ def _read(catalogue: Catalogue, side: Version, name: str, where: str | None) -> 
 # ----------------------------------------------------------------------------------- comparing
 
 
-@dataclass
-class _Found:
-    """What was found so far, a list of parts for each frame of a `FleetDiff`."""
-
-    estimates: list[dict[str, Any]] = field(default_factory=list)
-    trip_counts: list[dict[str, Any]] = field(default_factory=list)
-    moved: list[pd.DataFrame] = field(default_factory=list)
-    means: list[pd.DataFrame] = field(default_factory=list)
-    verdicts: list[pd.DataFrame] = field(default_factory=list)
-    words: list[pd.DataFrame] = field(default_factory=list)
-    places: list[dict[str, Any]] = field(default_factory=list)
-    by_definition: list[str] = field(default_factory=list)
-
-
-VERDICTS = ("analysis", "key", "trip", "train", "kind", "line", "start", "first", "second")
-
-
 def compared(
     first: Version, second: Version, results: Mapping[str, tuple[Results, Results]]
 ) -> FleetDiff:
     """The difference of what two versions gave, by the name of the analysis."""
-    found = _Found()
-    keys: set[str] = set()
-    for name, (one, other) in results.items():
-        shared = set(one.outcomes["key"]) & set(other.outcomes["key"])
+    keys, by_name = set[str](), {}
+    for name, sides in results.items():
+        shared = set.intersection(*(set(side.outcomes["key"]) for side in sides))
         keys |= shared
-        _compare(found, name, _of(one, shared), _of(other, shared))
-    means = pd.concat(found.means, ignore_index=True) if found.means else None
+        by_name[name] = _differences(name, *(side.of(shared) for side in sides))
+    frames = {}
+    for each, columns in FRAMES.items():
+        parts = [
+            found[each].assign(analysis=name)
+            for name, (found, _) in by_name.items()
+            if each in found and len(found[each])
+        ]
+        frames[each] = (
+            pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=list(columns))
+        )
+    frames["means"] = judged(frames["means"])
+    order = frames["moved"].sort_values(["banded", "bands"], ascending=False, ignore_index=True)
+    frames = {
+        each: frame[list(FRAMES[each])] for each, frame in (frames | {"moved": order}).items()
+    }
+    defined = [words for _, all_words in by_name.values() for words in all_words]
     return FleetDiff(
-        first,
-        second,
-        len(keys),
-        pd.DataFrame(found.estimates),
-        pd.DataFrame(found.trip_counts, columns=["analysis", "trips", *CLASSES]),
-        _together(found.moved, MOVED).sort_values(
-            ["banded", "bands"], ascending=False, ignore_index=True
-        ),
-        judged(means) if means is not None else pd.DataFrame(columns=list(MEANS)),
-        _together(found.verdicts, VERDICTS),
-        _together(found.words, (*VERDICTS[:7], "estimate", "first", "second")),
-        pd.DataFrame(found.places, columns=list(PLACES)),
-        tuple(dict.fromkeys(found.by_definition)),
+        first, second, len(keys), **frames, by_definition=tuple(dict.fromkeys(defined))
     )
 
 
-def _together(parts: list[pd.DataFrame], columns: Sequence[str]) -> pd.DataFrame:
-    kept = [part for part in parts if len(part)]
-    if not kept:
-        return pd.DataFrame(columns=list(columns))
-    return pd.concat(kept, ignore_index=True)[list(columns)]
-
-
-def _of(results: Results, keys: set[str]) -> Results:
-    table, outcomes = results.table, results.outcomes
-    return Results(table[table["key"].isin(keys)], outcomes[outcomes["key"].isin(keys)])
-
-
-def _compare(found: _Found, name: str, one: Results, other: Results) -> None:
-    """Compare an analysis of the same trips on both sides."""
-    found.verdicts.append(_verdicts(name, one.outcomes, other.outcomes))
-    alone = set(found.verdicts[-1]["key"])
+def _differences(
+    name: str, one: Results, other: Results
+) -> tuple[dict[str, pd.DataFrame], tuple[str, ...]]:
+    """Frames of a `FleetDiff` of an analysis of the same trips, and what is not compared."""
+    verdicts = _verdicts(one.outcomes, other.outcomes)
+    alone = set(verdicts["key"])
     left, right = aligned(*(each.table[~each.table["key"].isin(alone)] for each in (one, other)))
     about = trips_of(left)
-    columns = {column.name: column for column in ANALYSES[name].columns} if name in ANALYSES else {}
-    worst = np.zeros(len(left), dtype=np.int64)
+    worst, words = np.where(other_bytes(left, right), WITHIN, SAME), []
     for column in texts(left, right):
         both = left[column].notna() & right[column].notna()
         changed = (both & (left[column] != right[column])).to_numpy()
-        worst[changed] = np.maximum(worst[changed], CLASSES.index("within"))
+        worst[changed] = WITHIN
         if changed.any() and column != "refused":
-            rows = about[changed].assign(analysis=name, estimate=column)
-            rows["first"], rows["second"] = left[column][changed], right[column][changed]
-            found.words.append(rows)
-    changed = other_bytes(left, right)
-    worst[changed] = np.maximum(worst[changed], CLASSES.index("within"))
-    found.by_definition += by_definition(left, right)
-    counts = {each.name for each in columns.values() if each.unit == "1" and each.kind == "count"}
-    sides = estimates(left, counts | _COUNTS), estimates(right, counts | _COUNTS)
-    means = []
-    for estimate in [each for each in sides[0] if each in sides[1]]:
-        unit = columns[estimate].unit if estimate in columns else UNITS.get(estimate, "")
-        mine, its = sides[0][estimate], sides[1][estimate]
-        known = np.isfinite(mine.value) | np.isfinite(its.value)
-        if not known.any():
-            continue
-        classes, band = classes_of(mine, its)
-        worst = np.maximum(worst, classes)
-        found.estimates.append(
-            {"analysis": name, "estimate": estimate, "unit": _shown(unit)}
-            | {"rows": int(known.sum())}
-            | {each: int(np.sum((classes == n) & known)) for n, each in
-               enumerate(CLASSES)}
-            | {"band_ratio": _ratio(its.std, mine.std)}
-        )  # fmt: skip
-        beyond = classes == CLASSES.index("beyond")
-        if beyond.any():
-            found.moved.append(moved_rows(name, estimate, _shown(unit), about[beyond],
-                                           mine, its, band, beyond))  # fmt: skip
-        if (classes > CLASSES.index("rounding")).any():
-            means.append(mean_shifts(about, estimate, _shown(unit), mine, its, classes))
-    found.means += [each.assign(analysis=name) for each in means]
+            sides = {"first": left[column][changed], "second": right[column][changed]}
+            words.append(about[changed].assign(estimate=column, **sides))
+    defined = by_definition(left, right)
+    pair = paired(name, left, right)
+    classes, band = classes_of(pair)
+    known = np.isfinite(pair.a) | np.isfinite(pair.b)
+    at, row = np.nonzero((classes == BEYOND).T)
+    stated = ((pair.a_std > 0.0) | (pair.b_std > 0.0)) & ~pair.counted
+    names, units = (np.array(each, dtype=object) for each in (pair.names, pair.units))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bands = np.abs(pair.b - pair.a) / band
+    moved = about.iloc[row].assign(
+        estimate=names[at], unit=units[at], first=pair.a[row, at],
+        second=pair.b[row, at], std=pair.a_std[row, at], banded=stated[row, at],
+        bands=np.where(np.isnan(bands), np.inf, bands)[row, at],
+    )  # fmt: skip
+    counts = {each: np.sum((classes == n) & known, axis=0) for n, each in enumerate(CLASSES)}
+    by_estimate = {"estimate": names, "unit": units, "rows": known.sum(axis=0), **counts}
+    ratio = [_ratio(*stds) for stds in zip(pair.b_std.T, pair.a_std.T, strict=True)]
+    worst = np.maximum(worst, classes.max(axis=1, initial=SAME))
     keys = one.outcomes["key"].to_numpy()
-    by_trip = pd.Series(worst).groupby(about["key"].to_numpy()).max().reindex(keys, fill_value=0)
-    by_trip[list(alone)] = CLASSES.index("beyond")
+    by_trip = pd.Series(worst).groupby(about["key"].to_numpy()).max().reindex(keys, fill_value=SAME)
+    by_trip[list(alone)] = BEYOND
     numbers = np.bincount(by_trip.to_numpy(np.int64), minlength=len(CLASSES)).tolist()
-    found.trip_counts.append(
-        {"analysis": name, "trips": len(by_trip), **dict(zip(CLASSES, numbers, strict=True))}
-    )
+    found = {
+        "estimates": pd.DataFrame(by_estimate | {"band_ratio": ratio}),
+        "trip_counts": pd.DataFrame(
+            [dict(zip(CLASSES, numbers, strict=True)) | {"trips": len(keys)}]
+        ),
+        "moved": moved,
+        "means": mean_shifts(about, pair, classes),
+        "verdicts": verdicts,
+        "words": pd.concat(words) if words else pd.DataFrame(),
+    }
     if "evidence" in left and not (left["evidence"] == right["evidence"]).all():
-        found.places += moved_places(left, right)
-
-
-_COUNTS = {"slips"}
-"""Counts that may not be known, which a column of counts cannot hold."""
-
-
-def _shown(unit: str) -> str:
-    return {"1": "", "ns": "s"}.get(unit, unit)
+        found["places"] = pd.DataFrame(moved_places(left, right))
+    return found, defined
 
 
 def _ratio(other: FloatArray, one: FloatArray) -> float:
@@ -1057,13 +1049,12 @@ def _ratio(other: FloatArray, one: FloatArray) -> float:
     return float(np.median(other[both] / one[both])) if both.any() else np.nan
 
 
-def _verdicts(name: str, one: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+def _verdicts(one: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
     """Trips of which one side alone has a result."""
     pair = one.merge(other[["key", "state", "reason"]], on="key", suffixes=("", "_other"))
     changed = pair[(pair["state"] == "done") != (pair["state_other"] == "done")]
     stated = {
-        "first": changed["state"] + changed["reason"].map(lambda each: f": {each}" if each else ""),
-        "second": changed["state_other"]
-        + changed["reason_other"].map(lambda each: f": {each}" if each else ""),
+        side: changed[f"state{end}"] + changed[f"reason{end}"].map(lambda x: f": {x}" if x else "")
+        for side, end in (("first", ""), ("second", "_other"))
     }
-    return changed.rename(columns={"name": "trip"}).assign(analysis=name, **stated)
+    return changed.rename(columns={"name": "trip"}).assign(**stated)
