@@ -348,6 +348,45 @@ def test_a_receiver_beside_the_odometer(tmp_path: Path) -> None:
     assert field(proposal, "/gnss/motion.speed")["unit"] == "m/s"
 
 
+@pytest.mark.parametrize("beside", ["fixes", "distance"])
+@pytest.mark.parametrize(("unit", "size"), [("km/h", 3.6), ("rpm", 60.0 / (2.0 * np.pi * 0.43))])
+def test_wheel_speeds_are_kept_where_no_speed_is_recorded(
+    tmp_path: Path, beside: str, unit: str, size: float
+) -> None:
+    run = drive()
+    where = {"lat": 47.0 + run.s / 111_195.0, "lon": 9.0}
+    where = where if beside == "fixes" else {"distance [m]": run.s}
+    wheels = {f"wheel speed {axle} [{unit}]": run.v * size for axle in (1, 2)}
+    path = written(tmp_path, {"t [s]": run.t, **where, **wheels})
+    trip = ingest(path, propose_profile(path).profile)
+    found = trip["/train/axles"][["wheel_speed_1", "wheel_speed_2"]].to_numpy()
+    assert np.abs(found - run.v.to_numpy()[:, None]).max() < 0.02 * run.v.max()
+
+
+def test_traction_without_braking_moves_the_mass_of_its_own_seconds(tmp_path: Path) -> None:
+    """A train of 200 t that brakes half as long as it accelerates; its brakes are not recorded."""
+    run = drive()
+    path = written(
+        tmp_path,
+        {"t [s]": run.t, "Speed [m/s]": run.v, "Tractive effort [kN]": run.F.clip(lower=0.0) / 1e3},
+    )
+    check = field(propose_profile(path), "/train/controls.tractive_effort")["check"]
+    assert float(check.split()[2]) == pytest.approx(200.0, rel=0.15)
+    assert "only seconds in which it acts or the train coasts are used" in check
+    path = written(tmp_path, {"t [s]": run.t, "Speed [m/s]": run.v, "Kraft [kN]": run.F / 1e3})
+    check = field(propose_profile(path), "/train/controls.tractive_effort")["check"]
+    assert "only seconds" not in check
+
+
+def test_a_unit_that_no_other_column_shows_is_unproven(tmp_path: Path) -> None:
+    run = drive()
+    alone = {"t [s]": run.t, "Speed [mph]": 2.23694 * run.v}
+    for columns, unproven in ((alone, "/train/state.speed [mph]"), (alone | {"s [m]": run.s}, "")):
+        path = written(tmp_path, columns)
+        trip = ingest(path, propose_profile(path).profile)
+        assert trip.metadata.get("unproven_units", "") == unproven
+
+
 def test_text_and_tables_without_motion_are_refused(tmp_path: Path) -> None:
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "Temperature [°C]": 20.0 + run.v})

@@ -67,6 +67,10 @@ LEAST_DRIVEN, DRIVES = 30.0, 0.5
 """Time in motion [s], and correlation with the acceleration, from which on an effort shows the mass
 that it moves."""
 
+ACTS, COASTS = 0.05, 0.1
+"""Share of the largest effort from which on it acts; a train that coasts changes its speed by less
+than this [m/s²]."""
+
 WRONG_UNIT = 1000.0**0.5
 """A mass off by more than this is nearer to one of N taken for kN than to the right one."""
 
@@ -273,12 +277,16 @@ class DrivenMass(NamedTuple):
     correlation : float
         Of effort and acceleration.
     seconds : float [s]
-        In motion, of each sample at most one.
+        In motion that are used, of each sample at most one.
+    alone : bool
+        Whether the effort has one sign only, so that something else acts besides: then only
+        seconds in which it acts, or the train coasts, are used.
     """
 
     mass: float
     correlation: float
     seconds: float
+    alone: bool = False
 
     @property
     def decides(self) -> bool:
@@ -288,6 +296,8 @@ class DrivenMass(NamedTuple):
 
 def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> DrivenMass:
     """The mass that an effort moves: F = m a + R(v), by least squares.
+
+    A traction without the braking is that of the seconds in which it acts, or the train coasts.
 
     Parameters
     ----------
@@ -306,15 +316,20 @@ def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> D
     """
     rate = rate_of(seconds, speed)
     known = np.isfinite(effort) & np.isfinite(speed) & np.isfinite(rate) & (speed > MOVING)
+    size = np.abs(effort[known])
+    acts = size > ACTS * np.max(size, initial=0.0)
+    alone = np.unique(np.sign(effort[known][acts])).size == 1
+    if alone:
+        known[known] = acts | (np.abs(rate[known]) < COASTS)
     lasted = float(np.sum(np.minimum(np.diff(seconds, append=seconds[-1]), 1.0)[known]))
     force, rate, v = effort[known], rate[known], speed[known]
     if lasted < LEAST_DRIVEN or np.std(force) == 0.0 or np.std(rate) < 0.02:
-        return DrivenMass(np.nan, 0.0, lasted)
+        return DrivenMass(np.nan, 0.0, lasted, alone)
     columns = np.column_stack([rate, basis(v)])
     scale = np.max(np.abs(columns), axis=0)
     solution = np.linalg.lstsq(columns / scale, force, rcond=None)[0]
     correlation = float(np.corrcoef(force, rate)[0, 1])
-    return DrivenMass(float(solution[0] / scale[0]), correlation, lasted)
+    return DrivenMass(float(solution[0] / scale[0]), correlation, lasted, alone)
 
 
 def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]:

@@ -131,6 +131,8 @@ class Work:
     readings : list of Reading
     speed : (n,) array, optional [m/s]
         The train's, that others are compared with.
+    moved : (n,) array, optional [m/s]
+        How fast distance or fixes move, that wheels are compared with where no speed is recorded.
     speed_open : str
         Why what is scaled by it is open, if its own unit is.
     rivals : dict of str to list of str
@@ -151,6 +153,7 @@ class Work:
     proposed: dict[str, Proposed] = field(default_factory=dict)
     readings: list[Reading] = field(default_factory=list)
     speed: FloatArray | None = None
+    moved: FloatArray | None = None
     speed_open: str = ""
     rivals: dict[str, list[str]] = field(default_factory=dict)
     trips: TripColumns = field(default_factory=TripColumns)
@@ -318,6 +321,9 @@ def _place_motion(work: Work) -> None:
         most = answer.cost + place.cost + AMBIGUOUS
         close = [other for units, other in others if units.cost + other.cost <= most]
         _place_fixes(work, place, close, answer)
+        work.moved = place.fixes.speeds(work.seconds)
+    if speed is None and position is not None:
+        work.moved = np.abs(rate_of(work.seconds, work.numbers[position]) * answer.si("length"))
     if speed is not None:
         work.speed = work.numbers[speed] * answer.si("speed")
         _place_speed(work, speed, answer, stated["speed"], bool(places))
@@ -434,7 +440,7 @@ def _place_speed(work: Work, name: str, answer: Answer, stated: str, fixes: bool
         why += "; negative while the train moves, sign -1"
     work.place(
         target, name, unit=answer.units["speed"], sign=sign, why=why, check=", ".join(checks),
-        alternative=said(alternative, other),
+        alternative=said(alternative, other), unproven=bool(alternative) or _unproven(answer),
     )  # fmt: skip
 
 
@@ -444,12 +450,16 @@ def _in_words(ratio: Ratio, what: str, other: str, to_one: float) -> Iterator[st
         yield f"{what} {abs(ratio.value) * to_one:.3f} times {other} {held}"
 
 
+def _unproven(answer: Answer) -> bool:
+    """Whether no other column shows in which unit motion and efforts are."""
+    return not (answer.distance.windows or answer.chords.windows or answer.driven.seconds)
+
+
 def _unit_reason(stated: str, answer: Answer, kind: str, unit: str = "") -> tuple[str, str]:
     """Why a unit was taken, and the alternative."""
     if not stated:
         others = " or ".join(answer.others.get(kind, ())[:2])
-        compared = answer.distance.windows + answer.chords.windows or answer.driven.seconds
-        why = "agrees with the other columns" if compared else "is the usual one"
+        why = "is the usual one" if _unproven(answer) else "agrees with the other columns"
         return f"no known unit is stated; this one {why}", others
     if stated == (unit or answer.units[kind]):
         return f"the file states {stated}", ""
@@ -471,6 +481,7 @@ def _place_position(work: Work, name: str, answer: Answer, stated: str) -> None:
         work.readings.append(Reading(f"column '{name}'", "not used", why, other))
         return
     why, other = _unit_reason(stated, answer, "length")
+    unproven = bool(other) or _unproven(answer)
     length = answer.si("length")
     checks = [f"its values span {length * float(np.ptp(known)) / 1e3:.2f} km"]
     to_one = length / answer.si("speed")
@@ -486,7 +497,7 @@ def _place_position(work: Work, name: str, answer: Answer, stated: str) -> None:
         other = said(other, f"offset = minus the line's length, not {offset:g}")
     work.place(
         POSITION, name, unit=answer.units["length"], sign=sign, offset=offset, why=why,
-        check=", ".join(checks), alternative=other,
+        check=", ".join(checks), alternative=other, unproven=unproven,
     )  # fmt: skip
 
 
@@ -575,7 +586,7 @@ def _net(work: Work, efforts: dict[str, Proposed]) -> tuple[FloatArray | None, s
 
 def _place_efforts(work: Work, efforts: dict[str, Proposed], answer: Answer, stated: str) -> None:
     """Give the efforts their unit."""
-    mass, correlation, _ = answer.driven
+    mass, correlation, _, alone = answer.driven
     check = "no acceleration to check it with"
     if np.isfinite(mass):
         known = f", the train's is {work.train.mass / 1e3:.0f} t" if work.train else ""
@@ -583,6 +594,9 @@ def _place_efforts(work: Work, efforts: dict[str, Proposed], answer: Answer, sta
             f"it accelerates {mass / 1e3:.0f} t{known}"
             f" (correlation with acceleration {correlation:.2f})"
         )
+        if alone:
+            check += "; only seconds in which it acts or the train coasts are used, as no effort of"
+            check += " the other sign is recorded"
     elif correlation:
         check = f"correlation with acceleration {correlation:.2f}: decides nothing"
     for each in efforts.values():
@@ -598,7 +612,8 @@ def _place_efforts(work: Work, efforts: dict[str, Proposed], answer: Answer, sta
         why, other = _unit_reason(own, answer, "force", unit)
         if not own and correlation and not np.isfinite(mass):
             other = other or "another unit"
-        column = each.column.model_copy(update={"unit": unit})
+        unproven = bool(other) or not np.isfinite(mass)
+        column = each.column.model_copy(update={"unit": unit, "unproven": unproven})
         other = said(each.alternative, other)
         work.put(Proposed(each.field, column, f"{why}; {each.why}", check, other))
 
@@ -613,12 +628,13 @@ USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
 def _place_speeds(work: Work) -> None:
     """Further speeds: the receiver's beside the train's, those of the axles, and their turns."""
     work.first(GNSS_SPEED)
+    speed = work.moved if work.speed is None else work.speed
     for target in (GNSS_SPEED, WHEEL_SPEED):
         names = [] if target in work.proposed else work.names.get(target, [])
-        if work.speed is None:
+        if speed is None:
             work.left |= dict.fromkeys(names, "a further speed, and none to compare it with")
             continue
-        ratios = {name: same_motion(work.numbers[name], work.speed) for name in names}
+        ratios = {name: same_motion(work.numbers[name], speed) for name in names}
         known = [ratio.value for ratio in ratios.values() if np.isfinite(ratio.value)]
         middle = float(np.median(known or [np.nan]))
         kept: list[str] = []
@@ -628,7 +644,7 @@ def _place_speeds(work: Work) -> None:
                 kept.append(name)
             elif target == GNSS_SPEED and (stated := work.stated(name, "speed")):
                 other = "nothing to check it with"
-                work.place(target, name, unit=stated, why=_STATED, alternative=other)
+                work.place(target, name, unit=stated, why=_STATED, alternative=other, unproven=True)
             else:
                 part = f"factor {ratio.value:.4g} in {ratio.agreement:.0%} of the samples"
                 work.left[name] = f"a speed that does not follow the train's ({part})"
@@ -655,7 +671,9 @@ def _place_as_speed(work: Work, target: str, names: list[str], ratio: float) -> 
         why, other = f"the file states {stated}, which contradicts the speed", stated
     if fits:
         check = f"{times[unit]:.3f} times the train's speed"
-        work.place(target, *names, unit=unit, why=why, check=check, alternative=other)
+        work.place(
+            target, *names, unit=unit, why=why, check=check, alternative=other, unproven=bool(other)
+        )
     elif not turns:
         why = f"{ratio:.3g} times the train's speed: no unit does that"
         work.left |= dict.fromkeys(names, why)
@@ -669,6 +687,7 @@ def _place_as_speed(work: Work, target: str, names: list[str], ratio: float) -> 
         work.place(
             target, *names, unit="m/s", scale=scale, check=check,
             why="turns, scaled by the train's speed", alternative=work.speed_open,
+            unproven=bool(work.speed_open),
         )  # fmt: skip
 
 
@@ -782,7 +801,7 @@ def _place_plain(work: Work, target: str, names: tuple[str, ...]) -> str:
     median = float(np.median(known * scale))
     work.place(
         target, *names, unit=unit, scale=scale, sign=sign, why=why, alternative=other,
-        check=f"median {median:.4g} {unit}",
+        unproven=bool(other), check=f"median {median:.4g} {unit}",
     )  # fmt: skip
     return ""
 

@@ -132,6 +132,13 @@ class Fixes(NamedTuple):
             return np.nan
         return float(np.percentile(self.chords / np.diff(self.marks), 95))
 
+    def speeds(self, seconds: FloatArray) -> FloatArray | None:
+        """How fast the fixes move at some times [m/s]; None of fewer than two chords."""
+        if self.chords.size < 2:
+            return None
+        middle = 0.5 * (self.marks[1:] + self.marks[:-1])
+        return np.interp(seconds, middle, self.chords / np.diff(self.marks))
+
     def ratio(self, seconds: FloatArray, speed: FloatArray) -> Ratio:
         """The chords over the integral of a speed, while the train is fast.
 
