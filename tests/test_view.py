@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import analysis.adhesion.slip as slip_module
-import analysis.resistance.motion as motion_module
+import analysis.resistance.coasting_detection as motion_module
 import analysis.resistance.passport as passports
 from analysis import view as module
 from analysis.adhesion.condition_map import adhesion_map

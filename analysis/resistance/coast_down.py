@@ -1,55 +1,65 @@
 """Coast-down of one train from its trips: found together, fitted apart, combined.
 
 What coasting looks like is searched for in all trips at once: short stretches that prove nothing by
-themselves do together. Each trip is then fitted alone and the trips are combined as draws around a
-common curve (`analysis.resistance.combination`), so that loads, weather and winds
-that differ widen the band instead of biasing it.
+themselves do together. Each trip is then fitted alone. While a train coasts,
+
+    dv/dt = -k a_track(s) - c0 - c1 v - c2 v²,      k = m / (m + m_rot),   c = R / (m + m_rot):
+
+speeds alone show accelerations, never forces. The four parameters are those of the acceleration
+form in `analysis.resistance` with gravity in the place of the effort: what the track does to each
+kilogramme is what drives the train, and k stands where 1/m stood. Windows, noise model, outliers
+and covariance are those of `analysis.resistance`.
+
+The trips are combined as draws around a common curve (`analysis.resistance.combination`), so that
+loads, weather and winds that differ widen the band instead of biasing it.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from analysis.resistance.coasting_detection import (
     SPACING,
+    TOPICS,
     TYPICAL,
     TYPICAL_STD,
+    Motion,
     Segment,
     blocks_of,
     detect,
+    motion_of,
 )
-from analysis.resistance.coasting_fit import (
-    Curve,
-    MassRatio,
-    TripCoastDown,
-    fit_segments,
+from analysis.resistance.combination import (
+    BETWEEN_TRIPS,
+    PRIOR_TRIPS,
+    SOFTWARE,
+    nodes_over,
+    pooled,
 )
-from analysis.resistance.combination import PRIOR_TRIPS, SOFTWARE, nodes_over, pooled
+from analysis.resistance.curve import DragCurve
 from analysis.resistance.fit import check_speeds
-from analysis.resistance.motion import TOPICS, Motion, motion_of
-from analysis.view import Given, each_given, views_of
-from trainlog.arrays import FloatArray
+from analysis.resistance.noise import CAUSES, Expected, NoiseParts
+from analysis.resistance.recording import Recording, gradient_pieces, track_slope
+from analysis.resistance.regression import WindowFit, fit_windows
+from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_windows
+from analysis.view import Given, TripView, each_given, views_of
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.formats import railway
 from trainlog.formats.files import sha256_of
-from trainlog.formats.railway import (
-    CoastDownResult,
-    DragCurve,
-    Identified,
-    line_of,
-    read_line,
-    recorded_load,
-    train_of,
-)
-from trainlog.identity import Known, TripIdentity, same_drives, text_of
+from trainlog.formats.railway import CoastDownResult, Identified, recorded_load
+from trainlog.identity import Known, same_drives, text_of
 from trainlog.presentation import (
     DURATION,
     NUMBER,
@@ -64,23 +74,253 @@ from trainlog.presentation import (
     new_table,
 )
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, TERMS
+from trainlog.railway.resistance import (
+    LARGEST_STD,
+    OVER_INERTIA,
+    TERMS,
+    RunningResistance,
+    basis,
+)
 from trainlog.railway.train import Train
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+from trainlog.spans import runs_of
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT
 from trainlog.units import GRAVITY, KMH, PER_MILLE
+
+FINE = 0.2
+"""The train's place is known so often [s]: gradients change between samples of the speed."""
+
+SAMPLES = 5.0
+"""Least number of samples of the speed in a window: with fewer, neighbouring ends err alike."""
+
+LEAST_COASTING = 60.0
+"""Less coasting than this [s] leaves no residuals to estimate the noise from."""
+
+SHORTEST_RANGE = 3.0
+"""Speeds that differ by less than this [m/s] are one speed."""
+
+UNKNOWN_RATIO = (0.945, 0.02)
+"""Mass over inertia of any train, and its standard deviation: rotating masses are 3 to 12 % of the
+empty mass, less of the loaded one."""
+
+RATIO_STD = 0.005
+"""Standard deviation of mass over inertia where the train's file gives the rotating mass."""
+
+FREE_RATIO_STD = 0.2
+"""Standard deviation of mass over inertia [1] with which the data are asked for it: free."""
 
 RATIO_BETWEEN = 0.005
 """Standard deviation of mass over inertia from trip to trip: loads differ."""
 
+OUTLIER_SEGMENT = 4.0
+"""A segment whose windows together are so many standard deviations off was not coasting."""
 
 IMPLAUSIBLE = 21.0
 """Squared distance from `TYPICAL`, in standard deviations, beyond which no train has such a curve:
 chance exceeds it once in 10,000 trains. A driver who holds one effort all day cannot be
 distinguished from a train that coasts with another curve, unless no train has that curve."""
 
-
 OTHER_MASS = 0.03
 """Share by which masses of trips differ that is stated where they are pooled."""
+
+NAMES = (("mass_ratio", "1"), *OVER_INERTIA)
+"""Parameters of the curve, in the order of its covariance, with their units."""
+
+SPEEDS = 25
+"""Rows of the curve's table."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class MassRatio:
+    """Mass over inertia (mass and rotating mass), with where it comes from.
+
+    Attributes
+    ----------
+    value, std : float
+    source : str
+        ``"train file"``, ``"any train"``, or ``"data"`` where the recording itself determines it.
+    """
+
+    value: float
+    std: float
+    source: str
+
+    @staticmethod
+    def expected(train: Train | None) -> MassRatio:
+        """What is known before any data: from the train's file, or of any train."""
+        if train is None:
+            return MassRatio(*UNKNOWN_RATIO, "any train")
+        masses = np.array([train.mass, train.mass + train.max_load])
+        ends = masses / (masses + train.rotating_mass)
+        std = float(np.hypot(0.5 * (ends[1] - ends[0]), RATIO_STD))
+        return MassRatio(float(np.mean(ends)), std, "train file")
+
+
+@dataclass(frozen=True, eq=False)
+class Curve(DragCurve):
+    """Running resistance over inertia, c(v) = c0 + c1 v + c2 v², with mass over inertia k.
+
+    Attributes
+    ----------
+    theta : (4,) array
+        k, c0 [m/s²], c1 [1/s], c2 [1/m].
+    covariance : (4, 4) array
+    freedom : float
+        Degrees of freedom of the covariance: how well the noise's sizes are known.
+    covered : (float, float) [m/s]
+        Speeds at which the train coasted.
+    supported : (float, float) [m/s] or None
+        Those of them at which the curve is known to `LARGEST_STD`; None if it is known nowhere,
+        or at one speed only.
+    """
+
+    theta: FloatArray
+    covariance: FloatArray
+    freedom: float
+    covered: tuple[float, float]
+
+    @cached_property
+    def supported(self) -> tuple[float, float] | None:
+        """See above."""
+        speed = np.linspace(*self.covered, 121)
+        known = self.share(speed) <= LARGEST_STD
+        ranges = [(float(speed[first]), float(speed[last - 1])) for first, last in runs_of(known)]
+        widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=(0.0, 0.0))
+        return widest if widest[1] - widest[0] >= SHORTEST_RANGE else None
+
+    @cached_property
+    def resistance(self) -> RunningResistance:  # type: ignore[override]
+        """c0, c1 and c2: the deceleration of the coasting train on level track [m/s²]."""
+        return RunningResistance.of(self.theta[1:])
+
+    def __call__(self, speed: ArrayLike) -> FloatArray:
+        """Deceleration of the coasting train on level track [m/s²] at each speed [m/s]."""
+        return self.resistance(speed)
+
+    @property
+    def own_covariance(self) -> FloatArray:
+        """Of c0, c1 and c2."""
+        return self.covariance[1:, 1:]
+
+    @property
+    def band_range(self) -> tuple[float, float]:
+        """Speeds [m/s] at which the train coasted."""
+        return self.covered
+
+    def share(self, speed: ArrayLike) -> FloatArray:
+        """Standard deviation over the curve; infinite where the curve is not positive."""
+        value = self(speed)
+        share = self.std(speed) / np.maximum(value, 1e-12)
+        return np.where(value > 0.0, share, np.inf)
+
+    def per_weight(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Running resistance over weight and its standard deviation [1]; R / (m g) = c / (k g).
+
+        It needs k, whose uncertainty is in the standard deviation.
+        """
+        v = np.asarray(speed, dtype=np.float64)
+        value = self(v) / self.theta[0] / GRAVITY
+        slope = np.concatenate(
+            [-(value / self.theta[0])[..., None], basis(v) / (self.theta[0] * GRAVITY)], axis=-1
+        )
+        variance = np.einsum("...i,ij,...j->...", slope, self.covariance, slope)
+        return np.asarray(value), np.asarray(np.sqrt(variance))
+
+    @property
+    def table(self) -> railway.DragCurve | None:
+        """The curve over the speeds that the data support, as files hold it."""
+        if self.supported is None:
+            return None
+        speed = np.linspace(*self.supported, SPEEDS)
+        return railway.DragCurve(speed, self(speed), *self.band(speed))
+
+
+@dataclass(frozen=True, eq=False)
+class TripCoastDown:
+    """Running resistance over inertia as one trip's coasting shows it.
+
+    Attributes
+    ----------
+    motion : Motion
+    curve : Curve
+    ratio : MassRatio
+        Mass over inertia as the curve has it.
+    free : (array (4,), array (4, 4))
+        The curve's parameters and covariance from the data alone, mass over inertia free.
+    segments : tuple of Segment
+        That were used.
+    outlier_segments : tuple of Segment
+        Found as coasting, and left out because they contradict the others.
+    windows : dict of str to int
+        ``used`` and left out as ``outlier``.
+    noise : dict of str to float
+        Sizes of the noise: ``speed`` [m/s], ``gradient``, ``position`` [m].
+    cluster_factor : float
+        What the noise model's variances were multiplied by because neighbouring windows err
+        together.
+    residual_std : float
+        Of the whitened residuals; 1 if the noise is what it is taken for.
+    points : WindowPoints
+    """
+
+    motion: Motion
+    curve: Curve
+    ratio: MassRatio
+    free: tuple[FloatArray, FloatArray]
+    segments: tuple[Segment, ...]
+    outlier_segments: tuple[Segment, ...]
+    windows: dict[str, int]
+    noise: dict[str, float]
+    cluster_factor: float
+    residual_std: float
+    points: WindowPoints
+
+    @property
+    def trip(self) -> str:
+        """Its name."""
+        return self.motion.trip
+
+    @property
+    def coasted(self) -> float:
+        """Time [s] in the segments used."""
+        return float(sum(segment.duration for segment in self.segments))
+
+    @property
+    def detail(self) -> dict[str, Any]:
+        """What files note of it."""
+        names, stds = [name for name, _ in NAMES], np.sqrt(np.diag(self.curve.covariance))
+        supported = self.curve.supported
+        return {
+            "trip": self.trip,
+            "accepted": True,
+            "speed_from": self.motion.source,
+            "coasted": self.coasted,
+            "covered": list(self.curve.covered),
+            "supported": None if supported is None else list(supported),
+            "fitted": dict(zip(names, self.curve.theta.tolist(), strict=True)),
+            "fitted_std": dict(zip(names, stds.tolist(), strict=True)),
+            "windows": self.windows,
+            "noise": self.noise,
+            "cluster_factor": self.cluster_factor,
+            "residual_std": self.residual_std,
+            "segments": [self._where(each) for each in self.segments],
+            "outlier_segments": [self._where(each) for each in self.outlier_segments],
+        }
+
+    def _where(self, segment: Segment) -> dict[str, Any]:
+        """When, where and how fast a segment was."""
+        motion, ends = self.motion, [segment.start, segment.end]
+        speed, position = (
+            np.interp(ends, motion.time, each) for each in (motion.speed, motion.position)
+        )
+        return {
+            "start": (motion.start + pd.Timedelta(seconds=round(segment.start, 3))).isoformat(),
+            "duration": round(segment.duration, 3),
+            "position": np.round(position, 1).tolist(),
+            "speed": np.round(speed, 3).tolist(),
+            "probability": round(segment.probability, 4),
+        }
 
 
 def _segments_in_words(fit: TripCoastDown) -> Said:
@@ -95,7 +335,7 @@ def _half_band(fit: TripCoastDown) -> float:
 
 TRIP_COLUMNS = (
     Column("trip"),
-    Column("speed from", of="source", rank=1),
+    Column("speed from", of=lambda fit: fit.motion.source, rank=1),
     Column("segments", NUMBER, of=_segments_in_words),
     Column("coasted", replace(DURATION, digits=0), each=True),
     Column("slowest", replace(SPEED, digits=0), of=lambda fit: fit.curve.covered[0]),
@@ -245,7 +485,23 @@ class CoastDown(Presented):
     @property
     def result(self) -> CoastDownResult:
         """What it amounts to, ready to be written."""
-        return with_origin(result_of(self), self.digests)
+        curve, stds = self.curve, np.sqrt(np.diag(self.curve.covariance)).tolist()
+        reasons = [None if self.ratio.source == "data" else f"expected: {self.ratio.source}"]
+        reasons += len(TERMS) * [None]
+        values = zip(NAMES, curve.theta.tolist(), stds, reasons, strict=True)
+        refused = [
+            {"trip": name, "accepted": False, "reason": reason}
+            for name, reason in sorted(self.refused.items())
+        ]
+        found = CoastDownResult(
+            train=self.train,
+            gradient="line",
+            quantities=tuple(Identified(*name, *rest) for name, *rest in values),
+            covariance=curve.covariance,
+            curve=curve.table,
+            trips=[fit.detail for fit in self.trips] + refused,
+        )
+        return with_origin(found, self.digests)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,24 +510,15 @@ class Sources:
 
     Attributes
     ----------
-    trips : tuple of Trip
+    views : tuple of TripView
         In order of name; of several of one name the later ones are numbered. A log too long for
-        the memory is several trips.
-    line : Line or None
-        For trips that carry none.
+        the memory is several trips. Those that carried no line carry the one that was given.
     digests : dict of str to str
         SHA-256 of the log of each trip that came from one, and of the file of the ``line``.
-    logs : tuple of Path
-        That were read.
-    identities : tuple of TripIdentity or None
-        Of the trips, in their order.
     """
 
-    trips: tuple[Trip, ...]
-    line: Line | None
+    views: tuple[TripView, ...]
     digests: dict[str, str]
-    logs: tuple[Path, ...] = ()
-    identities: tuple[TripIdentity | None, ...] = ()
 
     @staticmethod
     def of(
@@ -280,33 +527,78 @@ class Sources:
         topics: tuple[str, ...] = TOPICS,
     ) -> Sources:
         """The trips and the line given, read where they are paths."""
-        found: list[tuple[Trip, str, TripIdentity | None]] = []
-        logs: list[Path] = []
+        logs: dict[Path | None, str] = {}
+        found: list[TripView] = []
         for given in each_given(trips):
-            digest = ""
             if isinstance(given, Path):
-                logs.append(given)
-                digest = sha256_of(given)
-            found += [(v.trip, digest, v.identity) for v in views_of(given, topics)]
-        found.sort(key=lambda each: (each[0].name, each[1], text_of(each[2])))
-        every = _named_apart([trip for trip, _, _ in found])
-        digests = {
-            trip.name: digest for trip, (_, digest, _) in zip(every, found, strict=True) if digest
-        }
+                logs[given] = sha256_of(given)
+            found += views_of(given, topics)
+        found.sort(key=lambda view: (view.name, logs.get(view.path, ""), text_of(view.identity)))
+        digests: dict[str, str] = {}
         if isinstance(line, str | Path):
             digests["line"] = sha256_of(line)
-            line = read_line(line)
-        identities = tuple(identity for _, _, identity in found)
-        return Sources(every, line, digests, tuple(logs), identities)
+            line = railway.read_line(line)
+        attached = {} if line is None else {LINE_ATTACHMENT: railway.line_to_bytes(line)}
+        views, seen = [], Counter[str]()
+        for view in found:
+            seen[view.name] += 1
+            number = seen[view.name]
+            name = view.name if number == 1 else f"{view.name} ({number})"
+            trip = replace(
+                view.trip,
+                metadata={**view.trip.metadata, "trip": name},
+                attachments=attached | view.trip.attachments,
+            )
+            views.append(replace(view, trip=trip, _made={}))
+            if view.path in logs:
+                digests[name] = logs[view.path]
+        return Sources(tuple(views), digests)
 
-    def again(self, numbers: Sequence[int]) -> dict[int, str]:
-        """Of the trips with these numbers those of a drive that another is of, with the reason."""
-        known = []
-        for number in numbers:
-            name = self.trips[number].name
-            order = (self.digests.get(name, ""), name)
-            known.append(Known(name, self.identities[number], order))
-        return {numbers[same.number]: same.sentence for same in same_drives(known)}
+    @property
+    def train(self) -> tuple[Train | None, str]:
+        """The train of all trips and its name, if they state it; None and empty if not.
+
+        Raises
+        ------
+        InputError
+            If the trips are of different trains.
+        """
+        trains = [view.train for view in self.views if TRAIN_ATTACHMENT in view.trip.attachments]
+        called = {view.trip.metadata.get("train", "") for view in self.views} - {""}
+        called |= {train.name for train in trains}
+        if len(called) > 1:
+            raise InputError(
+                f"trips of different trains: {', '.join(sorted(called))}",
+                remedy="fit each train apart",
+            )
+        return (trains[0] if trains else None), next(iter(called), "")
+
+    def made(self, make: Callable[[TripView], T]) -> tuple[dict[str, T], dict[str, str]]:
+        """What a function makes of each drive, by trip; the trips not used, with the reason.
+
+        Raises
+        ------
+        NotIdentifiableError
+            If no trip can be used.
+        """
+        found: dict[str, T] = {}
+        refused: dict[str, str] = {}
+        for view in self.views:
+            try:
+                found[view.name] = make(view)
+            except NotIdentifiableError as error:
+                refused[view.name] = str(error)
+        orders = {view.name: (self.digests.get(view.name, ""), view.name) for view in self.views}
+        known = [
+            Known(view.name, view.identity, orders[view.name])
+            for view in self.views
+            if view.name in found
+        ]
+        for same in same_drives(known):
+            refused[same.trip] = same.sentence
+            del found[same.trip]
+        check_not_empty(found, refused)
+        return found, refused
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
@@ -314,29 +606,18 @@ class Sources:
         try:
             yield
         except NotIdentifiableError as error:
-            if not self.logs:
+            logs = list(dict.fromkeys(view.path for view in self.views if view.path is not None))
+            if not logs:
                 raise
-            names = ", ".join(log.name for log in self.logs[:3])
-            more = f" and {len(self.logs) - 3} more" if len(self.logs) > 3 else ""
-            alone = len(self.logs) == 1
+            names = ", ".join(log.name for log in logs[:3])
+            more = f" and {len(logs) - 3} more" if len(logs) > 3 else ""
+            alone = len(logs) == 1
             raise NotIdentifiableError(
                 error.problem if alone else f"{error.problem} (logs {names}{more})",
-                file=self.logs[0] if alone else None,
+                file=logs[0] if alone else None,
                 place=error.place,
                 remedy=error.remedy,
             ) from error
-
-
-def _named_apart(trips: Sequence[Trip]) -> tuple[Trip, ...]:
-    """The trips, those of a name that was there before with a number."""
-    seen: Counter[str] = Counter()
-    found = []
-    for trip in trips:
-        seen[trip.name] += 1
-        number = seen[trip.name]
-        metadata = {**trip.metadata, "trip": f"{trip.name} ({number})"}
-        found.append(trip if number == 1 else replace(trip, metadata=metadata))
-    return tuple(found)
 
 
 def with_origin(result: CoastDownResult, digests: dict[str, str]) -> CoastDownResult:
@@ -399,39 +680,234 @@ def coast_down(
 
 
 def _coast_down(sources: Sources, speeds: tuple[float, float] | None) -> CoastDown:
-    train, name = one_train(sources.trips)
+    train, name = sources.train
     expected = MassRatio.expected(train)
-    refused: dict[str, str] = {}
-    found: dict[int, tuple[Motion, Line]] = {}
-    for number, trip in enumerate(sources.trips):
-        try:
-            found[number] = _located(trip, sources.line)
-        except NotIdentifiableError as error:
-            refused[trip.name] = str(error)
-    for number, reason in sources.again(list(found)).items():
-        refused[sources.trips[number].name] = reason
-        del found[number]
-    moved = list(found.values())
-    check_not_empty(moved, refused)
     strip_length = 0.0 if train is None else train.strip_length
-    found_segments, evidence = _detected(moved, expected, strip_length)
+    located, refused = sources.made(_located)
+    blocks = []
+    for motion, line in located.values():
+        track = line.track_acceleration(np.nan_to_num(motion.position), strip_length)
+        blocks.append(blocks_of(motion, np.where(np.isfinite(motion.position), track, np.nan)))
+    found, evidence = detect(blocks, (expected.value, expected.std))
     fits: list[TripCoastDown] = []
-    for (motion, travelled), segments in zip(moved, found_segments, strict=True):
+    for (trip, (motion, line)), segments in zip(located.items(), found, strict=True):
         try:
-            fits.append(fit_segments(motion, travelled, segments, expected, strip_length))
+            fits.append(fit_segments(motion, line, segments, expected, strip_length))
         except NotIdentifiableError as error:
-            refused[motion.trip] = str(error)
+            refused[trip] = str(error)
     check_not_empty(fits, refused)
     curve, between, ratio = combined(fits, expected)
     check_plausible(curve)
     check_supported(curve, speeds)
     used = {fit.trip for fit in fits}
-    loads = [recorded_load(trip, train) for trip in sources.trips if trip.name in used]
+    loads = [recorded_load(view.trip, train) for view in sources.views if view.name in used]
     masses = [train.mass + load.value for load in loads if load is not None and train is not None]
     return CoastDown(
         name, curve, ratio, between, tuple(fits), refused, evidence, sources.digests,
         tuple(masses),
     )  # fmt: skip
+
+
+def _located(view: TripView) -> tuple[Motion, Line]:
+    """A trip's motion and the line as it travelled it."""
+    motion = motion_of(view.trip)
+    known = np.isfinite(motion.position[motion.usable])
+    if not known.any() or np.mean(known) <= 0.5:
+        raise NotIdentifiableError(
+            f"trip '{view.name}': where on the line the train was is not known",
+            place="topics /estimates/state and /train/state",
+            remedy="ingest the recording with --line, which turns satellite fixes into chainage",
+        )
+    check_gradients(view.name, view.line)
+    return motion, view.line
+
+
+def check_gradients(trip: str, line: Line) -> None:
+    """Refuse a line that only assumes its gradients, or states them too roughly.
+
+    Raises
+    ------
+    NotIdentifiableError
+        Coasting and a slight effort are distinguished only where gradients are known to half of
+        the spacing of the levels of effort.
+    """
+    worst = 0.5 * SPACING / GRAVITY
+    if line.survey is not None and line.survey.gradient_std > worst:
+        raise NotIdentifiableError(
+            f"trip '{trip}': the gradients of line '{line.name}' are known to"
+            f" {PER_MILLE * line.survey.gradient_std:.1f} per mille only, and coasting cannot be"
+            f" found from motion above {PER_MILLE * worst:.1f} per mille",
+            remedy="give more rides or better altitudes when the line is built, or take what needs"
+            " no gradients ('--gradient unknown')",
+        )
+    if "gradients" in line.assumed:
+        raise NotIdentifiableError(
+            f"trip '{trip}': the gradients of line '{line.name}' are not known",
+            remedy="build the line from three or more rides whose receivers give altitudes, state"
+            " its gradients, or take what needs none ('--gradient unknown')",
+        )
+
+
+def fit_segments(
+    motion: Motion,
+    line: Line,
+    segments: tuple[Segment, ...],
+    expected: MassRatio,
+    strip_length: float = 0.0,
+) -> TripCoastDown:
+    """Fit the coasting segments of a trip.
+
+    Parameters
+    ----------
+    motion : Motion
+    line : Line
+        As travelled.
+    segments : tuple of Segment
+        In order of time.
+    expected : MassRatio
+        Mass over inertia before the trip.
+    strip_length : float [m]
+        Over which gradients and curves are averaged; 0 for a mass point.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the segments are too short together, or all at one speed.
+    """
+    outliers: tuple[Segment, ...] = ()
+    width = max(WINDOW, SAMPLES * motion.period)
+    # How noisy the speed is was seen on the whole trip, not only where it coasts.
+    ordinary = Expected.on(line)
+    speed_noise = motion.noise * np.sqrt(motion.period / width)
+    noise = replace(ordinary, sizes=replace(ordinary.sizes, speed=speed_noise))
+    while True:
+        windows = build_windows(coasting_recording(motion, line, segments, strip_length), width)
+        _check_windows(motion, windows)
+        # In the acceleration form k stands in the place of 1/m.
+        fitted = fit_windows(
+            windows, 1.0 / expected.value, FREE_RATIO_STD / expected.value**2, noise
+        )
+        used = windows.select(fitted.kept)
+        starts = np.array([segment.start for segment in segments])
+        owner = np.searchsorted(starts, 0.5 * (used.start + used.end), side="right") - 1
+        worst = _outlier_segment(len(segments), owner, fitted)
+        if worst is None:
+            break
+        outliers += (segments[worst],)
+        segments = segments[:worst] + segments[worst + 1 :]
+    theta, covariance = fitted.over_mass
+    covariance = covariance + _misjudged(segments, owner, used, fitted)
+    effect = theta * np.append(1.0, 1.0 - np.arange(len(TERMS))) * motion.scale.std
+    free = theta, covariance + np.outer(effect, effect)
+    theta, covariance, ratio = with_ratio(*free, expected)
+    covered = (float(used.mean_speed.min()), float(used.mean_speed.max()))
+    residual = fitted.residual
+    return TripCoastDown(
+        motion=motion,
+        curve=Curve(theta, covariance, fitted.freedom, covered),
+        ratio=ratio,
+        free=free,
+        segments=segments,
+        outlier_segments=outliers,
+        windows={"used": used.count, "outlier": int(np.sum(~fitted.kept))},
+        noise=dict(zip(CAUSES[:3], fitted.noise.sizes[:3], strict=True)),
+        cluster_factor=fitted.cluster_factor,
+        residual_std=float(np.sqrt(residual @ residual / max(residual.size - theta.size, 1))),
+        points=fitted.points(windows),
+    )
+
+
+def coasting_recording(
+    motion: Motion, line: Line, segments: tuple[Segment, ...], strip_length: float = 0.0
+) -> Recording:
+    """What the windows of `analysis.resistance` are cut from: gravity drives, nothing brakes."""
+    # Between the samples, too, if they are far apart: gradients change there.
+    parts = max(round(motion.period / FINE), 1)
+    samples = np.arange(motion.time.size)
+    time = np.interp(np.arange((samples.size - 1) * parts + 1) / parts, samples, motion.time)
+    inside = np.zeros(time.size, dtype=bool)
+    for segment in segments:
+        inside |= (time >= segment.start) & (time <= segment.end)
+    position = np.interp(time, motion.time, np.nan_to_num(motion.position))
+    section, nearest = gradient_pieces(line, position)
+    nothing = np.zeros(time.size)
+    usable = motion.usable & np.isfinite(motion.position)
+    between = np.interp(time, motion.time, usable.astype(np.float64))
+    speed = np.interp(time, motion.time, motion.speed)
+    return Recording(
+        time=time,
+        speed=speed,
+        curve=basis(speed),
+        effort=-line.track_acceleration(position, strip_length),
+        braking=nothing,
+        rotating_momentum=nothing,
+        tunnel=nothing,
+        track=nothing,
+        track_slope=track_slope(line, position, strip_length),
+        section=section,
+        nearest_edge=nearest,
+        # Between two samples both have to be usable.
+        usable=inside & (between > 1.0 - 1e-9),
+    )
+
+
+def with_ratio(
+    theta: FloatArray, covariance: FloatArray, expected: MassRatio
+) -> tuple[FloatArray, FloatArray, MassRatio]:
+    """Parameters (4,) and covariance (4, 4) once mass over inertia is expected to be something.
+
+    Its source is the data if they determine it better than what was expected.
+    """
+    gain = covariance[:, 0] / (covariance[0, 0] + expected.std**2)
+    updated = theta + gain * (expected.value - theta[0])
+    left = covariance - np.outer(gain, covariance[0])
+    by_data = covariance[0, 0] < expected.std**2
+    source = "data" if by_data else expected.source
+    return updated, left, MassRatio(float(updated[0]), float(np.sqrt(left[0, 0])), source)
+
+
+def _check_windows(motion: Motion, windows: Windows) -> None:
+    total = float(windows.duration.sum())
+    if total < LEAST_COASTING:
+        raise NotIdentifiableError(
+            f"trip '{motion.trip}': coasts for {total:.0f} s that can be used,"
+            f" {LEAST_COASTING:.0f} s are needed",
+            remedy="give a trip that coasts for longer, or more trips",
+        )
+    reach = float(np.ptp(windows.mean_speed))
+    if reach < SHORTEST_RANGE:
+        at = float(np.mean(windows.mean_speed))
+        raise NotIdentifiableError(
+            f"trip '{motion.trip}': coasts at one speed only, {KMH * at:.0f} km/h within"
+            f" {KMH * reach:.0f} km/h",
+            remedy="give coasting from high speed down to low speed, or several speeds",
+        )
+
+
+def _outlier_segment(count: int, owner: IntArray, fitted: WindowFit) -> int | None:
+    """The segment, of `count`, that contradicts the others most, if any does beyond chance."""
+    if count < 3:
+        return None
+    total = np.bincount(owner, fitted.residual, minlength=count)
+    size = np.maximum(np.bincount(owner, minlength=count), 1) * fitted.cluster_factor
+    z = np.abs(total) / np.sqrt(size)
+    return int(np.argmax(z)) if z.max() > OUTLIER_SEGMENT else None
+
+
+def _misjudged(
+    segments: tuple[Segment, ...], owner: IntArray, used: Windows, fitted: WindowFit
+) -> FloatArray:
+    """Covariance (4, 4) that efforts bring in which were taken for coasting.
+
+    With the probability that a segment was not coasting it carried the nearest level of effort, to
+    either side: least squares gives what that does to the parameters.
+    """
+    held = used.duration[:, None] * (owner[:, None] == np.arange(len(segments)))
+    rows = NoiseParts.of(used, 1.0).whiten(fitted.noise, np.column_stack([used.x, held]))
+    terms = used.x.shape[1]
+    moved = fitted.over_mass[1] @ rows[:, :terms].T @ rows[:, terms:] / fitted.cluster_factor
+    doubt = np.array([1.0 - segment.probability for segment in segments])
+    return np.asarray((moved * doubt * SPACING**2) @ moved.T)
 
 
 def combined(
@@ -447,42 +923,20 @@ def combined(
     """
     if len(fits) == 1:
         return fits[0].curve, np.zeros((len(TERMS), len(TERMS))), fits[0].ratio
-    covered = (
-        min(fit.curve.covered[0] for fit in fits),
-        max(fit.curve.covered[1] for fit in fits),
-    )
-    ratio = _common_ratio(fits, expected)
-    # Each trip's coefficients if it had this ratio, and what they would change with it.
-    k = np.array([fit.free[0][0] for fit in fits])
-    variance_k = np.array([fit.free[1][0, 0] for fit in fits])
-    slopes = np.array([fit.free[1][1:, 0] / fit.free[1][0, 0] for fit in fits])
-    given = np.array([fit.free[0][1:] for fit in fits]) + slopes * (ratio.value - k)[:, None]
-    left = np.array([fit.free[1][1:, 1:] for fit in fits])
-    left = left - np.einsum("k,ki,kj->kij", variance_k, slopes, slopes)
-    nodes = nodes_over(np.linspace(*covered, len(TERMS)), given)
+    ends = np.array([fit.curve.covered for fit in fits])
+    covered = float(ends.min()), float(ends.max())
+    # Mass over inertia and curve at some speeds, each over what it usually is from trip to trip.
+    nodes = np.zeros((len(NAMES), len(NAMES)))
+    nodes[0, 0] = BETWEEN_TRIPS / RATIO_BETWEEN
+    curves = np.array([fit.curve.theta[1:] for fit in fits])
+    nodes[1:, 1:] = nodes_over(np.linspace(*covered, len(TERMS)), curves)
+    values, variances = (np.array(each) for each in zip(*(fit.free for fit in fits), strict=True))
+    found = pooled(values @ nodes.T, nodes @ variances @ nodes.T)
     back = np.linalg.inv(nodes)
-    found = pooled(given @ nodes.T, nodes @ left @ nodes.T)
-    variance = found.block(0, 0)
-    weights = np.linalg.inv(found.within + nodes @ left @ nodes.T)
-    slope = back @ variance @ np.einsum("kij,kj->i", weights, slopes @ nodes.T)
-    theta = np.concatenate(([ratio.value], back @ found.mean))
-    covariance = np.zeros((theta.size, theta.size))
-    covariance[1:, 1:] = back @ variance @ back.T
-    effect = np.concatenate(([1.0], slope)) * ratio.std
-    curve = Curve(
-        theta, covariance + np.outer(effect, effect), len(fits) - 1 + PRIOR_TRIPS, covered
-    )
-    return curve, back @ found.within @ back.T, ratio
-
-
-def _common_ratio(fits: Sequence[TripCoastDown], expected: MassRatio) -> MassRatio:
-    """Mass over inertia from all trips and what was expected of it."""
-    k = np.array([fit.free[0][0] for fit in fits])
-    information = 1.0 / (np.array([fit.free[1][0, 0] for fit in fits]) + RATIO_BETWEEN**2)
-    data, prior = float(information.sum()), 1.0 / expected.std**2
-    value = (float(information @ k) + prior * expected.value) / (data + prior)
-    source = "data" if data > prior else expected.source
-    return MassRatio(value, float((data + prior) ** -0.5), source)
+    between = (back @ found.within @ back.T)[1:, 1:]
+    mean, covariance = back @ found.mean, back @ found.block(0, 0) @ back.T
+    theta, covariance, ratio = with_ratio(mean, covariance, expected)
+    return Curve(theta, covariance, len(fits) - 1 + PRIOR_TRIPS, covered), between, ratio
 
 
 def check_plausible(curve: Curve) -> None:
@@ -538,90 +992,7 @@ def check_supported(curve: Curve, speeds: tuple[float, float] | None) -> None:
     )
 
 
-def _located(trip: Trip, line: Line | None) -> tuple[Motion, Line]:
-    """A trip's motion and the line as it travelled it."""
-    motion = motion_of(trip)
-    if not motion.has_position:
-        raise NotIdentifiableError(
-            f"trip '{trip.name}': where on the line the train was is not known",
-            place="topics /estimates/state and /train/state",
-            remedy="ingest the recording with --line, which turns satellite fixes into chainage",
-        )
-    way = travelled(trip, line)
-    check_gradients(trip.name, way)
-    return motion, way
-
-
-def check_gradients(trip: str, line: Line) -> None:
-    """Refuse a line that only assumes its gradients, or states them too roughly.
-
-    Raises
-    ------
-    NotIdentifiableError
-        Coasting and a slight effort are distinguished only where gradients are known to half of
-        the spacing of the levels of effort.
-    """
-    worst = 0.5 * SPACING / GRAVITY
-    if line.survey is not None and line.survey.gradient_std > worst:
-        raise NotIdentifiableError(
-            f"trip '{trip}': the gradients of line '{line.name}' are known to"
-            f" {PER_MILLE * line.survey.gradient_std:.1f} per mille only, and coasting cannot be"
-            f" found from motion above {PER_MILLE * worst:.1f} per mille",
-            remedy="give more rides or better altitudes when the line is built, or take what needs"
-            " no gradients ('--gradient unknown')",
-        )
-    if "gradients" in line.assumed:
-        raise NotIdentifiableError(
-            f"trip '{trip}': the gradients of line '{line.name}' are not known",
-            remedy="build the line from three or more rides whose receivers give altitudes, state"
-            " its gradients, or take what needs none ('--gradient unknown')",
-        )
-
-
-def one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:
-    """The train of all trips and its name, if they state it; None and empty if not.
-
-    Raises
-    ------
-    InputError
-        If the trips are of different trains.
-    """
-    trains = [train_of(trip) for trip in trips if TRAIN_ATTACHMENT in trip.attachments]
-    called = {train.name for train in trains}
-    called |= {trip.metadata["train"] for trip in trips if trip.metadata.get("train")}
-    if len(called) > 1:
-        raise InputError(
-            f"trips of different trains: {', '.join(sorted(called))}",
-            remedy="fit each train apart",
-        )
-    return (trains[0] if trains else None), next(iter(called), "")
-
-
-def travelled(trip: Trip, line: Line | None) -> Line:
-    """The line as the trip met it: the given one, or the one that the trip carries.
-
-    Raises
-    ------
-    LogError
-        If there is none.
-    """
-    if line is None or LINE_ATTACHMENT in trip.attachments:
-        return line_of(trip)
-    return line.travelled(trip.metadata.get("direction"))
-
-
-def _detected(
-    moved: Sequence[tuple[Motion, Line]], expected: MassRatio, strip_length: float
-) -> tuple[list[tuple[Segment, ...]], float]:
-    blocks = []
-    for motion, line in moved:
-        track = line.track_acceleration(np.nan_to_num(motion.position), strip_length)
-        track[~np.isfinite(motion.position)] = np.nan
-        blocks.append(blocks_of(motion, track))
-    return detect(blocks, (expected.value, expected.std))
-
-
-def check_not_empty(found: Sequence[object], refused: dict[str, str]) -> None:
+def check_not_empty(found: Sequence[object] | dict[str, T], refused: dict[str, str]) -> None:
     """Refuse trips of which none is of use, with the reason for the first.
 
     Raises
@@ -635,91 +1006,6 @@ def check_not_empty(found: Sequence[object], refused: dict[str, str]) -> None:
     more = len(refused) - 1
     others = f" (and {counted(more, 'more trip')} refused)" if more > 0 else ""
     raise NotIdentifiableError(f"no trip shows the running resistance by coasting{others}; {first}")
-
-
-NAMES = (("mass_ratio", "1"), *OVER_INERTIA)
-"""Parameters of the curve, in the order of its covariance, with their units."""
-
-SPEEDS = 25
-"""Rows of the curve's table."""
-
-
-def result_of(found: CoastDown) -> CoastDownResult:
-    """The file's content; the provenance is added by whoever read the files."""
-    curve = found.curve
-    std = np.sqrt(np.diag(curve.covariance))
-    reason = None if found.ratio.source == "data" else f"expected: {found.ratio.source}"
-    return CoastDownResult(
-        train=found.train,
-        gradient="line",
-        quantities=tuple(
-            Identified(name, unit, float(value), float(deviation), reason if not number else None)
-            for number, ((name, unit), value, deviation) in enumerate(
-                zip(NAMES, curve.theta, std, strict=True)
-            )
-        ),
-        covariance=curve.covariance,
-        curve=table_of(found),
-        trips=[trip_detail(fit) for fit in found.trips] + refusals(found.refused),
-    )
-
-
-def table_of(found: CoastDown) -> DragCurve | None:
-    """The curve over the speeds that the data support."""
-    supported = found.curve.supported
-    if supported is None:
-        return None
-    speed = np.linspace(*supported, SPEEDS)
-    low, high = found.curve.band(speed)
-    return DragCurve(speed, found.curve(speed), low, high)
-
-
-def trip_detail(fit: TripCoastDown) -> dict[str, Any]:
-    """What is noted of a trip that was fitted."""
-    motion = fit.motion
-    return {
-        "trip": fit.trip,
-        "accepted": True,
-        "speed_from": fit.source,
-        "coasted": fit.coasted,
-        "covered": list(fit.curve.covered),
-        "supported": None if fit.curve.supported is None else list(fit.curve.supported),
-        "fitted": {
-            name: float(value) for (name, _), value in zip(NAMES, fit.curve.theta, strict=True)
-        },
-        "fitted_std": {
-            name: float(value)
-            for (name, _), value in zip(NAMES, np.sqrt(np.diag(fit.curve.covariance)), strict=True)
-        },
-        "windows": fit.windows,
-        "noise": fit.noise,
-        "cluster_factor": fit.cluster_factor,
-        "residual_std": fit.residual_std,
-        "segments": [segment_detail(motion, segment) for segment in fit.segments],
-        "outlier_segments": [segment_detail(motion, segment) for segment in fit.outlier_segments],
-    }
-
-
-def segment_detail(motion: Motion, segment: Segment) -> dict[str, Any]:
-    """When, where and how fast a coasting segment was."""
-    ends = np.array([segment.start, segment.end])
-    speed = np.interp(ends, motion.time, motion.speed)
-    position = np.interp(ends, motion.time, motion.position)
-    return {
-        "start": str((motion.start + pd.Timedelta(seconds=round(segment.start, 3))).isoformat()),
-        "duration": round(segment.duration, 3),
-        "position": np.round(position, 1).tolist(),
-        "speed": np.round(speed, 3).tolist(),
-        "probability": round(segment.probability, 4),
-    }
-
-
-def refusals(refused: dict[str, str]) -> list[dict[str, Any]]:
-    """What is noted of trips that contribute nothing."""
-    return [
-        {"trip": name, "accepted": False, "reason": reason}
-        for name, reason in sorted(refused.items())
-    ]
 
 
 def _ratio(ratio: MassRatio) -> str:

@@ -29,12 +29,175 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numba import njit
 
-from analysis.resistance.motion import Motion
-from trainlog.arrays import BoolArray, FloatArray
+from analysis.resistance.recording import SpeedScale, increasing_seconds, speed_scale
+from analysis.resistance.windows import integral_between
+from estimators.motion import smooth_motion
+from trainlog.arrays import BoolArray, FloatArray, robust_std
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.resistance import basis
+from trainlog.trip import POSITION_TOPICS, Trip, seconds
+
+TOPICS = ("/gnss/motion", "/train/state", "/estimates/state")
+"""What is read of a trip; efforts are not looked at, even if they were recorded."""
+
+LOWEST_SPEED = 5.0
+"""Slower than this [m/s] no coasting is looked for: a train that creeps up to a signal or a buffer
+is braked, however gently."""
+
+LEAST_NOISE = 1e-4
+"""Smallest noise of a speed [m/s] that is assumed: exact data stay solvable."""
+
+LONGEST_PERIOD = 2.5
+"""Longest time between two samples of the speed [s] from which coasting can be detected."""
+
+GAP_PERIODS = 2.6
+"""A pause of more than so many sampling periods is a gap."""
+
+OUTLIER = 8.0
+"""A speed that is so many standard deviations off the smoothed motion is not used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How a train moved, by its speed and chainage alone; all arrays (n,).
+
+    Attributes
+    ----------
+    trip : str
+    start : Timestamp
+    source : str
+        Topic of the speed.
+    time : array [s]
+        Since `start`, strictly increasing.
+    speed : array [m/s]
+        Measured, true to scale.
+    position : array [m]
+        Chainage in the direction of travel; NaN where it is not known.
+    usable : bool array
+        False at standstill, when creeping, in gaps and at outliers.
+    noise : float [m/s]
+        Standard deviation of one speed.
+    period : float [s]
+        Usual time between two samples.
+    scale : SpeedScale
+        What the measured speed was divided by.
+    """
+
+    trip: str
+    start: pd.Timestamp
+    source: str
+    time: FloatArray
+    speed: FloatArray
+    position: FloatArray
+    usable: BoolArray
+    noise: float
+    period: float
+    scale: SpeedScale
+
+
+def motion_of(trip: Trip) -> Motion:
+    """The motion that a trip recorded: of the wheels' and the satellites' speed the less noisy.
+
+    Parameters
+    ----------
+    trip : Trip
+        With ``/gnss/motion`` or ``/train/state``; chainage from ``/estimates/state`` or
+        ``/train/state`` where there is one.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If no speed was recorded, or too seldom.
+    LogError
+        If time does not increase.
+    """
+    known = {topic: trip[topic].dropna(subset="speed") for topic in TOPICS[:2] if topic in trip}
+    found = [
+        _Speed(topic, increasing_seconds(frame, trip.name), frame["speed"].to_numpy(np.float64))
+        for topic, frame in known.items()
+        if len(frame) > 2
+    ]
+    if not found:
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': no speed was recorded",
+            place="topics /gnss/motion and /train/state",
+            remedy="coast-down needs the receiver's own (Doppler) speed or the wheels' speed;"
+            " differences of positions are too coarse",
+        )
+    # What averaging over a second leaves of the noise.
+    best = min(found, key=lambda each: each.noise**2 * each.period)
+    if best.period > LONGEST_PERIOD:
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': a speed every {best.period:.1f} s only",
+            place=f"topic {best.topic}",
+            remedy=f"coasting can be detected from speeds at most {LONGEST_PERIOD} s apart",
+        )
+    start = pd.DatetimeIndex(known[best.topic].index)[0]
+    position = _position(trip, best.time, start)
+    scale = SpeedScale(1.0, 0.0, "GNSS speed")
+    if best.topic == "/train/state":
+        scale = speed_scale(trip, best.time, best.value, position)
+    speed = best.value / scale.factor
+    return Motion(
+        trip.name, start, best.topic, best.time, speed, position, _usable(best, speed),
+        best.noise, best.period, scale,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Speed:
+    """A recorded speed: its topic, when it was measured [s], and what [m/s]."""
+
+    topic: str
+    time: FloatArray
+    value: FloatArray
+
+    @property
+    def period(self) -> float:
+        """Usual time between two samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of white noise on a smooth speed [m/s], by third differences."""
+        moving = self.value > LOWEST_SPEED
+        third = np.diff(self.value, 3)[moving[3:] & moving[:-3]]
+        return max(robust_std(third) / np.sqrt(20.0) if third.size else 0.0, LEAST_NOISE)
+
+
+def smoothed_over(time: FloatArray, values: FloatArray, reach: float) -> FloatArray:
+    """Mean of sampled values (n,) over `reach` [s] before and after each sample.
+
+    Speed and what acts on it are averaged alike, so that the equation of motion still holds.
+    """
+    low, high = np.maximum(time - reach, time[0]), np.minimum(time + reach, time[-1])
+    column = values[:, None]
+    return np.asarray(integral_between(time, column, low, high)[:, 0] / (high - low))
+
+
+def _position(trip: Trip, time: FloatArray, start: pd.Timestamp) -> FloatArray:
+    """Chainage at the given times; NaN before it is first known and after it was last."""
+    for topic in POSITION_TOPICS:
+        if topic in trip and len(known := trip[topic].dropna(subset="position")) > 1:
+            values = known["position"].to_numpy(np.float64)
+            return np.interp(time, seconds(known, start), values, left=np.nan, right=np.nan)
+    return np.full(time.size, np.nan)
+
+
+def _usable(recorded: _Speed, speed: FloatArray) -> BoolArray:
+    """Samples that belong to an uninterrupted motion at more than `LOWEST_SPEED`."""
+    noise = max(recorded.noise, 0.01)
+    motion = smooth_motion(recorded.time, speed, noise)
+    near = np.abs(speed - motion.speed) < OUTLIER * np.hypot(motion.speed_std, noise)
+    usable = (motion.speed > LOWEST_SPEED) & near
+    pause = np.diff(recorded.time) > GAP_PERIODS * recorded.period
+    usable[1:] &= ~pause
+    usable[:-1] &= ~pause
+    return np.asarray(usable)
+
 
 SPACING = 0.008
 """Distance between levels of effort over inertia [m/s²]: a tenth of the running resistance of a
@@ -133,15 +296,6 @@ def posterior(
     return coasting, logarithm
 
 
-def rates(step: float, *, coasts: float = 1.0) -> tuple[float, float, float, float]:
-    """What `posterior` needs to know of a step [s]; with `coasts` 0 nobody ever coasts."""
-    leave, rest, move, drift = (
-        float(-np.expm1(-step / time))
-        for time in (COASTING_TIME, EFFORT_TIME, HELD_TIME, DRIFT_TIME)
-    )
-    return leave, coasts * rest, move, drift
-
-
 RESOLUTION = 0.012
 """Noise of the acceleration over two blocks [m/s²] that their length aims at."""
 
@@ -203,14 +357,12 @@ class Blocks:
 
     Attributes
     ----------
-    start, end : array [s]
+    start : array [s]
         Of the pair.
     acceleration : array [m/s²]
         Change of mean speed from one block to the next over its length.
-    track : array [m/s²]
-        Deceleration by the track where the map is known, averaged alike.
-    curve : (n, p) array
-        What each coefficient of the curve is multiplied by, averaged alike.
+    rows : (n, 1 + p) array
+        What mass over inertia (by the track) and the curve's coefficients do to it.
     noise : float [m/s²]
         Standard deviation of `acceleration` from the speed's noise.
     length : float [s]
@@ -220,13 +372,52 @@ class Blocks:
     """
 
     start: FloatArray
-    end: FloatArray
     acceleration: FloatArray
-    track: FloatArray
-    curve: FloatArray
+    rows: FloatArray
     noise: float
     length: float
     fresh: BoolArray
+
+    def spread(self, theta: FloatArray) -> FloatArray:
+        """Standard deviation (n,) of the effort that a pair shows."""
+        curve = CURVE_STD * (self.rows[:, 1:] @ theta[1:])
+        return np.sqrt(self.noise**2 + MAP_STD**2 + curve**2)
+
+    def posterior(self, theta: FloatArray, *, coasts: float = 1.0) -> tuple[FloatArray, float]:
+        """Probability (n,) of coasting, and the log-likelihood; with `coasts` 0 nobody does."""
+        effort, noise = self.acceleration - self.rows @ theta, self.spread(theta)
+        # An outlier is unlikely at every level, impossible at none.
+        resting = _density(effort, noise) + LEAST_DENSITY
+        spread = np.hypot(noise[:, None], LEVEL_STD)
+        working = _density(effort[:, None] - LEVELS, spread) + LEAST_DENSITY
+        times = (COASTING_TIME, EFFORT_TIME, HELD_TIME, DRIFT_TIME)
+        leave, rest, move, drift = (float(-np.expm1(-self.length / time)) for time in times)
+        rates = leave, coasts * rest, move, drift
+        probability, likelihood = posterior(resting, working, self.fresh, LEVEL_SHARE, rates)
+        return probability, float(likelihood)
+
+    def segments(self, theta: FloatArray) -> tuple[Segment, ...]:
+        """Runs of pairs that are coasting with certainty.
+
+        A pair hardly weighs what happens in its outer quarters, half a block at either end of a
+        run.
+        """
+        if not self.start.size:
+            return ()
+        probability = self.posterior(theta)[0]
+        sure = probability > CERTAIN
+        number = np.cumsum((np.diff(sure, prepend=False) != 0) | self.fresh)
+        runs = [np.flatnonzero(sure & (number == run)) for run in np.unique(number[sure])]
+        half = 0.5 * self.length
+        found = [
+            Segment(
+                float(self.start[run[0]]) + half,
+                float(self.start[run[-1]]) + 3.0 * half,
+                float(np.mean(probability[run])),
+            )
+            for run in runs
+        ]
+        return tuple(each for each in found if each.duration >= SHORTEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,38 +449,30 @@ def blocks_of(motion: Motion, track: FloatArray) -> Blocks:
     ----------
     motion : Motion
     track : (n,) array [m/s²]
-        Deceleration by the track at each sample.
+        Deceleration by the track at each sample; NaN where it is not known.
     """
     density = motion.noise * np.sqrt(motion.period)
-    length = float(
-        np.clip((np.sqrt(2.0) * density / RESOLUTION) ** (2.0 / 3.0), SHORTEST_BLOCK, LONGEST_BLOCK)
-    )
-    length = max(length, 2.0 * motion.period)
+    length = (np.sqrt(2.0) * density / RESOLUTION) ** (2.0 / 3.0)
+    length = max(float(np.clip(length, SHORTEST_BLOCK, LONGEST_BLOCK)), 2.0 * motion.period)
     usable = motion.usable & np.isfinite(track)
-    stretch = np.cumsum(np.diff(usable.astype(np.int64), prepend=0) == 1)
-    numbers = stretch[usable]
-    time = motion.time[usable]
-    begins = time[np.unique(numbers, return_index=True)[1]] if time.size else np.empty(0)
-    block = np.floor((time - begins[numbers - 1]) / length).astype(np.int64)
+    stretch = np.cumsum(np.diff(usable.astype(np.int64), prepend=0) == 1)[usable]
+    time, speed = motion.time[usable], motion.speed[usable]
+    begins = time[np.unique(stretch, return_index=True)[1]]
+    block = np.floor((time - begins[stretch - 1]) / length).astype(np.int64)
     key, member, samples = np.unique(
-        numbers * 1_000_000 + block, return_inverse=True, return_counts=True
+        stretch * 1_000_000 + block, return_inverse=True, return_counts=True
     )
-    speed = motion.speed[usable]
-    values = np.column_stack([time, speed, track[usable], basis(speed)])
+    values = np.column_stack([time, speed, -track[usable], -basis(speed)])
     sums = [np.bincount(member, column, minlength=key.size) for column in values.T]
-    means: FloatArray = np.column_stack(sums) / np.maximum(samples, 1)[:, None]
-    full = samples >= max(0.6 * length / motion.period, 1.0)
-    pair = np.flatnonzero((np.diff(key) == 1) & full[1:] & full[:-1])
-    begin = begins[key[pair] // 1_000_000 - 1] + (key[pair] % 1_000_000) * length
-    step = means[pair + 1, 0] - means[pair, 0]
-    mean: FloatArray = 0.5 * (means[pair] + means[pair + 1])
+    means: FloatArray = np.column_stack(sums) / samples[:, None]
     per_block = max(length / motion.period, 1.0)
+    full = samples >= max(0.6 * per_block, 1.0)
+    pair = np.flatnonzero((np.diff(key) == 1) & full[1:] & full[:-1])
+    change = means[pair + 1] - means[pair]
     return Blocks(
-        start=begin,
-        end=begin + 2.0 * length,
-        acceleration=(means[pair + 1, 1] - means[pair, 1]) / step,
-        track=mean[:, 2],
-        curve=mean[:, 3:],
+        start=begins[key[pair] // 1_000_000 - 1] + (key[pair] % 1_000_000) * length,
+        acceleration=change[:, 1] / change[:, 0],
+        rows=0.5 * (means[pair] + means[pair + 1])[:, 2:],
         noise=float(np.sqrt(2.0 / per_block) * motion.noise / length),
         length=length,
         fresh=np.diff(pair, prepend=-2) != 1,
@@ -320,57 +503,29 @@ def detect(
             " coasting",
             remedy="give a recording with fewer gaps and, for the gradient, with chainage",
         )
-    mean = np.array([ratio[0], *TYPICAL])
-    spread = np.array([ratio[1], *TYPICAL_STD])
-    without = sum(_posterior(each, mean, coasts=0.0)[1] for each in filled)
-    starts = (np.array([ratio[0], *(times * np.array(TYPICAL))]) for times in BEGINNINGS)
+    mean, spread = np.array([[ratio[0], *TYPICAL], [ratio[1], *TYPICAL_STD]])
+    without = sum(each.posterior(mean, coasts=0.0)[1] for each in filled)
+    starts = (np.append(ratio[0], times * np.array(TYPICAL)) for times in BEGINNINGS)
     found = [_maximised(filled, start, mean, spread) for start in starts]
     worth = [likely - 0.5 * float(np.sum(((at - mean) / spread) ** 2)) for at, likely in found]
     best = int(np.argmax(worth))
     evidence, theta = worth[best] - without, found[best][0]
-    segments = [
-        _segments(each, _posterior(each, theta)[0]) if each.start.size else () for each in blocks
-    ]
-    if evidence >= EVIDENCE and not any(segments):
-        raise NotIdentifiableError(
-            f"coasting was found, but never for {SHORTEST:.0f} s and with certainty",
-            remedy="give a recording in which the train rolls freely for tens of seconds",
-        )
+    segments = [each.segments(theta) for each in blocks]
+    problem = ""
     if evidence < EVIDENCE:
-        raise NotIdentifiableError(
+        problem = (
             "no coasting was found: coasting could not be distinguished from slight traction"
             f" or braking (gain in log-likelihood {evidence:.1f}, at least"
-            f" {EVIDENCE:.0f} is needed)",
+            f" {EVIDENCE:.0f} is needed)"
+        )
+    elif not any(segments):
+        problem = f"coasting was found, but never for {SHORTEST:.0f} s and with certainty"
+    if problem:
+        raise NotIdentifiableError(
+            problem,
             remedy="give a recording in which the train rolls freely for tens of seconds",
         )
     return segments, evidence
-
-
-def _rows(blocks: Blocks) -> FloatArray:
-    """Regressors (n, 1 + p) of the acceleration: what k and the curve's coefficients do to it."""
-    return -np.column_stack([blocks.track, blocks.curve])
-
-
-def _spread(blocks: Blocks, curve: FloatArray) -> FloatArray:
-    """Standard deviation (n,) of the effort that a pair of blocks shows."""
-    return np.sqrt(blocks.noise**2 + MAP_STD**2 + (CURVE_STD * curve) ** 2)
-
-
-def _posterior(
-    blocks: Blocks, theta: FloatArray, *, coasts: float = 1.0
-) -> tuple[FloatArray, float]:
-    """Probability (n,) of coasting, and the log-likelihood."""
-    rows = _rows(blocks)
-    effort = blocks.acceleration - rows @ theta
-    noise = _spread(blocks, rows[:, 1:] @ theta[1:])
-    # An outlier is unlikely at every level, impossible at none.
-    resting = _density(effort, noise) + LEAST_DENSITY
-    spread = np.hypot(noise[:, None], LEVEL_STD)
-    working = _density(effort[:, None] - LEVELS, spread) + LEAST_DENSITY
-    probability, likelihood = posterior(
-        resting, working, blocks.fresh, LEVEL_SHARE, rates(blocks.length, coasts=coasts)
-    )
-    return probability, float(likelihood)
 
 
 def _density(difference: FloatArray, spread: FloatArray) -> FloatArray:
@@ -387,32 +542,13 @@ def _maximised(
         information, vector = np.diag(1.0 / spread**2), mean / spread**2
         likelihood = 0.0
         for each in trips:
-            probability, part = _posterior(each, theta)
+            probability, part = each.posterior(theta)
             likelihood += part
-            rows = _rows(each)
-            weight = probability / _spread(each, rows[:, 1:] @ theta[1:]) ** 2
-            information += (rows * weight[:, None]).T @ rows
-            vector += rows.T @ (weight * each.acceleration)
+            weighted = each.rows.T * (probability / each.spread(theta) ** 2)
+            information += weighted @ each.rows
+            vector += weighted @ each.acceleration
         theta = np.asarray(np.linalg.solve(information, vector), dtype=np.float64)
         if likelihood - previous < 1e-3:
             break
         previous = likelihood
     return theta, likelihood
-
-
-def _segments(blocks: Blocks, probability: FloatArray) -> tuple[Segment, ...]:
-    """Runs of pairs that are coasting with certainty.
-
-    A pair hardly weighs what happens in its outer quarters, half a block at either end of a run.
-    """
-    sure = probability > CERTAIN
-    edge = np.concatenate(([True], blocks.fresh[1:])) if sure.size else np.empty(0, dtype=bool)
-    run = np.cumsum((np.diff(sure, prepend=False) != 0) | edge)
-    found = []
-    for number in np.unique(run[sure]):
-        inside = np.flatnonzero((run == number) & sure)
-        start = float(blocks.start[inside[0]]) + 0.5 * blocks.length
-        end = float(blocks.end[inside[-1]]) - 0.5 * blocks.length
-        if end - start >= SHORTEST:
-            found.append(Segment(start, end, float(np.mean(probability[inside]))))
-    return tuple(found)

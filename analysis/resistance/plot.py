@@ -29,8 +29,7 @@ from analysis.charts import (
     shades,
     worded,
 )
-from analysis.resistance.coast_down import CoastDown
-from analysis.resistance.coasting_fit import TripCoastDown
+from analysis.resistance.coast_down import CoastDown, TripCoastDown
 from analysis.resistance.combination import CommonFit
 from analysis.resistance.fit import TripFit
 from analysis.resistance.logs import Fits

@@ -338,13 +338,7 @@ def _course(view: TripView) -> Prepared:
     """What of a trip does not depend on its efforts."""
     trip, line, train = sound(view), view.line, view.train
     state = trip["/train/state"]
-    index, time = pd.DatetimeIndex(state.index), seconds(state)
-    if np.any(np.diff(time) <= 0.0):
-        raise LogError(
-            f"trip '{trip.name}': time does not increase",
-            place=f"topic /train/state, row {int(np.argmax(np.diff(time) <= 0.0)) + 1}",
-            remedy="ingest the recording again; that repairs it",
-        )
+    index, time = pd.DatetimeIndex(state.index), increasing_seconds(state, trip.name)
     scale = scale_of(view)
     measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
     smooth, acceleration = _smoothed(time, measured / scale.factor)
@@ -382,6 +376,25 @@ def _course(view: TripView) -> Prepared:
         slip=f"slip or {EFFORT_DIPS}" if 0 < count < train.axles.count else slip,
         wind_recorded=wind is not None,
     )
+
+
+def increasing_seconds(frame: pd.DataFrame, trip: str) -> FloatArray:
+    """Time of each row of a trip's topic [s] since the first.
+
+    Raises
+    ------
+    LogError
+        If it does not increase.
+    """
+    time = seconds(frame)
+    stops = np.diff(time) <= 0.0
+    if np.any(stops):
+        raise LogError(
+            f"trip '{trip}': time does not increase",
+            place=f"topic {frame.attrs['topic']}, row {int(np.argmax(stops)) + 1}",
+            remedy="ingest the recording again; that repairs it",
+        )
+    return time
 
 
 def tunnel_coefficient(train: Train, cross_section: FloatArray) -> FloatArray:

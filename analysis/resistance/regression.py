@@ -215,6 +215,8 @@ class WindowFit:
     beta : (p,) array
         Coefficients of the running resistance, and mass [kg].
     covariance : (p, p) array
+    over_mass : (array (p,), array (p, p))
+        1/m and the coefficients over the mass, with their covariance.
     survey : (p, p) array
         What the map's errors bring into it.
     freedom : float
@@ -241,6 +243,7 @@ class WindowFit:
 
     beta: FloatArray
     covariance: FloatArray
+    over_mass: tuple[FloatArray, FloatArray]
     survey: FloatArray
     freedom: float
     history: FloatArray
@@ -368,7 +371,7 @@ def fit_windows(
         )  # fmt: skip
     _, ratio, _ = found.clustered(white.used.start // CLUSTER)
     factor = max(1.0, ratio)
-    found = found.wider(np.sqrt(factor))
+    found, size = found.wider(np.sqrt(factor)), len(TERMS) + 1
     beta, covariance = _history(free, found.rows, factor)
     own_force = []
     for number, each in enumerate(stretches):
@@ -386,6 +389,7 @@ def fit_windows(
     return WindowFit(
         beta=beta[-1],
         covariance=covariance[-1],
+        over_mass=(found.estimate[:size], found.covariance[:size, :size]),
         survey=survey[0],
         freedom=max(min(share.freedom, len(found.rows) - beta.shape[1]), 1.0),
         history=beta,

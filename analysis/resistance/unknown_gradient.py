@@ -17,24 +17,27 @@ own. Hence
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
-from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
-from analysis.resistance.coasting_detection import SHORTEST
-from analysis.resistance.coasting_fit import SHORTEST_RANGE
-from analysis.resistance.curve import band_factor, curve_std
-from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
+from analysis.resistance.coast_down import SHORTEST_RANGE, Curve, Sources, with_origin
+from analysis.resistance.coasting_detection import (
+    SHORTEST,
+    TOPICS,
+    Motion,
+    motion_of,
+    smoothed_over,
+)
 from analysis.resistance.regression import DRAG_STD
-from analysis.view import Given
+from analysis.view import Given, TripView
 from estimators.regression import Free, regress
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.railway import CoastDownResult, DragCurve, Identified, line_of
+from trainlog.formats.railway import CoastDownResult, Identified
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, TERMS, basis
 from trainlog.spans import runs_of
@@ -65,40 +68,9 @@ SAME_SPEED = 0.1
 PIECE_STD = 1.0
 """Standard deviation of a piece's deceleration by its gradient, beforehand [m/s²]: any."""
 
-
-@dataclass(frozen=True, eq=False)
-class Passages:
-    """Pieces that trips coasted through, one row a passage; arrays (n,).
-
-    Attributes
-    ----------
-    trip : int array
-    piece : int array
-        Number of the piece along the line.
-    way : array
-        1 along the line, -1 against it.
-    acceleration : array [m/s²]
-        Mean over the way.
-    curve : (n, p) array
-        Means over the way of what each coefficient of the curve is multiplied by.
-    noise : array [m/s²]
-        Standard deviation that one end's speed brings in.
-    joined : bool array
-        Whether the trip's passage before ended where this one began.
-    """
-
-    trip: IntArray
-    piece: IntArray
-    way: FloatArray
-    acceleration: FloatArray
-    curve: FloatArray
-    noise: FloatArray
-    joined: BoolArray
-
-    @property
-    def speed(self) -> FloatArray:
-        """Mean over the way [m/s]."""
-        return self.curve[:, 1]
+MERGED = "merged with the gradient: no piece was coasted in both directions"
+WIDE = "pieces coasted in both directions give it to more than 10 % of the curve only"
+"""Why c0 is not identified."""
 
 
 def coast_down_without_gradient(
@@ -144,30 +116,28 @@ def coast_down_without_gradient(
 
 
 def _without_gradient(sources: Sources, spans: Mapping[str, Spans] | None) -> CoastDownResult:
-    _, train = one_train(sources.trips)
-    found: dict[int, Passages] = {}
-    refused: dict[int, str] = {}
-    for number, trip in enumerate(sources.trips):
-        try:
-            motion = motion_of(trip)
-            known = lever_at_rest(trip, motion) if spans is None else spans.get(trip.name, ())
-            found[number] = passages(motion, known, number, _turned(trip, sources.line))
-        except NotIdentifiableError as error:
-            refused[number] = str(error)
-    refused |= sources.again(list(found))
-    parts = [each for number, each in found.items() if number not in refused]
+    _, train = sources.train
+
+    def passed(view: TripView) -> pd.DataFrame:
+        motion = motion_of(view.trip)
+        known = lever_at_rest(view.trip, motion) if spans is None else spans.get(view.name, ())
+        if view.backwards and LINE_ATTACHMENT not in view.trip.attachments:
+            raise NotIdentifiableError(
+                f"trip '{view.name}' ran against a line whose length is not known",
+                remedy="give the line, so that its chainage can be counted the other way",
+            )
+        return passages(motion, known, view.line.length if view.backwards else None)
+
+    found, refused = sources.made(passed)
     notes: list[dict[str, object]] = [
-        {"trip": trip.name, "accepted": False, "reason": refused[number]}
-        if number in refused
-        else {"trip": trip.name, "accepted": True, "passages": int(found[number].piece.size)}
-        for number, trip in enumerate(sources.trips)
+        {"trip": view.name, "accepted": True, "passages": len(found[view.name])}
+        if view.name in found
+        else {"trip": view.name, "accepted": False, "reason": refused[view.name]}
+        for view in sources.views
     ]
-    check_not_empty(
-        parts, {str(each["trip"]): str(each["reason"]) for each in notes if "reason" in each}
-    )
-    rows = _joined(parts)
-    _check_repeated(rows)
-    return with_origin(replace(_solved(rows, notes), train=train), sources.digests)
+    rows = pd.concat(found.values(), ignore_index=True)
+    _check_repeated(rows["piece"])
+    return with_origin(replace(_solved(rows), train=train, trips=notes), sources.digests)
 
 
 def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:
@@ -192,23 +162,34 @@ def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:
     return [span for span in spans if span[1] - span[0] >= SHORTEST]
 
 
-def passages(motion: Motion, spans: Spans, trip: int, length: float | None) -> Passages:
+def passages(motion: Motion, spans: Spans, length: float | None) -> pd.DataFrame:
     """The pieces of track that a trip coasted through from end to end.
 
     Parameters
     ----------
     motion : Motion
     spans : sequence of (float, float) [s]
-    trip : int
-        Its number.
     length : float [m] or None
         Of the line, if the trip ran against it; None if it ran along it.
+
+    Returns
+    -------
+    DataFrame
+        A row a passage: number of the ``piece`` along the line; ``way``, 1 along the line and -1
+        against it; ``acceleration`` [m/s²], mean over the way; ``noise`` [m/s²], standard deviation
+        that one end's speed brings in; ``joined``, whether the passage before ended where this one
+        begins; and for each of `TERMS` the mean over the way of what it is multiplied by.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If there is none.
     """
     way = 1.0 if length is None else -1.0
     place = motion.position if length is None else length - motion.position
     speed = smoothed_over(motion.time, motion.speed, AVERAGED)
     per_end = motion.noise / np.sqrt(max(2.0 * AVERAGED / motion.period, 1.0))
-    rows: list[tuple[float, ...]] = []
+    parts = []
     for begin, end in spans:
         inside = (motion.time >= begin + AVERAGED) & (motion.time <= end - AVERAGED)
         inside &= np.isfinite(place)
@@ -218,107 +199,87 @@ def passages(motion: Motion, spans: Spans, trip: int, length: float | None) -> P
         s = np.maximum.accumulate(s + 1e-9 * np.arange(s.size))
         edges = np.arange(np.ceil(s[0] / PIECE), np.floor(s[-1] / PIECE) + 1.0)
         at = np.interp(edges * PIECE, s, v)
-        area = np.array([_mean_over(s, column, edges) for column in basis(v).T])
-        for k in range(edges.size - 1):
-            piece = edges[k] if way > 0.0 else -edges[k + 1]
-            gained = (at[k + 1] ** 2 - at[k] ** 2) / (2.0 * PIECE)
-            noise = per_end * 0.5 * (at[k] + at[k + 1]) / PIECE
-            rows.append((piece, gained, noise, float(k > 0), *area[:, k]))
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), 4 + len(TERMS))
-    return Passages(
-        trip=np.full(len(rows), trip),
-        piece=table[:, 0].astype(np.int64),
-        way=np.full(len(rows), way),
-        acceleration=table[:, 1],
-        curve=table[:, 4:],
-        noise=table[:, 2],
-        joined=table[:, 3] > 0.0,
-    )
-
-
-def _mean_over(s: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
-    """Mean over each piece's way of values known at places."""
-    return np.asarray(
-        np.diff(np.interp(edges * PIECE, s, cumulative_trapezoid(values, s, initial=0.0))) / PIECE
-    )
-
-
-def _turned(trip: Trip, line: Line | None) -> float | None:
-    """Length of the line [m] if the trip ran against it, None if along it."""
-    if trip.metadata.get("direction") != "reverse":
-        return None
-    if LINE_ATTACHMENT in trip.attachments:
-        return line_of(trip).length
-    if line is not None:
-        return line.length
-    raise NotIdentifiableError(
-        f"trip '{trip.name}' ran against a line whose length is not known",
-        remedy="give the line, so that its chainage can be counted the other way",
-    )
-
-
-def _joined(parts: Sequence[Passages]) -> Passages:
-    names = ("trip", "piece", "way", "acceleration", "curve", "noise", "joined")
-    return Passages(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def _check_repeated(rows: Passages) -> None:
-    """Refuse passages of which none repeats a piece at another speed, or hardly any do."""
-    pieces, count = np.unique(rows.piece, return_counts=True)
-    again = np.isin(rows.piece, pieces[count > 1])
-    free = int(again.sum()) - int((count > 1).sum()) - 3
-    if free < FEWEST_FREE:
+        area = cumulative_trapezoid(basis(v), s, axis=0, initial=0.0)
+        means = [np.diff(np.interp(edges * PIECE, s, each)) / PIECE for each in area.T]
+        part = pd.DataFrame(dict(zip(TERMS, means, strict=True)))
+        part["piece"] = (edges[:-1] if way > 0.0 else -edges[1:]).astype(np.int64)
+        part["acceleration"] = np.diff(at**2) / (2.0 * PIECE)
+        part["noise"] = per_end * 0.5 * (at[1:] + at[:-1]) / PIECE
+        part["joined"] = part.index > 0
+        parts.append(part)
+    if not parts:
         raise NotIdentifiableError(
-            f"with the gradient unknown, {rows.piece.size} passages over {pieces.size} pieces of"
-            f" {PIECE:.0f} m, {int(again.sum())} of them over a piece coasted more than once, do"
+            f"trip '{motion.trip}': coasted through no piece of {PIECE:.0f} m from end to end",
+            remedy="give trips that coast for longer",
+        )
+    return pd.concat(parts).assign(way=way)
+
+
+def _check_repeated(piece: pd.Series) -> None:
+    """Refuse passages of which none repeats a piece at another speed, or hardly any do."""
+    count = piece.value_counts()
+    again = int(count[count > 1].sum())
+    if again - int((count > 1).sum()) - len(TERMS) < FEWEST_FREE:
+        raise NotIdentifiableError(
+            f"with the gradient unknown, {len(piece)} passages over {len(count)} pieces of"
+            f" {PIECE:.0f} m, {again} of them over a piece coasted more than once, do"
             " not separate resistance from gradient",
             remedy="give the line's gradients, or more trips that coast over the same track",
         )
 
 
-def _whitened(rows: Passages, columns: FloatArray) -> FloatArray:
+def _whitened(rows: pd.DataFrame, columns: FloatArray) -> FloatArray:
     """Columns with their noise made independent: joined passages share an end's speed."""
-    covariance = np.diag(2.0 * rows.noise**2 + PLACE_STD**2)
-    behind = np.flatnonzero(rows.joined[1:]) + 1
-    shared = -rows.noise[behind] * rows.noise[behind - 1]
-    covariance[behind, behind - 1] = covariance[behind - 1, behind] = shared
+    noise = rows["noise"].to_numpy(np.float64)
+    shared = np.where(rows["joined"][1:], -noise[1:] * noise[:-1], 0.0)
+    covariance = np.diag(2.0 * noise**2 + PLACE_STD**2) + np.diag(shared, 1) + np.diag(shared, -1)
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), columns))
 
 
-def _solved(rows: Passages, notes: list[dict[str, object]]) -> CoastDownResult:
-    pieces, member = np.unique(rows.piece, return_inverse=True)
-    along = -np.where(member[:, None] == np.arange(pieces.size), rows.way[:, None], 0.0)
-    white = _whitened(rows, np.column_stack([-rows.curve, along, rows.acceleration]))
+def _solved(rows: pd.DataFrame) -> CoastDownResult:
+    pieces, member = np.unique(rows["piece"].to_numpy(np.int64), return_inverse=True)
+    way, basis_of = rows["way"].to_numpy(np.float64), rows[list(TERMS)].to_numpy(np.float64)
+    along = -np.where(member[:, None] == np.arange(pieces.size), way[:, None], 0.0)
+    white = _whitened(rows, np.column_stack([-basis_of, along, rows["acceleration"]]))
     stds = np.append(DRAG_STD, np.full(pieces.size, PIECE_STD))
     free = [Free(str(k), white[:, k], std) for k, std in enumerate(stds.tolist())]
     found = regress(white[:, -1], free)
-    ways = np.zeros((2, pieces.size), dtype=np.bool_)
-    ways[(rows.way > 0.0).astype(np.int64), member] = True
-    both = bool(ways.all(axis=0).any())
-    left = max(rows.piece.size - pieces.size - len(TERMS) + 1 - both, 1)
+    ways = rows.groupby("piece")["way"]
+    both = bool((ways.max() > ways.min()).any())
+    left = max(len(rows) - pieces.size - len(TERMS) + 1 - both, 1)
     found = found.wider(np.sqrt(max(1.0, float(found.residual @ found.residual) / left)))
     estimate, covariance = found.estimate, found.covariance
-    _check_differences(rows, member, estimate, covariance)
-    known = _curve(rows, estimate, covariance, left) if both else None
-    quantities = _quantities(estimate, covariance, both, known is not None)
-    kept = [number for number in range(len(TERMS)) if quantities[number].value is not None]
+    speed = basis_of[:, 1]
+    _check_differences(speed, member, estimate, covariance)
+    own = np.pad(covariance[: len(TERMS), : len(TERMS)], ((1, 0), (1, 0)))
+    theta = np.append(1.0, estimate[: len(TERMS)])
+    curve = Curve(theta, own, left, (float(speed.min()), float(speed.max()))) if both else None
+    table = None if curve is None else curve.table
+    first, *others = (
+        Identified(*names, float(estimate[k]), found.std(str(k)))
+        for k, names in enumerate(OVER_INERTIA)
+    )
+    if table is not None:
+        first = replace(first, reason="with the curves' resistance")
+    else:
+        first = replace(first, value=None, std=None, reason=WIDE if both else MERGED)
+    kept = slice(0 if table is not None else 1, len(TERMS))
     return CoastDownResult(
         train="",
         gradient="unknown",
-        quantities=quantities,
-        covariance=covariance[np.ix_(kept, kept)],
-        curve=known,
-        trips=notes,
-        pieces=_pieces(rows, pieces, estimate, covariance, known is not None),
+        quantities=(first, *others),
+        covariance=covariance[kept, kept],
+        curve=table,
+        pieces=_pieces(rows, estimate, covariance, table is not None),
     )
 
 
 def _check_differences(
-    rows: Passages, member: IntArray, estimate: FloatArray, covariance: FloatArray
+    speed: FloatArray, member: IntArray, estimate: FloatArray, covariance: FloatArray
 ) -> None:
     """Refuse speeds that do not differ, or differences that are not known to 10 %."""
-    low, high = np.quantile(rows.speed, [0.05, 0.95])
-    speeds = pd.Series(rows.speed).groupby(member)
+    low, high = np.quantile(speed, [0.05, 0.95])
+    speeds = pd.Series(speed).groupby(member)
     if float((speeds.max() - speeds.min()).max()) < SAME_SPEED:
         raise NotIdentifiableError(
             "with the gradient unknown, resistance cannot be identified: each piece of"
@@ -341,59 +302,24 @@ def _check_differences(
     )
 
 
-def _curve(
-    rows: Passages, estimate: FloatArray, covariance: FloatArray, free: int
-) -> DragCurve | None:
-    """The whole curve, if it is known to 10 % somewhere."""
-    speed = np.linspace(float(rows.speed.min()), float(rows.speed.max()), 61)
-    value = basis(speed) @ estimate[: len(TERMS)]
-    std = curve_std(covariance[: len(TERMS), : len(TERMS)], speed)
-    known = (value > 0.0) & (std <= LARGEST_STD * value)
-    if not known.any() or np.ptp(speed[known]) < SHORTEST_RANGE:
-        return None
-    ends = float(speed[known][0]), float(speed[known][-1])
-    reach = band_factor(covariance[: len(TERMS), : len(TERMS)], ends, free) * std[known]
-    return DragCurve(speed[known], value[known], value[known] - reach, value[known] + reach)
-
-
-def _quantities(
-    estimate: FloatArray, covariance: FloatArray, both: bool, known: bool
-) -> tuple[Identified, ...]:
-    std = np.sqrt(np.diag(covariance)[: len(TERMS)])
-    merged = "merged with the gradient: no piece was coasted in both directions"
-    wide = "pieces coasted in both directions give it to more than 10 % of the curve only"
-    values = zip(OVER_INERTIA, estimate.tolist(), std.tolist(), strict=False)
-    first, *others = (Identified(*names, value, size) for names, value, size in values)
-    if known:
-        first = replace(first, reason="with the curves' resistance")
-    else:
-        first = replace(first, value=None, std=None, reason=wide if both else merged)
-    return first, *others
-
-
 def _pieces(
-    rows: Passages,
-    pieces: IntArray,
-    estimate: FloatArray,
-    covariance: FloatArray,
-    parted: bool,
+    rows: pd.DataFrame, estimate: FloatArray, covariance: FloatArray, parted: bool
 ) -> list[dict[str, object]]:
     """Of each piece coasted more than once: c0 plus or, apart from c0, the gradient's part."""
     found: list[dict[str, object]] = []
-    for number, piece in enumerate(pieces.tolist()):
-        here = rows.piece == piece
-        if np.count_nonzero(here) < 2:
+    for number, (_, here) in enumerate(rows.groupby("piece")):
+        if len(here) < 2:
             continue
-        way = float(rows.way[here][0])
+        way = 1.0 if parted else float(here["way"].iloc[0])
         pick = np.zeros(estimate.size)
-        pick[3 + number] = 1.0 if parted else way
+        pick[len(TERMS) + number] = way
         pick[0] = 0.0 if parted else 1.0
         found.append(
             {
-                "position": [PIECE * piece, PIECE * (piece + 1)],
-                "direction": "forward" if way > 0.0 or parted else "reverse",
-                "passages": int(np.count_nonzero(here)),
-                "speed": [float(rows.speed[here].min()), float(rows.speed[here].max())],
+                "position": [PIECE * float(here["piece"].iloc[0] + end) for end in (0, 1)],
+                "direction": "forward" if way > 0.0 else "reverse",
+                "passages": len(here),
+                "speed": [float(here[TERMS[1]].min()), float(here[TERMS[1]].max())],
                 "quantity": "gradient" if parted else "c0 and gradient",
                 "deceleration": float(pick @ estimate),
                 "std": float(np.sqrt(pick @ covariance @ pick)),

@@ -24,8 +24,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import lil_array
 
-from analysis.resistance.coast_down import CoastDown, coast_down
-from analysis.resistance.coasting_fit import TripCoastDown
+from analysis.resistance.coast_down import CoastDown, TripCoastDown, coast_down
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import line_of, read_line, read_train
