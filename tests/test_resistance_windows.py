@@ -15,7 +15,6 @@ from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts,
 from analysis.resistance.regression import (
     BRAKE_SCALE_STD,
     DELAY_STD,
-    DRAG_STD,
     LEAST_FORCE,
     _best_stretch,
     condition_number,
@@ -24,6 +23,7 @@ from analysis.resistance.regression import (
 from analysis.resistance.windows import Windows, build_windows
 from trainlog.arrays import FloatArray
 from trainlog.railway import RunningResistance
+from trainlog.railway.resistance import OVER_MASS_STD
 from trainlog.units import GRAVITY
 
 NOISE = NoiseModel(speed=0.01, gradient=4e-4, position=8.0, effort=0.01)
@@ -126,7 +126,7 @@ def test_covariance_is_that_of_generalised_least_squares() -> None:
     found = fit_windows(windows := rough(build_windows(made)), 130e3, 20e3)
     used = windows.select(found.kept)
     regressors = np.column_stack([used.x, used.effort_change, used.braking])
-    spread = np.array([20e3 / 130e3**2, *DRAG_STD, DELAY_STD / 130e3, BRAKE_SCALE_STD / 130e3])
+    spread = np.array([20e3 / 130e3**2, *OVER_MASS_STD, DELAY_STD / 130e3, BRAKE_SCALE_STD / 130e3])
     size = np.where(np.any(regressors != 0.0, axis=0), np.linalg.norm(regressors, axis=0), 1.0)
     precision = (regressors / size).T @ np.linalg.solve(
         dense(used, found.noise), regressors / size

@@ -31,8 +31,6 @@ from numpy.typing import ArrayLike
 from analysis.resistance.coasting_detection import (
     SPACING,
     TOPICS,
-    TYPICAL,
-    TYPICAL_STD,
     Motion,
     Segment,
     blocks_of,
@@ -78,8 +76,11 @@ from trainlog.railway.resistance import (
     LARGEST_STD,
     OVER_INERTIA,
     TERMS,
+    TYPICAL,
+    TYPICAL_STD,
     RunningResistance,
     basis,
+    polynomial_in_words,
 )
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
@@ -426,13 +427,8 @@ class CoastDown(Presented):
 
     def summary(self) -> dict[str, str]:
         """What coasted, and the curve."""
-        terms = [
-            f"{value:.3g} {unit} v^{power}"
-            for power, (value, (_, unit)) in enumerate(
-                zip(self.curve.theta[1:], OVER_INERTIA, strict=True)
-            )
-        ]
-        words = " + ".join(terms).replace(" v^0", "").replace("v^1", "v").replace("^2", "²")
+        values = (f"{value:.3g}" for value in self.curve.theta[1:])
+        words = polynomial_in_words(values, (unit for _, unit in OVER_INERTIA))
         known = self.curve.supported
         segments = sum(len(fit.segments) for fit in self.trips)
         return {

@@ -37,7 +37,7 @@ from analysis.resistance.windows import integral_between
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, robust_std
 from trainlog.errors import NotIdentifiableError
-from trainlog.railway.resistance import basis
+from trainlog.railway.resistance import TYPICAL, TYPICAL_STD, basis
 from trainlog.trip import POSITION_TOPICS, Trip, seconds
 
 TOPICS = ("/gnss/motion", "/train/state", "/estimates/state")
@@ -301,12 +301,6 @@ RESOLUTION = 0.012
 
 SHORTEST_BLOCK, LONGEST_BLOCK = 1.0, 5.0
 """Length of a block [s]."""
-
-TYPICAL = (0.014, 5e-4, 5e-5)
-"""Coefficients over inertia of a train that might be any train; beginnings are multiples."""
-
-TYPICAL_STD = (0.007, 7e-4, 4e-5)
-"""How far trains are from it: weak, only to keep the curve from what no train has."""
 
 BEGINNINGS = (0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.3, 3.0)
 """Multiples of `TYPICAL` from which the search begins."""

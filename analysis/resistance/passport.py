@@ -40,7 +40,7 @@ from analysis.resistance.recording import (
     scale_of,
     sound,
 )
-from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD, White
+from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, White
 from analysis.resistance.windows import Windows, build_windows, window_width
 from analysis.view import Given, TripView, view_of
 from estimators.regression import Cut, Free, Regression, regress
@@ -56,7 +56,7 @@ from trainlog.formats.railway import (
 from trainlog.ingest.motion import suspect_efforts
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
 from trainlog.railway.passport import Passport, Quantity, Source
-from trainlog.railway.resistance import TERMS
+from trainlog.railway.resistance import OVER_MASS_STD, TERMS
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
@@ -463,7 +463,7 @@ class _Motion:
     def _regressed(self, windows: Windows) -> Regression:
         """What is left of the delay, and the mass, in the measure of the efforts."""
         mass, coefficients = self._mass, self._train.resistance.coefficients
-        spread = RESISTANCE_SHARE * np.abs(coefficients) / mass + 0.01 * np.array(DRAG_STD)
+        spread = RESISTANCE_SHARE * np.abs(coefficients) / mass + 0.01 * np.array(OVER_MASS_STD)
         free = [
             # The momentum of the rotating parts stands on the left: it is no effort.
             Free("1/m", windows.x[:, 0] + windows.momentum, ANY_UNIT / mass, 1.0 / mass),

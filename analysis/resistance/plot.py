@@ -38,7 +38,7 @@ from analysis.resistance.regression import LAGS, Residuals, diagnosed
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.formats.railway import CoastDownResult
-from trainlog.formats.summaries import parameters_of
+from trainlog.formats.summaries import PARAMETERS, parameters_of
 from trainlog.railway import ParameterSet
 from trainlog.railway.resistance import basis
 from trainlog.units import KMH
@@ -183,10 +183,10 @@ def _reach(value: FloatArray, std: FloatArray) -> tuple[float, float]:
 
 
 def correlation_chart(covariance: FloatArray, title: str) -> Chart:
-    """The correlation that a covariance (p, p) of r0, r1, r2, mass says, as coloured cells."""
+    """The correlation that a covariance (p, p) of `PARAMETERS` says, as coloured cells."""
     std = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(std, std)
-    names = ("r0", "r1", "r2", "mass")[: std.size]
+    names = PARAMETERS[: std.size]
     edges = np.arange(std.size + 1) - 0.5
     words = np.array([[f"{value:.2f}" for value in row] for row in correlation])
     cells = Cells(edges, edges, shades(correlation, "RdBu_r", (-1.0, 1.0)), words=words)
@@ -321,11 +321,9 @@ def _data(fit: TripFit) -> Chart:
             )
         )
     curves.append(_band_curve(fit, speed, "fitted, 95 % band of the whole curve"))
-    r = fit.resistance
     title = (
         f"{fit.train}, {fit.trip}: running resistance\n"
-        f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²,"
-        f" mass {fit.mass / TONNE:.1f} ± {1.96 * fit.mass_std / TONNE:.1f} t"
+        f"{fit.resistance}, mass {fit.mass / TONNE:.1f} ± {1.96 * fit.mass_std / TONNE:.1f} t"
     )
     limits = _resistance_limits(fit.resistance(speed), points.value[used])
     return Chart(

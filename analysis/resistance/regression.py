@@ -43,7 +43,7 @@ from analysis.resistance.windows import WindowPoints, Windows
 from estimators.regression import Cut, Free, regress
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.railway.resistance import TERMS
+from trainlog.railway.resistance import OVER_MASS_STD, TERMS
 
 LAGS = 10
 """Neighbours over which correlation is looked for."""
@@ -141,9 +141,6 @@ BRAKE_SCALE_STD = 0.02
 
 TUNNEL_STD = 0.7
 """Standard deviation of the resistance that tunnels add, over what is expected of it."""
-
-DRAG_STD = (1.0, 0.1, 0.01)
-"""Prior standard deviation of each coefficient over mass, in SI units: any train, many times."""
 
 CUT = Cut(5.0, apart=9, rounds=60)
 """Of windows. Each round leaves out one at least, and most trips take one to three."""
@@ -351,7 +348,7 @@ def fit_windows(
     """
     free = [
         Free("1/m", windows.x[:, 0], mass_std / mass**2, 1.0 / mass),
-        *(Free(*each) for each in zip(TERMS, windows.x[:, 1:].T, DRAG_STD, strict=True)),
+        *(Free(*each) for each in zip(TERMS, windows.x[:, 1:].T, OVER_MASS_STD, strict=True)),
         Free("delay", windows.effort_change, delay_std / mass),
         Free("brake", windows.braking, BRAKE_SCALE_STD / mass),
     ]

@@ -32,14 +32,13 @@ from analysis.resistance.coasting_detection import (
     motion_of,
     smoothed_over,
 )
-from analysis.resistance.regression import DRAG_STD
 from analysis.view import Given, TripView
 from estimators.regression import Free, regress
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import CoastDownResult, Identified
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, TERMS, basis
+from trainlog.railway.resistance import LARGEST_STD, OVER_INERTIA, OVER_MASS_STD, TERMS, basis
 from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import KMH
@@ -241,7 +240,7 @@ def _solved(rows: pd.DataFrame) -> CoastDownResult:
     way, basis_of = rows["way"].to_numpy(np.float64), rows[list(TERMS)].to_numpy(np.float64)
     along = -np.where(member[:, None] == np.arange(pieces.size), way[:, None], 0.0)
     white = _whitened(rows, np.column_stack([-basis_of, along, rows["acceleration"]]))
-    stds = np.append(DRAG_STD, np.full(pieces.size, PIECE_STD))
+    stds = np.append(OVER_MASS_STD, np.full(pieces.size, PIECE_STD))
     free = [Free(str(k), white[:, k], std) for k, std in enumerate(stds.tolist())]
     found = regress(white[:, -1], free)
     ways = rows.groupby("piece")["way"]

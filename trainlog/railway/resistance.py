@@ -142,7 +142,8 @@ class RunningResistance:
         return value if value.ndim else np.float64(value)
 
     def __str__(self) -> str:
-        return f"{self.r0:.0f} N + {self.r1:.1f} N/(m/s) v + {self.r2:.2f} N/(m/s)² v²"
+        values = (f"{value:.{power}f}" for power, value in enumerate(self.coefficients))
+        return polynomial_in_words(values, UNITS)
 
     def __add__(self, other: RunningResistance) -> RunningResistance:
         """Both together."""
@@ -179,6 +180,29 @@ OVER_INERTIA = (("c0", "m/s^2"), ("c1", "1/s"), ("c2", "1/m"))
 
 SUFFIXES = ("N", "N_s_m", "N_s2_m2")
 """Units of the coefficients at the end of a column's name."""
+
+OVER_MASS_STD = (1.0, 0.1, 0.01)
+"""Standard deviation of each coefficient over mass, in SI units, that holds any train many times."""
+
+TYPICAL = (0.014, 5e-4, 5e-5)
+"""Coefficients over inertia, in SI units, of a train that might be any train."""
+
+TYPICAL_STD = (0.007, 7e-4, 4e-5)
+"""How far trains are from it."""
+
+
+def polynomial_in_words(coefficients: Iterable[str], units: Iterable[str]) -> str:
+    """Coefficients with their units, each with its power of speed.
+
+    Examples
+    --------
+    >>> polynomial_in_words(["2000", "50.0", "10.00"], UNITS)
+    '2000 N + 50.0 N/(m/s) v + 10.00 N/(m/s)² v²'
+    """
+    powers = ("", " v", *(f" v^{power}" for power in range(2, len(TERMS))))
+    parts = zip(coefficients, units, powers, strict=True)
+    words = " + ".join(f"{value} {unit}{power}" for value, unit, power in parts)
+    return words.replace("^2", "²").replace("^3", "³")
 
 
 def basis(speed: ArrayLike, head_wind: ArrayLike = 0.0) -> FloatArray:

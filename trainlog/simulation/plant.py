@@ -227,7 +227,7 @@ class Plant:
             axle_inertia=axles.rotating_mass,
             axle_weight=weight / axles.count,
             trailing_weight=GRAVITY * mass - weight,
-            **resistance.terms,
+            **dict(zip(("r0", "r1", "r2"), resistance.parabola, strict=True)),
             axle_effort=train.max_tractive_effort / axles.count,
             axle_power=power / axles.count,
             axle_braking_effort=train.max_dynamic_braking_effort / axles.count,
