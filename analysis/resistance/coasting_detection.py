@@ -183,7 +183,8 @@ def _position(trip: Trip, time: FloatArray, start: pd.Timestamp) -> FloatArray:
     for topic in POSITION_TOPICS:
         if topic in trip and len(known := trip[topic].dropna(subset="position")) > 1:
             values = known["position"].to_numpy(np.float64)
-            return np.interp(time, seconds(known, start), values, left=np.nan, right=np.nan)
+            there = seconds(known, start)
+            return np.asarray(np.interp(time, there, values, left=np.nan, right=np.nan))
     return np.full(time.size, np.nan)
 
 

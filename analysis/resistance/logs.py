@@ -138,7 +138,7 @@ class Fits(Presented):
         # A fit of summaries alone does not know how many windows each trip had.
         windows = sum(fit.windows["used"] for fit in self.trips) if self.trips else empty
         curve = [each.cell(self.common) for each in (*CURVE_COLUMNS, RESISTANCE_COLUMN)]
-        table.add_cells("together", *curve[:3], empty, empty, curve[3], windows)
+        table.add_cells("together", *curve[:-1], empty, empty, curve[-1], windows)
         return [table]
 
     @property

@@ -182,7 +182,7 @@ SUFFIXES = ("N", "N_s_m", "N_s2_m2")
 """Units of the coefficients at the end of a column's name."""
 
 OVER_MASS_STD = (1.0, 0.1, 0.01)
-"""Standard deviation of each coefficient over mass, in SI units, that holds any train many times."""
+"""Standard deviation of each coefficient over mass, in SI units: any train, many times."""
 
 TYPICAL = (0.014, 5e-4, 5e-5)
 """Coefficients over inertia, in SI units, of a train that might be any train."""
