@@ -44,9 +44,6 @@ from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.summaries import (
     COLUMNS,
-    COVARIANCE,
-    PARAMETERS,
-    SURVEY,
     age,
     covariances_of,
     frame_of,
@@ -86,7 +83,10 @@ def summarised(
         With the columns of `trainlog.formats.summaries.COLUMNS`, in the order of trip.
     """
     known = digests or {}
-    rows = [_row(fit) for fit in fits]
+    rows: list[dict[str, object]] = [
+        {column.name: value for column in COLUMNS if (value := column.value(fit)) is not None}
+        for fit in fits
+    ]
     rows += [
         {
             "trip": trip,
@@ -99,42 +99,6 @@ def summarised(
     for row in rows:
         row |= {"sha256": known.get(str(row["trip"]), ""), "software": SOFTWARE}
     return ordered(frame_of(COLUMNS, rows))
-
-
-AS_THEY_ARE = (
-    "trip", "train", "gradients", "identity", "freedom", "rotating_mass", "train_power",
-    "max_power", "max_power_std", "condition", "cluster_factor", "residual_std",
-    "residual_correlation",
-)  # fmt: skip
-"""What of a fit is in its summary under the same name."""
-
-
-def _row(fit: TripFit) -> dict[str, object]:
-    upper = fit.covariance[np.triu_indices(len(fit.covariance))].tolist()
-    survey = fit.own_survey[np.triu_indices(len(fit.own_survey))].tolist()
-    row: dict[str, object] = {
-        **{name: getattr(fit, name) for name in AS_THEY_ARE},
-        **dict(zip(PARAMETERS, [*fit.beta.tolist(), fit.mass], strict=True)),
-        **dict(zip(COVARIANCE, upper, strict=True)),
-        **dict(zip(SURVEY, survey, strict=True)),
-        "asked_lowest": fit.asked[0],
-        "asked_highest": fit.asked[1],
-        "speed_lowest": fit.speed_range[0],
-        "speed_highest": fit.speed_range[1],
-        "windows": fit.windows["used"],
-        "outliers": fit.windows["outlier"],
-        "speed_scale": fit.scale.factor,
-        "speed_scale_std": fit.scale.std,
-        "speed_scale_source": fit.scale.source,
-        **fit.nuisance,
-        **{f"noise_{cause}": size for cause, size in fit.noise.items()},
-        **{f"masked_{reason}": time for reason, time in fit.masked.items()},
-    }
-    if fit.passport is not None:
-        row["effort_gain"] = fit.passport.effort_gain.value
-        if fit.passport.effort_gain.source == "assumed":
-            row["assumed_gain_std"] = fit.gain_std
-    return row
 
 
 def shared_variance(weights: FloatArray, survey: FloatArray, line: IntArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -193,8 +193,8 @@ class TripFit(DragCurve, Presented):
         What measured speed was divided by.
     noise : dict of str to float
         Sizes of the noise: ``speed`` [m/s], ``gradient``, ``position`` [m], ``effort``.
-    nuisance : dict of str to float
-        ``delay`` of the recorded effort [s], ``brake_scale``.
+    delay, brake_scale : float [s], [1]
+        Of the recorded effort, and of the dynamic brake's.
     cluster_factor : float
         What the noise model's variances were multiplied by because neighbouring windows err
         together; 1 if they agree with it.
@@ -243,7 +243,8 @@ class TripFit(DragCurve, Presented):
     condition: float
     scale: SpeedScale
     noise: dict[str, float]
-    nuisance: dict[str, float]
+    delay: float
+    brake_scale: float
     cluster_factor: float
     residual_std: float
     residual_correlation: float
@@ -331,11 +332,10 @@ class TripFit(DragCurve, Presented):
         return self.survey[: len(TERMS), : len(TERMS)]
 
     @property
-    def gain_std(self) -> float:
-        """Standard deviation of the effort's gain over the gain: that of all efforts found."""
-        if self.passport is None:
-            return 0.0
-        return self.passport.effort_gain.std / self.passport.effort_gain.value
+    def assumed_gain_std(self) -> float | None:
+        """Standard deviation of the effort's gain, over it, where no recorded load shows it."""
+        gain = None if self.passport is None else self.passport.effort_gain
+        return gain.std / gain.value if gain is not None and gain.source == "assumed" else None
 
     @property
     def mass_std(self) -> float:
@@ -452,13 +452,9 @@ def fit_trip(
         speed_range=(float(used.mean_speed.min()), float(used.mean_speed.max())),
         condition=regression.condition,
         scale=scale,
-        noise=dict(
-            zip(("speed", "gradient", "position", "effort"), regression.noise.sizes, strict=True)
-        ),
-        nuisance={
-            "delay": known.effort_delay.value + regression.delay,
-            "brake_scale": regression.brake_scale,
-        },
+        noise=asdict(regression.noise),
+        delay=known.effort_delay.value + regression.delay,
+        brake_scale=regression.brake_scale,
         cluster_factor=regression.cluster_factor,
         residual_std=float(np.sqrt(residual @ residual / max(residual.size - len(PARAMETERS), 1))),
         residual_correlation=float(

@@ -41,7 +41,7 @@ from analysis.resistance.fit import TripFit
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
-from trainlog.formats.summaries import PARAMETERS, covariances_of, parameters_of
+from trainlog.formats.summaries import COVARIANCE, PARAMETERS, SURVEY, covariances_of, parameters_of
 from trainlog.railway.resistance import basis
 from trainlog.railway.train import POWER_OF_FILE, Configuration, ParameterSet
 
@@ -65,6 +65,9 @@ NEGLIGIBLE = 0.002
 
 LARGEST_STRETCH = 2.0
 """Most by which estimates are spread out."""
+
+LEFT_OUT = {*PARAMETERS, *COVARIANCE, *SURVEY, "refused", "message"}
+"""Of the summary of a trip, what the details of a configuration state otherwise."""
 
 LISTED = 1000
 """More refused trips than this are counted, not listed; the summaries have all of them."""
@@ -399,32 +402,16 @@ def _detail(
     fitted_std = np.sqrt(np.diag(own))
     std = [*np.sqrt(np.diag(covariance)).tolist(), float(fitted_std[-1])]
     seen = power_source == "power-limited stretches"
-    power_std = float(summary["max_power_std"]) if seen else power_spread
-
-    def numbers(*names: str, prefix: str = "") -> dict[str, float | None]:
-        every = {name: float(summary[prefix + name]) for name in names}
-        return {name: None if np.isnan(number) else number for name, number in every.items()}
-
+    plain = summary.astype(object).where(summary.notna(), None).to_dict()
     return {
-        "trip": str(summary["trip"]),
-        "sha256": str(summary["sha256"]),
+        **{name: value for name, value in plain.items() if name not in LEFT_OUT},
         "accepted": True,
-        "fitted": numbers(*PARAMETERS),
+        "fitted": {name: plain[name] for name in PARAMETERS},
         "fitted_std": dict(zip(PARAMETERS, fitted_std.tolist(), strict=True)),
         "fitted_correlation": (own / np.outer(fitted_std, fitted_std)).tolist(),
         "std": dict(zip(PARAMETERS, std, strict=True)),
         "max_power": power_source,
-        "max_power_std": power_std,
-        "condition": float(summary["condition"]),
-        "speed_range": [float(summary["speed_lowest"]), float(summary["speed_highest"])],
-        "windows": {"used": int(summary["windows"]), "outlier": int(summary["outliers"])},
-        "masked": numbers("gap", "standstill", "braking", "slip", prefix="masked_"),
-        "speed_scale": {
-            "factor": float(summary["speed_scale"]),
-            "source": str(summary["speed_scale_source"]),
-        },
-        "noise": numbers("speed", "gradient", "position", "effort", prefix="noise_"),
-        "residual_std": float(summary["residual_std"]),
+        "max_power_std": plain["max_power_std"] if seen else power_spread,
     }
 
 

@@ -44,12 +44,31 @@ class Column:
     name, unit, meaning : str
     kind : {"number", "count", "text", "numbers", "data"}
         Numbers are null where they are unknown.
+    of : str
+        Where it is found in what a row is of: attributes, keys and places, with dots between;
+        empty: by its name.
     """
 
     name: str
     unit: str
     meaning: str
     kind: str = "number"
+    of: str = ""
+
+    def value(self, thing: Any) -> Any:
+        """What it is of a thing; None where the thing has none.
+
+        Examples
+        --------
+        >>> Column("slip", "s", "time masked", of="masked.slip").value({"masked": {"slip": 2.0}})
+        2.0
+        """
+        for part in (self.of or self.name).split("."):
+            if isinstance(thing, Mapping):
+                thing = thing.get(part)
+            else:
+                thing = thing[int(part)] if part.isdigit() else getattr(thing, part, None)
+        return thing
 
     @property
     def field(self) -> pa.Field:
@@ -98,7 +117,12 @@ def arrow_of(columns: Iterable[Column], frame: Mapping[str, Any] | pd.DataFrame)
 def _triangle(prefix: str, size: int, meaning: str) -> tuple[Column, ...]:
     """The upper triangle of a matrix of the first `PARAMETERS`, row by row."""
     return tuple(
-        Column(f"{prefix}_{PARAMETERS[i]}_{PARAMETERS[j]}", f"{_UNITS[i]} {_UNITS[j]}", meaning)
+        Column(
+            f"{prefix}_{PARAMETERS[i]}_{PARAMETERS[j]}",
+            f"{_UNITS[i]} {_UNITS[j]}",
+            meaning,
+            of=f"{prefix}.{i}.{j}",
+        )
         for i in range(size)
         for j in range(i, size)
     )
@@ -119,7 +143,10 @@ COLUMNS: tuple[Column, ...] = (
     Column("software", "", "that made the summary, with its version", "text"),
     Column("refused", "", "why the trip does not determine the curve; empty if it does", "text"),
     Column("message", "", "the same in a sentence, with the figures", "text"),
-    *(Column(*each, "running resistance") for each in zip(TERMS, UNITS, strict=True)),
+    *(
+        Column(name, unit, "running resistance", of=f"resistance.{name}")
+        for name, unit in zip(TERMS, UNITS, strict=True)
+    ),
     Column("mass", "kg", "without rotating part"),
     *_COVARIANCE,
     Column("freedom", "1", "degrees of freedom of the covariance", "count"),
@@ -127,25 +154,25 @@ COLUMNS: tuple[Column, ...] = (
     Column("train_power", "W", "largest traction power that the train's file states"),
     Column("max_power", "W", "from stretches at the power limit; null if there was none"),
     Column("max_power_std", "W", "its standard deviation"),
-    Column("asked_lowest", "m/s", "lowest speed that the curve was asked for"),
-    Column("asked_highest", "m/s", "highest"),
-    Column("speed_lowest", "m/s", "lowest mean speed of a window"),
-    Column("speed_highest", "m/s", "highest"),
+    Column("asked_lowest", "m/s", "lowest speed that the curve was asked for", of="asked.0"),
+    Column("asked_highest", "m/s", "highest", of="asked.1"),
+    Column("speed_lowest", "m/s", "lowest mean speed of a window", of="speed_range.0"),
+    Column("speed_highest", "m/s", "highest", of="speed_range.1"),
     Column("condition", "1", "column-normalised condition number of the regressors"),
-    Column("windows", "1", "windows used", "count"),
-    Column("outliers", "1", "windows left out", "count"),
-    Column("noise_speed", "m/s", "noise of the speed averaged at a window's end"),
-    Column("noise_gradient", "1", "of the gradient of a piece of the map"),
-    Column("noise_position", "m", "of the chainage at a change of gradient"),
-    Column("noise_effort", "1", "of one sample's effort, over the effort"),
+    Column("windows", "1", "windows used", "count", of="windows.used"),
+    Column("outliers", "1", "windows left out", "count", of="windows.outlier"),
+    Column("noise_speed", "m/s", "noise of the speed averaged at a window's end", of="noise.speed"),
+    Column("noise_gradient", "1", "of the gradient of a piece of the map", of="noise.gradient"),
+    Column("noise_position", "m", "of the chainage at a change of gradient", of="noise.position"),
+    Column("noise_effort", "1", "of one sample's effort, over the effort", of="noise.effort"),
     Column("delay", "s", "by which efforts were recorded late"),
     Column("brake_scale", "1", "dynamic brake's recorded effort over its size"),
     Column("cluster_factor", "1", "by which the noise model's variances were enlarged"),
     Column("residual_std", "1", "of the whitened residuals"),
     Column("residual_correlation", "1", "between neighbouring whitened residuals"),
-    Column("speed_scale", "1", "measured over true speed"),
-    Column("speed_scale_std", "1", "its standard deviation"),
-    Column("speed_scale_source", "", "what it was calibrated against", "text"),
+    Column("speed_scale", "1", "measured over true speed", of="scale.factor"),
+    Column("speed_scale_std", "1", "its standard deviation", of="scale.std"),
+    Column("speed_scale_source", "", "what it was calibrated against", "text", of="scale.source"),
     Column(
         "gradients",
         "",
@@ -153,11 +180,21 @@ COLUMNS: tuple[Column, ...] = (
         "text",
     ),
     *_SURVEY,
-    Column("masked_gap", "s", "time masked: gaps"),
-    Column("masked_standstill", "s", "time masked: standstill"),
-    Column("masked_braking", "s", "time masked: braking effort not known well enough"),
-    Column("masked_slip", "s", "time masked: slip"),
-    Column("effort_gain", "1", "recorded over true effort, by which efforts were divided"),
+    Column("masked_gap", "s", "time masked: gaps", of="masked.gap"),
+    Column("masked_standstill", "s", "time masked: standstill", of="masked.standstill"),
+    Column(
+        "masked_braking",
+        "s",
+        "time masked: braking effort not known well enough",
+        of="masked.braking",
+    ),
+    Column("masked_slip", "s", "time masked: slip", of="masked.slip"),
+    Column(
+        "effort_gain",
+        "1",
+        "recorded over true effort, by which efforts were divided",
+        of="passport.effort_gain.value",
+    ),
     Column(
         "assumed_gain_std",
         "1",
