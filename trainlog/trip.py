@@ -402,11 +402,11 @@ def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> FloatArr
     >>> seconds(frame_of(TRAIN_STATE, [0, 500_000_000], {"speed": [3.0, 4.0]}))
     array([0. , 0.5])
     """
-    index = pd.DatetimeIndex(frame.index)
-    if not len(index):
+    time = nanoseconds(frame)
+    if not time.size:
         return np.empty(0)
-    start = index[0] if origin is None else origin
-    return np.asarray((index - start) / pd.Timedelta(seconds=1), dtype=np.float64)
+    start = time[0] if origin is None else origin.as_unit("ns").value
+    return np.asarray((time - start) / NANOSECONDS)
 
 
 def nanoseconds(frame: pd.DataFrame) -> IntArray:

@@ -18,7 +18,12 @@ from analysis.resistance.curve import (
     curve_std,
 )
 from analysis.resistance.noise import Expected
-from analysis.resistance.passport import gain_words, passport, with_calibrated_efforts
+from analysis.resistance.passport import (
+    gain_words,
+    passport,
+    suspected_efforts,
+    with_calibrated_efforts,
+)
 from analysis.resistance.power import power_limit
 from analysis.resistance.recording import (
     Prepared,
@@ -41,7 +46,6 @@ from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import PARAMETERS
 from trainlog.identity import text_of
-from trainlog.ingest.motion import suspect_efforts
 from trainlog.presentation import (
     MASS,
     NUMBER,
@@ -492,9 +496,16 @@ def effort_passport(view: TripView) -> Passport:
     Raises
     ------
     TripRefusedError
-        If no load and no ordinary error of a converter explains the motion under the efforts.
+        If no load and no ordinary error of a converter explains the motion under the efforts, or
+        they are of another unit by it.
     """
-    check_efforts(view)
+    for found in view.once(suspected_efforts):
+        raise TripRefusedError(
+            "contradiction",
+            f"trip '{view.name}': {found.note}",
+            place=f"field {found.column}",
+            remedy="ingest the recording again with it",
+        )
     known = passport(view)
     gain = known.effort_gain.value
     if known.effort_over_mass.known and abs(gain - 1.0) > LARGEST_GAIN_ERROR:
@@ -506,22 +517,6 @@ def effort_passport(view: TripView) -> Passport:
             " in the train's file",
         )
     return known
-
-
-def check_efforts(view: TripView) -> None:
-    """Refuse efforts that are of another unit by the motion.
-
-    Raises
-    ------
-    TripRefusedError
-    """
-    for found in suspect_efforts(view.trip, view.train):
-        raise TripRefusedError(
-            "contradiction",
-            f"trip '{view.name}': {found.note}",
-            place=f"field {found.column}",
-            remedy="ingest the recording again with it",
-        )
 
 
 def estimated_resistance(fit: TripFit) -> pd.DataFrame:

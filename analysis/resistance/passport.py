@@ -54,6 +54,7 @@ from trainlog.formats.railway import (
     with_passport,
 )
 from trainlog.ingest.motion import suspect_efforts
+from trainlog.ingest.recording import Finding
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
 from trainlog.railway.passport import Passport, Quantity, Source
 from trainlog.railway.resistance import OVER_MASS_STD, TERMS
@@ -210,7 +211,7 @@ def estimated_passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
 def _estimated(view: TripView, fleet: tuple[Passport, ...] = ()) -> Passport:
     trip = view.trip
     train = view.train if TRAIN_ATTACHMENT in trip.attachments else None
-    findings = [f"{each.column}: {each.note}" for each in suspect_efforts(trip, train)]
+    findings = [f"{each.column}: {each.note}" for each in view.once(suspected_efforts)]
     prior = _prior(trip, train, fleet)
     noise = _speed_noise(trip)
     scale = _scale(view, findings)
@@ -243,6 +244,12 @@ def with_estimated_passport(trip: Trip) -> Trip:
     ('trip-03', 'passport')
     """
     return with_passport(trip, estimated_passport(trip))
+
+
+def suspected_efforts(view: TripView) -> list[Finding]:
+    """Efforts of a trip that are of another unit by the motion."""
+    train = view.train if TRAIN_ATTACHMENT in view.trip.attachments else None
+    return list(suspect_efforts(view.trip, train))
 
 
 @dataclass(frozen=True, slots=True)
