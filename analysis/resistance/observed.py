@@ -404,7 +404,7 @@ def _detail(
     seen = power_source == "power-limited stretches"
     plain = summary.astype(object).where(summary.notna(), None).to_dict()
     return {
-        **{name: value for name, value in plain.items() if name not in LEFT_OUT},
+        **{str(name): value for name, value in plain.items() if name not in LEFT_OUT},
         "accepted": True,
         "fitted": {name: plain[name] for name in PARAMETERS},
         "fitted_std": dict(zip(PARAMETERS, fitted_std.tolist(), strict=True)),
