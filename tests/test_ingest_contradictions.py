@@ -285,6 +285,22 @@ def test_what_no_train_does_is_stated(tmp_path: Path) -> None:
     assert "accelerates by more than 4 m/s²" in shaken
 
 
+@pytest.mark.parametrize(("speed", "legs"), [(1.4, (15.0, 60.0)), (9.0, (8.0, 25.0))])
+def test_a_walk_and_a_car_in_a_town_are_no_trains_motion(
+    tmp_path: Path, speed: float, legs: tuple[float, float]
+) -> None:
+    """Straight streets of some seconds each, and corners of 90° between them; no wrong unit."""
+    generator = np.random.default_rng(5)
+    corners = np.cumsum(generator.uniform(*legs, 300))
+    turned = np.cumsum(generator.choice([-0.5, 0.5], 300)) * np.pi
+    second = np.arange(1_200.0)
+    heading = turned[np.searchsorted(corners, second)]
+    way = np.cumsum(speed * np.exp(1j * heading))
+    trip = walked(tmp_path, way, speed * np.ones(1_200), slice(None))
+    assert trip.metadata["motion_evidence"].endswith("bends of a few metres")
+    assert report_of(trip).count("unit_suspected") == 0
+
+
 @pytest.mark.parametrize("radius", [20.0, 80.0, 300.0])
 def test_tight_curves_and_turning_loops_are_a_trains_motion(tmp_path: Path, radius: float) -> None:
     """Trams turn on 20 m; a train runs through a loop and back, and stands between."""

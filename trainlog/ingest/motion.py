@@ -54,8 +54,9 @@ INLIER, HOLDS = 0.3, 0.6
 """Deviation from the median ratio of two columns, as a share of it, up to which a sample has this
 ratio; share of the samples from which on the columns do."""
 
-CHORD = 20.0
-"""Time [s] between two fixes whose distance is compared with the distance driven."""
+CHORD, STRAIGHT = 20.0, 0.97
+"""Time [s] between two fixes whose distance is compared with the distance driven, where it is this
+share of the way by the fix between them."""
 
 ENOUGH = 10
 """Samples from which on their median, and how they spread, are known."""
@@ -82,17 +83,24 @@ receiver states none."""
 STAYED = 50.0
 """Way [m] that places and distances of a train which never moves stay within."""
 
-BEND_PATH, BEND_CHORD, BEND_STEP = 100.0, 0.3, 0.7
-"""Bends of a few metres radius: over a path [m] the fixes move less than a share of it, though from
-sample to sample, some metres, they move more than the other share. Tracks turn round within some
-300 m."""
+LEG, TURN = 15.0, np.radians(60.0)
+"""Ways [m] along the fixes between which no track turns by more than the angle: trams' bends have
+15 m radius and more."""
+
+FOLLOWED, FOLDED = 0.7, 0.5
+"""Fixes show a turn where they move from one to the next, closer than a leg, by this share of the
+way; less than the other share of a leg between its ends is a fold, by which errors of fixes are
+known from turns."""
 
 HARSH = 4.0
 """Acceleration over a second [m/s²] that no train reaches."""
 
-OFTEN_BENT, OFTEN_HARSH = 0.5, 0.1
-"""Share of the parts with such bends, and of the moving seconds with such accelerations, from which
-on a recording is not of a train's motion."""
+OFTEN_TURNED, OFTEN_FOLDED, OFTEN_HARSH = 0.04, 0.5, 0.1
+"""Share of the places with such turns, with folds, and of the moving seconds with such
+accelerations, from which on a recording is not of a train's motion."""
+
+LEAST_SHOWN = 0.2
+"""Share of the way on which turns must be shown: at its full speed a train shows none."""
 
 
 def seconds_of(table: Table) -> FloatArray:
@@ -189,22 +197,31 @@ def _not_of_rail(table: Table) -> Iterator[str]:
             )
     if fixes is None:
         return
-    path = integral(time, speed)[0]
-    fixed = np.flatnonzero(np.isfinite(fixes) & np.isfinite(path))
-    path, fixes = path[fixed], fixes[fixed]
-    later = np.searchsorted(path, path + BEND_PATH)
-    begin = np.flatnonzero(later < path.size)
-    steps, ways = np.abs(np.diff(fixes)), np.diff(path)
-    driven = np.concatenate(([0.0], np.cumsum(np.minimum(steps, ways))))
-    whole = path[later[begin]] - path[begin]
-    chord = np.abs(fixes[later[begin]] - fixes[begin])
+    # What stands shows noise.
+    path = integral(time, np.where(speed < MOVING, 0.0, speed))[0]
+    fixed = series_of(path, np.where(np.isfinite(path), fixes, np.nan), 2.0)
+    way, points = fixed.seconds, fixed.values
+    at = np.arange(way[0] + LEG, way[-1] - LEG, LEG / 3.0)
+    if at.size < ENOUGH:
+        return
+    before, here, after = (np.interp(at + by, way, points) for by in (-LEG, 0.0, LEG))
+    one, other = here - before, after - here
+    shortest = np.minimum(np.abs(one), np.abs(other))
     # Fixes that are held, or late, move less from one to the next, too.
-    followed = driven[later[begin]] - driven[begin] > BEND_STEP * whole
-    bent = followed & (chord < BEND_CHORD * whole)
-    if begin.size >= ENOUGH and bent.mean() > OFTEN_BENT:
+    steps = np.diff(way, prepend=way[0])
+    strides = np.minimum(np.abs(np.diff(points, prepend=points[0])), steps)
+    followed = np.cumsum(np.where(steps < LEG, strides, 0.0))
+    shown = np.interp(at + LEG, way, followed) - np.interp(at - LEG, way, followed)
+    shown = shown > FOLLOWED * 2.0 * LEG
+    folded = shown & (shortest < FOLDED * LEG)
+    turned = shown & ~folded & (np.abs(np.angle(other * np.conj(one))) > TURN)
+    places, turns, folds = (np.count_nonzero(each) for each in (shown, turned, folded))
+    if places < max(LEAST_SHOWN * at.size, ENOUGH):
+        return
+    if turns - folds > OFTEN_TURNED * places or folds > OFTEN_FOLDED * places:
         yield (
-            f"turns round within {BEND_PATH:.0f} m of its way in {bent.mean():.0%} of the"
-            " recording: bends of a few metres"
+            f"turns by more than {np.degrees(TURN):.0f}° within {2.0 * LEG:.0f} m at"
+            f" {(turns + folds) / places:.0%} of its way: bends of a few metres"
         )
 
 
@@ -393,6 +410,10 @@ def scale_of(seconds: FloatArray, points: ComplexArray, speed: FloatArray) -> fl
     chord = np.abs(fixes.values[second] - fixes.values[first])
     by_speed = driven[second] - driven[first]
     whole = np.abs(missing[second] - missing[first]) < 1e-6
+    # What turns goes further than its chord.
+    middle = np.searchsorted(fixes.seconds, 0.5 * (fixes.seconds[first] + fixes.seconds[second]))
+    halves = fixes.values[[first, middle, second]]
+    whole &= chord > STRAIGHT * np.abs(np.diff(halves, axis=0)).sum(axis=0)
     moving = np.minimum(chord, by_speed) > CHORD * MOVING
     found = agreement(by_speed, chord, whole & moving)
     return found.ratio if found is not None and found.holds else np.nan
