@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from estimators.interface import CALIBRATED, Estimator
+from estimators.interface import CALIBRATED, Estimator, EstimatorResult
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 from estimators.slip import samples_of
 from trainlog.arrays import FloatArray
@@ -34,34 +34,6 @@ class AdhesionForce:
 
     force: FloatArray
     std: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class AdhesionResult:
-    """Forces after the samples so far.
-
-    Attributes
-    ----------
-    estimate : (axles,) array [N]
-        Force between wheel and rail of each axle, signed like the effort.
-    covariance : (axles, axles) array [N²]
-        NaN on the diagonal before the first sample.
-    valid : bool
-        Whether the wheel speeds determine the force of every axle: a speed that is missing for
-        long leaves its force unknown.
-    excitation : float
-        Share of the force's first standard deviation that the wheel speeds removed, of the axle
-        where it is least.
-    samples, resets : int
-        Samples since the last reset; resets so far.
-    """
-
-    estimate: FloatArray
-    covariance: FloatArray
-    valid: bool
-    excitation: float
-    samples: int
-    resets: int
 
 
 class AdhesionObserver(Estimator):
@@ -209,13 +181,18 @@ class AdhesionObserver(Estimator):
         found = model.smooth(speed[:, :, None], self._speed_std**2, self._mean, self._covariance)
         return AdhesionForce(found.means[:, :, 1].copy(), found.std[:, :, 1])
 
-    def result(self) -> AdhesionResult:
-        """Force of each axle now."""
+    def result(self) -> EstimatorResult:
+        """Force of each axle now, signed like the effort [N].
+
+        It is valid where the wheel speeds determine the force of every axle: a speed that is
+        missing for long leaves its force unknown. The excitation is the share of the force's first
+        standard deviation that they removed, of the axle where it is least.
+        """
         excitation, variance = 0.0, self._covariance[:, 1, 1]
         if self._samples:
             left = np.sqrt(np.max(variance / self._prior_variance))
             excitation = float(np.clip(1.0 - left, 0.0, 1.0))
-        return AdhesionResult(
+        return EstimatorResult(
             estimate=self._mean[:, 1].copy(),
             covariance=np.diag(variance),
             valid=excitation >= CALIBRATED,

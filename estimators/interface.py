@@ -7,11 +7,12 @@ nothing had happened (`state`, `resume`): bit for bit, however the samples were 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Protocol, Self
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from trainlog.errors import InputError
 
@@ -20,39 +21,32 @@ FloatArray = NDArray[np.floating[Any]]
 CALIBRATED = 0.5
 """Excitation from which a result counts as valid."""
 
+COUNTS = ("samples", "resets")
+"""What every estimator counts: samples since the last full reset, and resets so far."""
 
-class EstimatorResult(Protocol):
-    """Estimate after the samples so far; each estimator adds fields of its own."""
 
-    @property
-    def estimate(self) -> FloatArray:
-        """Estimated parameters or state, (p,)."""
-        ...
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimatorResult:
+    """Estimate after the samples so far; each estimator says more of it, and adds its own.
 
-    @property
-    def covariance(self) -> FloatArray:
-        """Of the estimate, (p, p)."""
-        ...
+    Attributes
+    ----------
+    estimate, covariance : (p,), (p, p) array
+        Estimated parameters or state.
+    valid : bool
+        Whether the data, rather than the prior, determine the estimate.
+    excitation : float
+        0: nothing was learnt in the direction with least information ... 1: everything.
+    samples, resets : int
+        Samples since the last full reset; resets so far, full and partial.
+    """
 
-    @property
-    def valid(self) -> bool:
-        """Whether the data, rather than the prior, determine the estimate."""
-        ...
-
-    @property
-    def excitation(self) -> float:
-        """0: nothing was learnt in the direction with least information ... 1: everything."""
-        ...
-
-    @property
-    def samples(self) -> int:
-        """Samples since the last full reset."""
-        ...
-
-    @property
-    def resets(self) -> int:
-        """Resets so far, full and partial."""
-        ...
+    estimate: FloatArray
+    covariance: FloatArray
+    valid: bool
+    excitation: float
+    samples: int
+    resets: int
 
 
 class Estimator:
@@ -87,11 +81,13 @@ class Estimator:
         raise NotImplementedError
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on later, bit for bit; plain values that JSON can hold."""
+        """Everything needed to go on later, bit for bit; plain values that JSON can hold.
+
+        Arrays become lists and NaN, which JSON lacks, None.
+        """
         names = (*self.settings, *COUNTS, *self.memory)
-        return saved_state(
-            self.kind, self.version, {name: getattr(self, f"_{name}") for name in names}
-        )
+        values = {name: _plain(getattr(self, f"_{name}")) for name in names}
+        return {"format": self.kind, "version": self.version} | values
 
     @classmethod
     def resume(cls, state: Mapping[str, Any]) -> Self:
@@ -102,97 +98,29 @@ class Estimator:
         InputError
             If the state is of another kind or version, incomplete, or holds wrong values.
         """
-        check_state(state, cls.kind, cls.version, (*cls.settings, *COUNTS, *cls.memory))
+        problem = "is no saved state"
         try:
+            stated = state["format"], state["version"]
+            if stated != (cls.kind, cls.version):
+                problem = f"has format {stated[0]!r}, version {stated[1]!r}"
+                raise ValueError(f"needs version {cls.version}")
+            problem = "is incomplete, or holds a wrong value"
             estimator = cls(**{name: state[name] for name in cls.settings})
-        except (TypeError, ValueError) as error:
-            raise _broken(cls.kind, f"its settings are wrong ({error})") from error
-        for name in COUNTS:
-            setattr(estimator, f"_{name}", count_of(state, name))
-        for name in cls.memory:
-            fresh = getattr(estimator, f"_{name}")
-            setattr(estimator, f"_{name}", array_of(state, name, fresh.shape, fresh.dtype))
+            for name in COUNTS:
+                if isinstance(state[name], bool) or not 0 <= state[name] == int(state[name]):
+                    raise ValueError(f"{name} is no count: {state[name]!r}")
+                setattr(estimator, f"_{name}", int(state[name]))
+            for name in cls.memory:
+                fresh = getattr(estimator, f"_{name}")
+                array = np.array(state[name], dtype=fresh.dtype)
+                if array.shape != fresh.shape:
+                    raise ValueError(f"{name} has shape {array.shape}, needs {fresh.shape}")
+                setattr(estimator, f"_{name}", array)
+        except (TypeError, ValueError, LookupError, OverflowError) as error:
+            raise InputError(
+                f"state of {cls.kind!r}: {problem} ({error})", remedy="start the estimator anew"
+            ) from error
         return estimator
-
-
-COUNTS = ("samples", "resets")
-"""What every estimator counts: samples since the last full reset, and resets so far."""
-
-
-def saved_state(kind: str, version: int, values: Mapping[str, Any]) -> dict[str, Any]:
-    """State of an estimator as plain values that JSON can hold.
-
-    Parameters
-    ----------
-    kind : str
-        Format of the state, such as ``"trainlog/rls"``.
-    version : int
-        Raised when the meaning of a saved state changes.
-    values : mapping
-        Arrays and numbers; arrays become lists and NaN, which JSON lacks, None.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> saved_state("trainlog/example", 1, {"mean": np.array([1.0, np.nan])})
-    {'format': 'trainlog/example', 'version': 1, 'mean': [1.0, None]}
-    """
-    return {"format": kind, "version": version} | {
-        name: _plain(value) for name, value in values.items()
-    }
-
-
-def check_state(state: Mapping[str, Any], kind: str, version: int, names: Iterable[str]) -> None:
-    """Refuse a saved state that is of another kind or version, or incomplete.
-
-    Raises
-    ------
-    InputError
-        Naming what was found and what is needed.
-    """
-    if not isinstance(state, Mapping):
-        raise _broken(kind, f"is no saved state, but a {type(state).__name__}")
-    if state.get("format") != kind or state.get("version") != version:
-        raise InputError(
-            f"state of an estimator has format {state.get('format')!r}, version"
-            f" {state.get('version')!r}; needs {kind!r}, {version}",
-            remedy="start the estimator anew",
-        )
-    missing = [name for name in names if name not in state]
-    if missing:
-        raise _broken(kind, f"is incomplete, it lacks {', '.join(missing)}")
-
-
-def array_of(
-    state: Mapping[str, Any], name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float64
-) -> NDArray[Any]:
-    """An array of a saved state, with NaN where it holds None.
-
-    Raises
-    ------
-    InputError
-        If it holds no numbers, or not as many as `shape` needs.
-    """
-    try:
-        array: NDArray[Any] = np.array(state[name], dtype=dtype)
-        fits = array.shape == shape or array.size == 0 == np.prod(shape)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise _broken(state["format"], f"{name} is no array of numbers") from error
-    if not fits:
-        raise _broken(state["format"], f"{name} has shape {array.shape}, needs {shape}")
-    return array.reshape(shape)
-
-
-def count_of(state: Mapping[str, Any], name: str) -> int:
-    """A whole number of a saved state, at least 0; InputError if it is none."""
-    value = state[name]
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise _broken(state["format"], f"{name} is no count: {value!r}")
-    return value
-
-
-def _broken(kind: str, problem: str) -> InputError:
-    return InputError(f"state of {kind!r}: {problem}", remedy="start the estimator anew")
 
 
 def _plain(value: Any) -> Any:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from estimators.interface import Estimator
+from estimators.interface import Estimator, EstimatorResult
 from estimators.motion import WHEEL_ERROR_STD
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
@@ -64,8 +64,8 @@ _SPEED = (0.0, 1.0, 0.0, 0.0)
 """The row of a measurement of the speed."""
 
 
-@dataclass(frozen=True, eq=False)
-class OdometryResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OdometryResult(EstimatorResult):
     """The motion now.
 
     Attributes
@@ -80,17 +80,9 @@ class OdometryResult:
         one where it is less.
     standing : bool
         Whether the wheel has shown 0 for long.
-    samples, resets : int
-        Samples since the last reset; resets so far.
     """
 
-    estimate: FloatArray
-    covariance: FloatArray
-    valid: bool
-    excitation: float
     standing: bool
-    samples: int
-    resets: int
 
     @property
     def position(self) -> float:

@@ -34,7 +34,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from estimators.interface import CALIBRATED, Estimator
+from estimators.interface import CALIBRATED, Estimator, EstimatorResult
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 
@@ -248,8 +248,8 @@ ROUNDING = 1e-9
 """Of a period, by which a time may miss its multiple and still count as there."""
 
 
-@dataclass(frozen=True, eq=False)
-class RlsResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RlsResult(EstimatorResult):
     """The parameters after the samples so far.
 
     Attributes
@@ -267,19 +267,9 @@ class RlsResult:
         it is least: 0 nothing was learnt there, 1 everything.
     condition : float
         Condition number of the information with its columns normalised.
-    samples : int
-        Samples since the last full reset.
-    resets : int
-        Resets so far, full and partial.
     """
 
-    estimate: FloatArray
-    covariance: FloatArray
-    valid: bool
-    excitation: float
     condition: float
-    samples: int
-    resets: int
 
 
 class RecursiveLeastSquares(Estimator):

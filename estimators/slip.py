@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estimators.interface import Estimator
+from estimators.interface import Estimator, EstimatorResult
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
@@ -59,8 +59,8 @@ CONFIRMATION = 2
 """Samples in a row above the threshold before an axle is taken to slip."""
 
 
-@dataclass(frozen=True, eq=False)
-class SlipResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SlipResult(EstimatorResult):
     """Slip after the samples so far.
 
     Attributes
@@ -74,17 +74,9 @@ class SlipResult:
         Whether every axle was seen often enough to confirm slip, and in the last sample.
     excitation : float
         One less the noise over the threshold where every axle was seen in the last sample, else 0.
-    samples, resets : int
-        Samples since the last reset; resets so far.
     """
 
-    estimate: FloatArray
-    covariance: FloatArray
     slipping: BoolArray
-    valid: bool
-    excitation: float
-    samples: int
-    resets: int
 
 
 class SlipDetector(Estimator):

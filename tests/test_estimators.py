@@ -12,13 +12,7 @@ from hypothesis import given, settings, strategies as st
 from refusals import refused
 
 from estimators.adhesion import AdhesionObserver
-from estimators.interface import (
-    Estimator,
-    array_of,
-    check_state,
-    count_of,
-    saved_state,
-)
+from estimators.interface import Estimator
 from estimators.odometry import OdometryFilter
 from estimators.rls import RecursiveLeastSquares
 from estimators.slip import SlipDetector
@@ -26,28 +20,18 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
 
-def test_a_saved_state_goes_through_json_and_back() -> None:
-    values = np.array([[0.1, np.nan], [1.0 / 3.0, 1e-300]])
-    state = saved_state(
-        "kind", 3, {"matrix": values, "none": np.empty((0, 2)), "std": np.nan, "count": 4}
-    )
-    again = json.loads(json.dumps(state, allow_nan=False))
-    check_state(again, "kind", 3, ("matrix", "none", "std", "count"))
-    np.testing.assert_array_equal(array_of(again, "matrix", (2, 2)), values)
-    assert array_of(again, "none", (0, 2)).shape == (0, 2)
-    assert np.isnan(array_of(again, "std", ()))
-    assert count_of(again, "count") == 4
-
-
 def test_a_saved_state_that_does_not_fit_is_refused() -> None:
-    state = saved_state("kind", 3, {"matrix": np.eye(2), "count": -1, "word": "many"})
-    refused(InputError, "needs 'other', 3", check_state, state, "other", 3, ())
-    refused(InputError, "version 3; needs 'kind', 4", check_state, state, "kind", 4, ())
-    refused(InputError, "no saved state, but a list", check_state, [], "kind", 3, ())
-    refused(InputError, "it lacks more", check_state, state, "kind", 3, ("matrix", "more"))
-    refused(InputError, r"matrix has shape \(2, 2\), needs \(3,\)", array_of, state, "matrix", (3,))
-    refused(InputError, "word is no array", array_of, state, "word", ())
-    refused(InputError, "count is no count: -1", count_of, state, "count")
+    state, resume = SlipDetector(2, 0.05).state(), SlipDetector.resume
+    assert resume(state).state() == state
+    refused(InputError, "format 'other', version 2", resume, state | {"format": "other"})
+    refused(InputError, "version 3 .needs version 2", resume, state | {"version": 3})
+    refused(InputError, "is no saved state", resume, [])
+    refused(InputError, r"seen has shape \(3,\), needs \(2,\)", resume, state | {"seen": [0, 0, 0]})
+    refused(InputError, "wrong value .*many", resume, state | {"last": "many"})
+    for count in (-1, 1.5, True, None, float("inf")):
+        refused(InputError, "samples|int", resume, state | {"samples": count})
+    del state["above"]
+    refused(InputError, "is incomplete.*above", resume, state)
 
 
 COUNT = 400

@@ -112,20 +112,17 @@ class Windows:
         summing = csr_array(
             (np.ones(self.count), np.arange(self.count), np.append(first, self.count))
         )
-        return Windows(
-            start=self.start[first],
-            end=self.end[last],
-            y=summing @ self.y,
-            x=summing @ self.x,
-            end_speed=self.end_speed[last],
-            braking=summing @ self.braking,
-            tunnel=summing @ self.tunnel,
-            momentum=summing @ self.momentum,
-            effort_change=summing @ self.effort_change,
-            effort_square=summing @ self.effort_square,
-            sections=summing @ self.sections,
-            edges=summing @ self.edges,
-        )
+        ends = {
+            "start": self.start[first],
+            "end": self.end[last],
+            "end_speed": self.end_speed[last],
+        }
+        sums = {
+            item.name: summing @ getattr(self, item.name)
+            for item in fields(self)
+            if item.name not in ends
+        }
+        return Windows(**ends, **sums)
 
 
 @dataclass(frozen=True, eq=False)
