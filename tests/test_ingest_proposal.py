@@ -20,7 +20,7 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.ingest import Proposal, ingest, propose_profile
-from trainlog.ingest.proposal.vocabulary import vocabulary
+from trainlog.ingest.proposal.vocabulary import meaning_of, role_of, vocabulary
 from trainlog.mcap import read_log
 from trainlog.railway import RunningResistance
 from trainlog.trip import Trip
@@ -309,6 +309,20 @@ def test_times_whose_parts_are_known_by_their_order(tmp_path: Path, pattern: str
     assert (trip["/train/state"].index == truth).all()
 
 
+@pytest.mark.parametrize("name", ["ENGINE_RUN_TINE ()", "Run time since engine start [s]"])
+@pytest.mark.parametrize("rows", [1, 3])
+def test_the_run_time_of_an_engine_is_a_time(tmp_path: Path, name: str, rows: int) -> None:
+    """OBD loggers count whole seconds since the start, with one or several rows each."""
+    run = drive(300 * rows, 1.0 / rows)
+    engine = 50.0 + np.random.default_rng(1).uniform(0.0, 1.0, 300 * rows)
+    columns = {name: np.repeat(np.arange(137, 437), rows), "VEHICLE_SPEED ()": 3.6 * run.v}
+    path = written(tmp_path, columns | {"Abgastemperatur [°C]": engine})
+    state = ingest(path, propose_profile(path).profile)["/train/state"]
+    assert len(state) == 300 * rows
+    apart = (state.index - state.index[0]).total_seconds().to_numpy()
+    assert np.abs(apart - np.arange(300 * rows) / rows).max() < 0.01
+
+
 def test_parquet_with_typed_times(tmp_path: Path) -> None:
     run = drive()
     path = tmp_path / "run.parquet"
@@ -475,6 +489,23 @@ def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:
         "run-1.profile.toml",
         "run-2.mcap",
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("accuracy", "/gnss/fix.horizontal_accuracy"),
+        ("locationHorizontalAccuracy(m)", "/gnss/fix.horizontal_accuracy"),
+        ("verticalAccuracy", "/gnss/fix.vertical_accuracy"),
+        ("speedAccuracy", "/gnss/motion.speed_accuracy"),
+        ("bearingAccuracy", None),
+        ("locationCourseAccuracy(°)", None),
+        ("Richtungsgenauigkeit", None),
+        ("tAcc", None),
+    ],
+)
+def test_an_accuracy_is_that_of_what_its_name_says(name: str, meant: str | None) -> None:
+    assert role_of(meaning_of(name))[0] == meant
 
 
 def test_every_unit_of_the_vocabulary_is_one_that_a_profile_can_have() -> None:

@@ -388,7 +388,9 @@ GNSS_FIX = Topic(
             "standard deviation of each horizontal axis",
             bounds=Bounds(0.0, 1e5),
             recorded=Recorded(
-                "hacc accuracy genauigkeit precision", plausible=(0.0, 2000.0), integers=1e-3
+                "hacc accuracy genauigkeit precision horizontalaccuracy",
+                plausible=(0.0, 2000.0),
+                integers=1e-3,
             ),
         ),
         Field(
@@ -396,7 +398,11 @@ GNSS_FIX = Topic(
             "m",
             "standard deviation of the altitude",
             bounds=Bounds(0.0, 1e5),
-            recorded=Recorded("vacc", plausible=(0.0, 2000.0), integers=1e-3),
+            recorded=Recorded(
+                "vacc verticalaccuracy altitudeaccuracy hoehengenauigkeit precisionverticale",
+                plausible=(0.0, 2000.0),
+                integers=1e-3,
+            ),
         ),
     ),
 )
@@ -419,7 +425,11 @@ GNSS_MOTION = Topic(
             "standard deviation of the speed",
             usual="m/s",
             bounds=Bounds(0.0, 1e4),
-            recorded=Recorded("sacc speedacc", plausible=(0.0, 50.0), integers=1e-3),
+            recorded=Recorded(
+                "sacc speedacc speedaccuracy geschwindigkeitsgenauigkeit",
+                plausible=(0.0, 50.0),
+                integers=1e-3,
+            ),
         ),
         Field(
             "satellites",

@@ -370,7 +370,8 @@ def _elapsed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> 
     for name in [n for n in layout.names if "clock" in meanings[n].quantities]:
         values = layout.number(name)
         steps = np.diff(values[np.isfinite(values)])
-        if steps.size < 2 or np.mean(steps > 0) < 0.5:
+        # Of whole seconds several rows may have the same.
+        if steps.size < 2 or np.mean(steps >= 0) < MOST or not np.any(steps > 0):
             continue
         step = float(np.median(steps[steps > 0]))
         stated = meanings[name].unit
