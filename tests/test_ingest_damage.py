@@ -78,7 +78,7 @@ def test_a_clock_that_was_set_costs_nothing(tmp_path: Path, data: st.DataObject)
     stated = (
         "-1024 weeks" if size == WEEKS else "+1024 weeks" if size == -WEEKS else f"{-size:+d} s"
     )
-    assert report.findings[0].note == f"moved by {stated}"
+    assert report.findings[0].note.split(";")[0] == f"moved by {stated}"
     state = trip["/train/state"]
     np.testing.assert_array_equal(state.index.as_unit("ns").asi8, truth)
     np.testing.assert_array_equal(state["speed"], run.speed)

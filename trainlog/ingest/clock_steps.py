@@ -120,7 +120,7 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
     if not shift.any():
         return table, []
     sizes = ", ".join(_size(int(size)) for size in np.unique(shift[shift != 0]))
-    note = f"moved by {sizes}"
+    note = f"moved by {sizes}; clock_step = false under [repair] of the profile keeps the times"
     return table.at(found.time), table.found("clock_step", shift != 0, note=note)
 
 
