@@ -269,11 +269,20 @@ def test_the_schemas_state_what_all_commands_have_and_numbers_name_their_unit() 
             assert not [key for key in wrong if key], name
 
 
-def test_an_error_with_json_is_on_standard_error_alone(tmp_path: Path, shell: Shell) -> None:
-    words = ["fit", tmp_path / "no.mcap", "-o", tmp_path / "p.json", "--json"]
-    status, printed, complaint = shell(*words)
+def test_an_error_with_json_is_one_object_on_standard_error(tmp_path: Path, shell: Shell) -> None:
+    words = ["fit", tmp_path / "no.mcap", "-o", tmp_path / "p.json"]
+    status, printed, complaint = shell(*words, "--json")
     assert (status, printed) == (2, "")
-    assert complaint.startswith("trainlog: ")
+    stated = {"problem": "does not exist", "file": str(tmp_path / "no.mcap"), "place": None}
+    stated["remedy"] = "check the path"
+    assert json.loads(complaint) == {"status": 2, "error": stated}
+    assert shell(*words)[2].startswith("trainlog: ")
+    complaint = shell("show", "--colour", "--json")[2]
+    assert json.loads(complaint)["error"]["problem"].startswith("No such option: --colour")
+    profile = tmp_path / "two.profile.toml"
+    profile.write_text('format = "trainlog/recorder-profile"\nversion = 1\nname = 3\nother = 4\n')
+    error = json.loads(shell("show", profile, "--json")[2].splitlines()[-1])["error"]
+    assert len(error["problems"]) == 2
 
 
 def test_quiet_prints_errors_only(folder: Path, shell: Shell) -> None:

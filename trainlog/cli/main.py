@@ -70,14 +70,15 @@ def main() -> None:
             with naming_missing():
                 status = run(sys.argv[1:])
     except TrainlogError as error:
-        print_problems(error)
-        status = 2
+        status = _complain(error)
     except TyperException as error:
-        status = _complain(_explained(error))
+        problem, _, remedy = _explained(error).partition("; ")
+        status = _complain(TrainlogError(problem, remedy=remedy or None))
     except OSError as error:
         # The packages below turn the errors they expect into TrainlogError; this is a full disk, a
         # lost drive, a forbidden folder met elsewhere.
-        status = _complain(f"{error.filename or 'file'}: {error.strerror or error}")
+        place = error.filename or "file"
+        status = _complain(TrainlogError(str(error.strerror or error), file=place))
     except (KeyboardInterrupt, typer.Abort):
         print_error("interrupted: nothing was written")
         status = INTERRUPTED
@@ -98,8 +99,9 @@ def _explained(error: TyperException) -> str:
     return f"{message}{example}; see '{context.command_path} --help'"
 
 
-def _complain(message: str) -> int:
-    print_error(message)
+def _complain(error: TrainlogError) -> int:
+    """State an error, as an object where the command was asked for one; the exit status."""
+    print_problems(error, as_json="--json" in sys.argv[1:])
     return 2
 
 

@@ -15,6 +15,7 @@ import json
 import math
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
@@ -282,18 +283,30 @@ def print_error(message: str) -> None:
     errors.print(f"trainlog: {line}", soft_wrap=True)
 
 
-def print_problems(error: TrainlogError) -> None:
-    """State what is wrong: in one line or, if a file has several problems, in one line each."""
+def print_problems(error: TrainlogError, *, as_json: bool = False) -> None:
+    """State what is wrong: in one line or, if a file has several problems, in one line each.
+
+    As JSON in one object, in one line.
+    """
     problems = getattr(error, "problems", ())
-    if not problems:
+    if as_json:
+        found = _parts_of(error) | ({"problems": [*map(_parts_of, problems)]} if problems else {})
+        print(json.dumps({"status": 2, "error": found}, ensure_ascii=False), file=sys.stderr)
+    elif not problems:
         print_error(str(error))
-        return
-    print_error(f"{error.file}: {len(problems)} problems")
-    shown = [str(problem) for problem in problems[:MOST_LISTED]]
-    if len(problems) > MOST_LISTED:
-        shown.append(f"and {len(problems) - MOST_LISTED} more")
-    for line in shown:
-        errors.print(f"  {line}", soft_wrap=True)
+    else:
+        print_error(f"{error.file}: {len(problems)} problems")
+        shown = [str(problem) for problem in problems[:MOST_LISTED]]
+        if len(problems) > MOST_LISTED:
+            shown.append(f"and {len(problems) - MOST_LISTED} more")
+        for line in shown:
+            errors.print(f"  {line}", soft_wrap=True)
+
+
+def _parts_of(error: TrainlogError) -> dict[str, Any]:
+    """An error as data."""
+    parts = {name: getattr(error, name) for name in ("problem", "file", "place", "remedy")}
+    return {name: plain(part) for name, part in parts.items()}
 
 
 def print_warning(message: str) -> None:
