@@ -23,7 +23,7 @@ from trainlog.formats.files import (
     stated_format,
 )
 from trainlog.formats.railway import read_network, route_of_path
-from trainlog.presentation import WordTable, facts_table, new_table
+from trainlog.presentation import Column, WordTable, facts_table, new_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,15 +80,40 @@ class Contents:
         return replace(found, recorded=recorded_fields(found))
 
     def parts(self, *, every: bool = False) -> Sequence[WordTable | str]:
-        """What is shown of it; if `every`, of a map the trips by name, too."""
+        """What is shown of it; if `every`, of a map its trips, and of a log its repairs, too."""
         if self.kind == "log":
-            return [*self.described().shown(), *self._passport()]
+            return [*self.described().shown(), *self._passport(), *self.repairs(every=every)]
         if self.kind in ("consist", "network", "route"):
             shown: Sequence[WordTable | str] = self.value.shown()
             return shown
         if self.kind == "track-condition map":
             return _map_tables(self.path)[: 1 + every]
         return [f"{self.path}: {self.kind}", self.text]
+
+    def repairs(self, *, every: bool = True) -> list[WordTable | str]:
+        """Of a log that ingest made: its report and, if `every`, the raw value of each repair."""
+        from trainlog.ingest import repairs_of, report_of
+        from trainlog.mcap import read_log
+
+        trip = read_log(self.path, []) if every else None
+        if trip is None or all(each.get("step") != "ingest" for each in trip.provenance):
+            return []
+        frame = repairs_of(trip).drop(columns="table")
+        for name in ("raw_time", "new_time"):
+            frame[name] = frame[name].dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        table = new_table(
+            "repairs, SI",
+            Column("row"),
+            Column("time, UTC", of=lambda row: _of_day(row["raw_time"])),
+            Column("rule"),
+            Column("column"),
+            Column("was", of=_was),
+            Column("is", of=_is),
+            name="repairs",
+            frame=frame,
+        )
+        rows = frame.astype(object).where(frame.notna(), None).to_dict("records")
+        return [*report_of(trip).lines(), table.add_rows(rows)]
 
     def _passport(self) -> list[WordTable]:
         from trainlog.formats.railway import passport_of
@@ -100,6 +125,25 @@ class Contents:
         found = passport_of(read_log(self.path, []))
         assert found is not None
         return [facts_table(found.title, found.summary(), "passport")]
+
+
+def _of_day(time: str | None) -> str:
+    """The time of day of a time, to milliseconds."""
+    return "" if time is None else time[11:23]
+
+
+def _was(repair: dict[str, Any]) -> str:
+    """What of a cell, or of a whole row, stood in the file."""
+    value = repair["raw_value"]
+    return repair["raw_text"] or ("" if value is None else f"{value:.9g}")
+
+
+def _is(repair: dict[str, Any]) -> str:
+    """What became of it."""
+    time, value = repair["new_time"], repair["new_value"]
+    if time != repair["raw_time"]:
+        return "dropped" if time is None else _of_day(time)
+    return ("absent" if _was(repair) else "") if value is None else f"{value:.9g}"
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ new samples -o sample_logs
 new line -o my.line.toml
 import sample_logs/CH_Stadler_FLIRT_TPF.train.json --mass-model homogeneous_strip -o imported
 ingest sample_logs/gnss.csv -o recorded
+show recorded/gnss.mcap --all
 show sample_logs --check
 convert cut.mcap -o whole.mcap
 simulate drive --line sample --train sample --count 1 -o trips
@@ -240,6 +241,8 @@ PURE = {
     *("moved_in_all", "pending", "refused", "rounding", "rows", "unread", "verdicts_in_all"),
     *("within", "words", "workers", "lines", "lost", "lost_by_number", "late_by_number"),
     *("repeated_by_number", "restarts_by_number", "trains", "damaged", "forward", "reverse"),
+    # Of any column, SI.
+    *("row", "raw_value", "new_value"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

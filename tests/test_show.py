@@ -244,3 +244,35 @@ def test_settings_take_the_options_of_all_commands(capsys: pytest.CaptureFixture
 def test_a_conversion_makes_the_folder_that_is_named(tmp_path: Path) -> None:
     run(["convert", str(sample("nonstop.mcap")), "-o", str(tmp_path / "new" / "trip.parquet")])
     assert (tmp_path / "new" / "trip.parquet").is_dir()
+
+
+def test_what_ingest_repaired_is_listed_with_its_raw_values(tmp_path: Path, shell: Shell) -> None:
+    recorded = tmp_path / "run.csv"
+    cells = ["10.0", "error", "10.1", "500", "10.3", "10.4", "10.5"]
+    rows = [f"2024-05-01T06:00:{second:02d}Z,{cell}" for second, cell in enumerate(cells)]
+    recorded.write_text("\n".join(["t,v", *rows, rows[-1], ""]), "utf-8")
+    profile = tmp_path / "run.profile.toml"
+    profile.write_text(
+        """format = "trainlog/recorder-profile"
+version = 1
+name = "recorder"
+[time]
+column = "t"
+[columns]
+"/train/state.speed" = { column = "v", unit = "m/s" }
+""",
+        "utf-8",
+    )
+    shell("ingest", recorded, "--profile", profile, "-o", tmp_path)
+    _, shown, _ = shell("show", tmp_path / "run.mcap", "--all")
+    lines = [line.split() for line in shown.splitlines()]
+    assert "8 rows read, 7 kept, 1 dropped" in shown
+    speed = "/train/state.speed"
+    assert ["3", "06:00:01.000", "not_a_number", speed, "error", "absent"] in lines
+    assert ["5", "06:00:03.000", "out_of_limits", speed, "500", "absent"] in lines
+    assert ["9", "06:00:06.000", "duplicates", "dropped"] in lines
+    assert "out_of_limits   /train" not in shell("show", tmp_path / "run.mcap")[1]
+    _, shown, _ = shell("show", tmp_path / "run.mcap", "--all", "--json")
+    (wild,) = [r for r in json.loads(shown)["repairs"] if r["rule"] == "out_of_limits"]
+    assert (wild["raw_value"], wild["new_value"]) == (500.0, None)
+    assert wild["raw_time"] == "2024-05-01T06:00:03.000000Z"

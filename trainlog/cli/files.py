@@ -329,7 +329,8 @@ def show(
         Read logs to the last byte, of any program; verify every checksum and account for what is
         lost.
     all_
-        List the trips of track-condition maps by name, too.
+        List the trips of track-condition maps by name, and what ingest repaired in logs with its
+        raw values, too.
     picture : FILE
         Draw a trip, a line or a network into this file (.png, .svg).
     open_
@@ -408,6 +409,8 @@ def _show(file: Path, every: bool) -> bool:
     found = contents_of(file)
     if found.kind == "log" and state({}):
         current().content.setdefault("logs", []).append(found.described().data())
+        for part in found.repairs(every=every):
+            console.print(part)
     else:
         for part in found.parts(every=every):
             say_wrapped(part) if isinstance(part, str) else console.print(part)
