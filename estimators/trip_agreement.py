@@ -238,6 +238,12 @@ def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Facto
     if left.size >= SURE:
         error = float(np.clip(np.quantile(left, 0.7) / 1.04, ERROR, PRIOR))
     above = rows.used_log - level[rows.used_bin]
+    # Where more trips used more without slip than slipped, these met a spot: the median trip's
+    # level is higher, and not known.
+    passed = (above - log[rows.used_trip] > ERROR) & makes[rows.used_trip]
+    spots = np.bincount(rows.used_bin[passed], minlength=rows.bins) > count
+    rows = rows._where(np.ones(rows.trip.size, dtype=np.bool_), ~spots[rows.used_bin])
+    above = rows.used_log - level[rows.used_bin]
     known = np.isfinite(above)
     used = np.bincount(rows.used_trip[known], minlength=rows.trips)
     over = np.bincount(rows.used_trip[known], above[known] > PLAIN, minlength=rows.trips)
