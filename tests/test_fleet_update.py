@@ -46,6 +46,7 @@ from trainlog import version
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
+from trainlog.formats.mapfile import read_map
 from trainlog.version import code_version_of
 
 HERE = UpdateOptions(workers=0)
@@ -359,6 +360,39 @@ def test_the_map_is_that_of_the_logs(
     (name,) = (name for name in undisturbed if name.endswith(".map"))
     update_map(fleet_logs, tmp_path / name)
     assert maps_in(tmp_path) == {name: undisturbed[name]}
+
+
+def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
+    place: Path, undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
+    (name,) = (name for name in undisturbed if name.endswith(".map"))
+    logs = sorted((tmp_path / "logs").glob("*.mcap"))
+    updated(place, "adhesion")
+
+    def again() -> list[str]:
+        """The trips in the map, after an update; it is that of a map made of the logs alone."""
+        with open_catalogue(place) as catalogue:
+            catalogue.add(tmp_path / "logs")
+        updated(place, "adhesion")
+        (tmp_path / name).unlink(missing_ok=True)
+        update_map(tmp_path / "logs", tmp_path / name)
+        found, made = (read_map(folder / name) for folder in (place / "maps", tmp_path))
+        assert found.trips == made.trips
+        assert {n: layer.evidence for n, layer in found.layers.items()} == {
+            n: layer.evidence for n, layer in made.layers.items()
+        }
+        return [each["trip"] for each in found.trips]
+
+    every, content = again(), logs[0].read_bytes()
+    logs[0].write_bytes(logs[1].read_bytes())
+    assert len(again()) == len(every) - 1
+    logs[0].write_bytes(content)
+    assert again() == every
+    with open_catalogue(place) as catalogue:
+        gone = catalogue.query(columns=["key", "name"]).iloc[0]
+        catalogue.remove(f"key = '{gone['key']}'")
+    updated(place, "adhesion")
+    assert gone["name"] not in [each["trip"] for each in read_map(place / "maps" / name).trips]
 
 
 def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from analysis.adhesion.condition_map import empty_map_of
-from analysis.network.maps import edge_map_path
+from analysis.network.maps import edge_map_path, map_files
 from trainlog.formats.files import made_folder, write_bytes
 from trainlog.formats.mapfile import MapFile, Recording, unpacked_evidence
 from trainlog.identity import identity_from_text
@@ -90,8 +90,9 @@ def update_maps(catalogue: Catalogue, evidence: Computation) -> MapsUpdate:
     with catalogue.alone(MAPS):
         work = _Maps(catalogue, evidence)
         work.tidy()
+        left = work.leave()
         trips, edges = work.add()
-        return MapsUpdate(work.standing, trips, tuple(sorted(edges)), work.finish())
+        return MapsUpdate(work.standing, trips, tuple(sorted(edges | left)), work.finish())
 
 
 class _Maps:
@@ -105,6 +106,19 @@ class _Maps:
         self._old = self.standing.with_name(f"{MAPS}.old")
         self.mark = {"format": "trainlog/fleet-maps", "code": evidence.code}
         self.mark |= evidence.parameters
+
+    def leave(self) -> set[str]:
+        """Take out trips whose logs were overwritten or removed; the edges whose maps changed."""
+        logs, edges = self.catalogue.forget_overwritten(self.own), set[str]()
+        for folder in (self.standing, self._next):
+            for path in map_files(folder) if _mark_of(folder) == self.mark else ():
+                with MapFile(path) as file:
+                    if file.keep_only(logs):
+                        edges.add(file.empty.line)
+                    trips, _ = file.amount()
+                if not trips:
+                    path.unlink()
+        return edges
 
     def add(self) -> tuple[int, set[str]]:
         """Add what is missing; how many trips, and which edges they ran over."""

@@ -481,6 +481,21 @@ class Computed(Database):
                 (folder / name).unlink(missing_ok=True)
             return count
 
+    def forget_overwritten(self, of: Computation) -> set[str]:
+        """Forget what is recorded of trips whose logs were overwritten by logs of others.
+
+        Returns
+        -------
+        set of str
+            SHA-256 of the logs of which a result is recorded still.
+        """
+        old = sa.select(trips.c.id).where(trips.c.standing == "older version")
+        with self.writing() as connection:
+            own = results.c.computation == computation_id(connection, of)
+            connection.execute(sa.delete(results).where(own, results.c.trip.in_(old)))
+            left = sa.select(trips.c.sha256).join(results, results.c.trip == trips.c.id)
+            return set(connection.execute(left.where(own)).scalars())
+
     def record(
         self,
         of: Computation,

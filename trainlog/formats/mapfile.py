@@ -18,7 +18,7 @@ import secrets
 import sqlite3
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import reduce
@@ -863,14 +863,35 @@ class MapFile:
                         file=self.path,
                         remedy="build the map anew from the logs without it",
                     )
-            database.executemany("DELETE FROM trips WHERE key = ?", [(row.key,) for row in rows])
-            gone = {row.key for row in rows}
-            near = {each.key: each for row in rows for each in self._of_the_drive(row)}
-            for key, each in near.items():
-                if key not in gone:
-                    self._decided(each)
-            self._tidy(database)
+            self._take_out(database, rows)
         return len(rows)
+
+    def keep_only(self, logs: Collection[str]) -> int:
+        """Take out the recordings of all other logs; returns how many.
+
+        Those without a log, and those in sums of days, stay.
+
+        Parameters
+        ----------
+        logs : collection of str
+            SHA-256 of each.
+        """
+        known = "SELECT key FROM trips WHERE evidence IS NOT NULL AND length(key) = 64"
+        gone = [key for (key,) in self._asked(known) if key not in logs]
+        if gone:
+            with self._writing() as database:
+                self._take_out(database, [row for row in map(self.held, gone) if row is not None])
+        return len(gone)
+
+    def _take_out(self, database: sqlite3.Connection, rows: Sequence[Row]) -> None:
+        """Delete rows, and decide anew which other recordings of their drives count."""
+        database.executemany("DELETE FROM trips WHERE key = ?", [(row.key,) for row in rows])
+        gone = {row.key for row in rows}
+        near = {each.key: each for row in rows for each in self._of_the_drive(row)}
+        for key, each in near.items():
+            if key not in gone:
+                self._decided(each)
+        self._tidy(database)
 
     def _tidy(self, database: sqlite3.Connection) -> None:
         """Delete evidence that no row has, and count the rows anew."""
