@@ -33,6 +33,7 @@ from trainlog.ingest.pipeline import (
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.proposal.layout import looks_like_table
 from trainlog.ingest.proposal.times import NoRecordingError
+from trainlog.ingest.recording import SHOWN
 from trainlog.ingest.registry import formats
 from trainlog.ingest.report import Report, report_of
 from trainlog.ingest.routes import NETWORK_INPUT, NetworkRoutes, routes_of
@@ -133,10 +134,6 @@ class Outcome:
         }
 
 
-MOST_PASSED_OVER = 10
-"""Files that are listed as passed over; of more the number is stated."""
-
-
 def _name(each: Outcome) -> str:
     return f"{each.file.name}, {each.recording}" if each.recording else each.file.name
 
@@ -202,9 +199,9 @@ class Ingested(Presented):
             words += [f"{_name(each)}: direction {direction}"] if "assumed" in direction else []
             words += [f"{_name(each)}: {motion}"] if motion else []
         others = self.of("passed_over")
-        words += [f"passed over: {each.file}: {each.reason}" for each in others[:MOST_PASSED_OVER]]
-        if len(others) > MOST_PASSED_OVER:
-            words.append(f"passed over: {len(others) - MOST_PASSED_OVER} more files")
+        words += [f"passed over: {each.file}: {each.reason}" for each in others[:SHOWN]]
+        if len(others) > SHOWN:
+            words.append(f"passed over: {len(others) - SHOWN} more files")
         return words
 
     def sentences(self) -> list[str]:

@@ -45,12 +45,17 @@ from trainlog.errors import InputError
 from trainlog.ingest.clock import Result
 from trainlog.ingest.matching import GEOMETRY_STD, EdgeTracks, edge_nodes, rough_noise
 from trainlog.ingest.motion import (
+    ELSEWHERE,
     ENOUGH,
+    FAR,
     GATE,
     MOVING,
     POSITION,
     RESTING,
-    RESTING_SAMPLES,
+    SEVERAL,
+    SPAN,
+    STAYED,
+    SUSPECT,
     covered,
     held,
     rate_of,
@@ -75,28 +80,13 @@ from trainlog.ingest.receiver import (
     slipping_wheels,
     unmeasured,
 )
-from trainlog.ingest.recording import Finding, Table
+from trainlog.ingest.recording import MOST, NEARLY_ALL, Finding, Table
 from trainlog.ingest.rules import quantum
 from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
 from trainlog.railway.line import Geometry, Line
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of, seconds as seconds_of
 from trainlog.units import NANOSECONDS
-
-NODE = 5.0
-"""Time between fixes from which the chain is made [s]."""
-
-MAX_MISFIT = 500.0
-"""Misfit of line and fixes [m] beyond which it is another line."""
-
-BACKWARDS = 500.0
-"""Distance against the line [m] from which a trip is refused."""
-
-SCALE = 0.2
-"""Speeds whose distance is off by this part over the whole trip are in another unit."""
-
-MOST_ASIDE = 0.5
-"""Part of the fixes that may be set aside; a trip with more is refused."""
 
 DRIFT = 0.1
 """Random walk [m/√s] of the chainage beyond the integral of the speed: curves cut short by the
@@ -116,9 +106,6 @@ LATE_CHANGES = 120.0
 
 STEADY = 0.1
 """Change of the age of a fix [s/s] up to which its receiver does not catch up."""
-
-ELSEWHERE = 50.0
-"""Misfit of line and fixes [m] from which on places along the line show nothing of a receiver."""
 
 TURNS = 5
 """Times the fixes are projected and the motion is smoothed."""
@@ -145,34 +132,20 @@ change speed, trams."""
 SPARSE = 2.5
 """Fixes further apart than this [s] are rare."""
 
-LEAST_PREDICTED, FOLDS, PREDICTED = 8, 4, 10.0
-"""Fixes from which on they are left out and predicted, in so many parts, each in stretches of so
-long [s] or a fix."""
+FOLDS = 4
+"""Parts in which fixes are left out and predicted."""
 
 LATE_SHARE = 0.5
 """Part of that noise that no averaging removes: fixes that come late err to one side."""
 
-MOST_ALONG = 500.0
-"""Largest noise along the line alone [m]."""
-
 LEAST_FREEDOM = 3.0
 """Least number of independent values that the size of errors is taken to rest on."""
-
-OFFSET = 30.0
-"""A recorded position further than this [m], and than `GATE` standard deviations, from the chainage
-of the fixes contradicts it."""
 
 ODOMETER_DRIFT = 0.005
 """Share of the distance by which an odometer drifts."""
 
 CLOCKS = 1.0
 """Time [s] by which odometer and receiver may be apart."""
-
-CONSTANT = 0.95
-"""Share of the samples that have an offset which is called constant."""
-
-MOST_CONTRADICTING = 0.5
-"""Share of the positions that may contradict the fixes; of more none is used."""
 
 
 class AgainstLineError(InputError):
@@ -240,7 +213,7 @@ class OnLine:
         self.chainage = np.full(points.size, np.nan)
         count = np.count_nonzero(self.known)
         std, self.misfit = rough_noise(fixes.std, self.apart)
-        if self.misfit > MAX_MISFIT:
+        if self.misfit > FAR:
             raise InputError(
                 f"half of the {count} fixes lie"
                 f" {np.nanmedian(self.apart) / 1e3:.1f} km or more from the line",
@@ -257,7 +230,7 @@ class OnLine:
         self.known = np.isfinite(points) & ~self.misplaced
         self.motion = self._run(course, fitting)
         lost = int(np.count_nonzero(self.rejected | self.computed))
-        if gated and lost > MOST_ASIDE * count:
+        if gated and lost > MOST * count:
             raise InputError(
                 f"{lost} of {count} fixes were set aside"
                 f" ({np.count_nonzero(self.computed)} extrapolated, held or replayed, the others"
@@ -301,7 +274,7 @@ class OnLine:
             return
         self._without_speeds("extrapolated", self.computed)
         scale = scale_of(seconds, self.points, self.fixes.speed)
-        if np.isfinite(scale) and not 1.0 / (1.0 + SCALE) < scale < 1.0 + SCALE:
+        if np.isfinite(scale) and not 1.0 / SUSPECT < scale < SUSPECT:
             every = np.isfinite(self.fixes.speed)
             self._without_speeds(f"{scale:.2f} times what positions show", every)
 
@@ -362,7 +335,7 @@ class OnLine:
         Old fixes are put where they were measured; those of a receiver that is late throughout are
         brought forward by the speeds.
         """
-        if self.misfit > ELSEWHERE or np.count_nonzero(np.isfinite(chainage)) < ENOUGH:
+        if self.misfit > STAYED or np.count_nonzero(np.isfinite(chainage)) < ENOUGH:
             # Places on another line show nothing of the receiver.
             return chainage
         seconds = self.fixes.seconds
@@ -372,7 +345,7 @@ class OnLine:
             even, none = mean * seconds, np.zeros(seconds.size)
             found = receiver_states(seconds, chainage, std, even, none, *usual)
             known = np.isfinite(chainage)
-            most = np.mean((found.age >= REPLAYED)[known] | found.wrong[known]) > MOST_ASIDE
+            most = np.mean((found.age >= REPLAYED)[known] | found.wrong[known]) > MOST
             return chainage if most else self._put_in_time(found, chainage, measured=False)
         speed = unmeasured(seconds, self.fixes.any_speed)
         found = receiver_states(seconds, chainage, std, driven, speed.unsure)
@@ -395,7 +368,7 @@ class OnLine:
         leaps = np.zeros(doubted.size, dtype=np.bool_)
         leaps[known[1:][pace > LEAP]] = True
         runs = repeats(self.fixes.speed)
-        rests = runs.samples >= RESTING_SAMPLES
+        rests = runs.samples >= SEVERAL
         first, last = runs.known[runs.first[rests]], runs.known[runs.last[rests]]
         soon = np.searchsorted(seconds, seconds[last] + RESTING) - 1
         for flags in (leaps, doubted):
@@ -455,7 +428,7 @@ class OnLine:
             If most fixes follow no chain, or one against the line.
         """
         fixes, known = self.fixes, np.flatnonzero(np.isfinite(self.points))
-        _, first = np.unique(np.floor(fixes.seconds[known] / NODE), return_index=True)
+        _, first = np.unique(np.floor(fixes.seconds[known] / SPAN), return_index=True)
         chosen = known[first]
         places = candidates(self.track, self.points[chosen], GATE * std[chosen])
         one = np.zeros(places.owner.size, dtype=np.int64)
@@ -471,7 +444,7 @@ class OnLine:
             for only in (LeftOut(course, -np.inf, np.inf, between) for course in (1, 0))
         )
         backwards = nodes.chainage[back.candidate]
-        if back.worth > chain.worth and np.ptp(backwards) > BACKWARDS:
+        if back.worth > chain.worth and np.ptp(backwards) > FAR:
             near = self.near[known[np.isfinite(self.near[known])][[0, -1]]] / 1e3
             raise AgainstLineError(
                 f"the fixes run from km {near[0]:.3f} to km {near[1]:.3f},"
@@ -482,7 +455,7 @@ class OnLine:
             )
         near_line = np.count_nonzero(np.diff(nodes.first))
         against = backwards[~np.isin(back.node, chain.node)]
-        returns = against.size > 0.25 * chain.node.size and np.ptp(against) > BACKWARDS
+        returns = against.size > 0.25 * chain.node.size and np.ptp(against) > FAR
         if self.gated and (returns or chain.node.size < 0.5 * near_line):
             raise InputError(
                 f"only {chain.node.size / near_line:.0%} of the fixes near the line follow it in"
@@ -613,13 +586,13 @@ class OnLine:
         seconds = self.fixes.seconds
         known = np.flatnonzero(np.isfinite(chainage))
         spacing = float(np.median(np.diff(seconds[known]))) if known.size > 1 else 0.0
-        if known.size < LEAST_PREDICTED or (spacing < SPARSE and self.speed_noise is not None):
+        if known.size < ENOUGH or (spacing < SPARSE and self.speed_noise is not None):
             return
         _, first = np.unique(np.floor(seconds / max(0.5 * spacing, 1.0)), return_index=True)
         rows = np.unique(np.concatenate([first, known])) if spacing >= 1.0 else first
         seen = np.isfinite(chainage[rows]) & (np.isfinite(self.chainage[rows]))
         judged = np.isfinite(chainage[rows])
-        number = np.floor(seconds[rows] / max(PREDICTED, 1.01 * spacing)).astype(np.int64) % FOLDS
+        number = np.floor(seconds[rows] / max(RESTING, 1.01 * spacing)).astype(np.int64) % FOLDS
         own = self._position_std()[rows]
         for _ in range(4):
             error, std = np.full(rows.size, np.nan), np.ones(rows.size)
@@ -633,14 +606,14 @@ class OnLine:
                 error[asked] = (chainage[rows] - motion.position)[asked]
                 std[asked] = np.hypot(motion.position_std, np.hypot(own, self.along_std))[asked]
             found = np.isfinite(error)
-            if np.count_nonzero(found) < LEAST_PREDICTED:
+            if np.count_nonzero(found) < ENOUGH:
                 return
             ratio = float(np.quantile(np.abs(error[found]) / std[found], 0.95)) / 1.96
             if ratio < 1.05:
                 return
             usual = np.median(np.hypot(own, self.along_std)[found])
             self.along_std = float(np.hypot(self.along_std, usual * np.sqrt(ratio**2 - 1.0)))
-            self.along_std = min(self.along_std, MOST_ALONG)
+            self.along_std = min(self.along_std, FAR)
 
     def _position_std(self) -> FloatArray:
         """Standard deviation of each fix [m]."""
@@ -920,7 +893,7 @@ def position_offset(table: Table, estimate: pd.DataFrame) -> Result:
         for name in ("position", "position_std", "speed")
     )
     off = position[rows] - chainage
-    least = np.maximum(OFFSET, GATE * std) + (quantum(position) or 0.0)
+    least = np.maximum(ELSEWHERE, GATE * std) + (quantum(position) or 0.0)
     drifted = least + ODOMETER_DRIFT * np.ptp(chainage) + CLOCKS * speed
     shift = _constant(off, least, drifted)
     wrong = np.abs(off - shift) > drifted
@@ -935,7 +908,7 @@ def position_offset(table: Table, estimate: pd.DataFrame) -> Result:
             f"the distance is {np.min(off) / 1e3:+.3f} to {np.max(off) / 1e3:+.3f} km off the"
             " fixes, by no constant offset"
         )
-    if np.mean(wrong) > MOST_CONTRADICTING:
+    if np.mean(wrong) > MOST:
         away[:] = True
         note += "; none of it is used"
     elif away.any():
@@ -960,7 +933,7 @@ def _constant(off: FloatArray, least: FloatArray, drifted: FloatArray) -> float:
     offset = float(np.median(off))
     beyond = float(np.mean(np.sign(offset) * off > least))
     agreeing = float(np.mean(np.abs(off - offset) <= drifted))
-    return offset if min(beyond, agreeing) >= CONSTANT else 0.0
+    return offset if min(beyond, agreeing) >= NEARLY_ALL else 0.0
 
 
 def _placed(fixes: Fixes, unplaced: Sequence[tuple[int, int]]) -> Fixes:

@@ -15,11 +15,8 @@ from numba import njit
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import NO_TIME, Finding, Table
+from trainlog.ingest.recording import MOST, NEARLY_ALL, NO_TIME, SELDOM, Finding, Table
 from trainlog.units import NANOSECONDS
-
-MAX_DROPPED = 0.25
-"""Share of the rows beyond which a clock that jumps is refused rather than repaired."""
 
 NO_ACCURACY = 4_000_000.0
 """Horizontal accuracy [m] from which on a receiver means "none" (2^32 - 1 mm at u-blox)."""
@@ -83,7 +80,7 @@ def drop_clock_jumps(table: Table, limits: Limits) -> Result:
     )
     within = max(limits.sort_within, 5.0 * usual_step(time[kept]))
     far[group[~trusted & (nearest > within * NANOSECONDS)]] = True
-    if np.count_nonzero(far) > MAX_DROPPED * len(table):
+    if np.count_nonzero(far) > MOST * len(table):
         raise InputError(
             f"the clock jumps: {np.count_nonzero(far)} of {len(table)} rows do not fit into"
             " one trip",
@@ -171,13 +168,6 @@ def same_as_previous(table: Table) -> BoolArray:
     return same
 
 
-REACHED = 0.05
-"""Share of seconds in which all rows must differ, so that their number is the receiver's rate."""
-
-REGULAR = 0.9
-"""Share of rows that must come equally often, so that the logger wrote each of them so often."""
-
-
 def rows_per_second(table: Table) -> int:
     """Usual number of rows with the same whole second; 1 if time has fractions of a second.
 
@@ -201,8 +191,8 @@ def rows_per_second(table: Table) -> int:
     written = np.bincount(second, weights=present).astype(np.int64)[moved]
     most = int(np.argmax(np.bincount(written)))
     times = np.diff(np.append(np.flatnonzero(fresh), len(table)))
-    regular = float(np.max(np.bincount(times)) / times.size) >= REGULAR
-    if np.mean(differing >= most) >= REACHED or not regular:
+    regular = float(np.max(np.bincount(times)) / times.size) >= NEARLY_ALL
+    if np.mean(differing >= most) >= SELDOM or not regular:
         return max(1, most)
     return max(1, int(np.argmax(np.bincount(differing))))
 

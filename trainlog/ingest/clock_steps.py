@@ -25,7 +25,6 @@ from scipy.integrate import cumulative_trapezoid
 from estimators.motion import reach
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import (
-    REGULAR,
     Result,
     has_fix,
     longest_nondecreasing,
@@ -38,17 +37,21 @@ from trainlog.ingest.motion import (
     ENOUGH,
     GATE,
     GNSS_SPEED,
-    HALF_SPAN,
+    LIKELY,
+    MANY,
     MOVING,
     POSITION,
+    SEVERAL,
+    SPAN,
     SPEED,
+    SURE,
     agreement,
     plane,
     seconds_of,
     speed_of,
 )
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import Finding, Table
+from trainlog.ingest.recording import MOST, NEARLY_ALL, Finding, Table
 from trainlog.units import DAY, NANOSECONDS
 
 ROLLOVER = 1024 * 7 * DAY
@@ -68,12 +71,6 @@ REAL = 5 * NANOSECONDS
 
 MAJORITY = 2.0 / 3.0
 """Share of the rows that a date must have to be the right one."""
-
-MOST_EDGES = 50
-"""Steps beyond which it is not the clock that was set."""
-
-LEAST_TWICE = 5
-"""Rows whose times were written before that it takes to call the clock set back."""
 
 LEAST_STEP = 0.6
 """Smaller steps [s] are left: receivers themselves are late by as much."""
@@ -97,9 +94,6 @@ REPLAYING = 300.0
 
 SMALLEST_STD = 0.2
 """Standard deviation [m] that no distance undercuts."""
-
-LIKELY, SURE = 6.0, 10.0
-"""How much likelier (logarithm) than missing rows a setting must be to be suspected and undone."""
 
 
 def undo_clock_steps(table: Table, limits: Limits) -> Result:
@@ -182,7 +176,7 @@ def _coarse(time: IntArray, limits: Limits) -> IntArray:
     steps = np.array([np.count_nonzero(each) for each in (weeks, days, others)])
     # A receiver may lose its date, and find it again, as often as it loses the sky.
     counted = steps[[0, 2]] if _undated(time).any() else steps
-    if not steps.any() or counted.sum() > MOST_EDGES:
+    if not steps.any() or counted.sum() > MANY:
         return none
     week, zone = _levels(weeks), _levels(others)
     values, counts = np.unique(zone, return_counts=True)
@@ -383,7 +377,7 @@ def _seconds(table: Table) -> _Found:
         return nothing
     apart = np.flatnonzero(np.diff(rows.steps) * rows.period > WINDOWS[-1])
     clusters = np.split(rows.steps, apart + 1)
-    if len(clusters) > MOST_EDGES:
+    if len(clusters) > MANY:
         return nothing
     level = np.zeros(single.size)
     motion, undecided = _Motion.of(rows), []
@@ -427,7 +421,7 @@ def _mixed(rows: _Rows, steps: IntArray) -> tuple[float, IntArray] | None:
     ahead = ((shown - by_count[:-1]) / size > 0.5).astype(np.int64)
     fits = np.abs(shown - by_count[:-1] - size * ahead) <= slack
     changes = np.count_nonzero(np.diff(np.concatenate(([0], ahead, [1]))))
-    return (size, ahead) if np.mean(fits) >= REGULAR and changes >= ENOUGH else None
+    return (size, ahead) if np.mean(fits) >= NEARLY_ALL and changes >= ENOUGH else None
 
 
 def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, bool]:
@@ -440,10 +434,10 @@ def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, boo
     pause = late >= LARGEST[0]
     if late <= -LARGEST[1] or (pause and (motion is None or not motion.signed)):
         return 0.0, False
-    if late < 0.0 and rows.written_twice(place) <= MAJORITY:
+    if late < 0.0 and rows.written_twice(place) <= MOST:
         return 0.0, False
     shown = (0.0, 0.0, 0.0) if motion is None else motion.likelier(place, late)
-    again = late <= -LEAST_TWICE * rows.period
+    again = late <= -SEVERAL * rows.period
     likelier, size = shown[0] + SURE * again, rows.size(late - shown[1], shown[2])
     if abs(size) < rows.least or likelier < LIKELY:
         return 0.0, False
@@ -529,8 +523,8 @@ class _Motion:
         if found is None:
             return None
         rest, speed = along - found.ratio * driven, found.ratio * speed[known]
-        later = np.minimum(np.searchsorted(time, time + 2.0 * HALF_SPAN), last)
-        rate = (speed[later] - speed) / np.maximum(time[later] - time, 2.0 * HALF_SPAN)
+        later = np.minimum(np.searchsorted(time, time + SPAN), last)
+        rate = (speed[later] - speed) / np.maximum(time[later] - time, SPAN)
         hardest = np.clip(UNSEEN * np.abs(np.quantile(rate, (0.99, 0.01))), *HARDEST)
         usual = []
         for window in WINDOWS:

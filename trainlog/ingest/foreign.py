@@ -32,7 +32,16 @@ from trainlog.ingest.profile import (
     TimeOptions,
     suggestion,
 )
-from trainlog.ingest.recording import NO_TIME, Cells, Finding, Raw, Recording, Table, field_of
+from trainlog.ingest.recording import (
+    NO_TIME,
+    SHOWN,
+    Cells,
+    Finding,
+    Raw,
+    Recording,
+    Table,
+    field_of,
+)
 from trainlog.mcap import ForeignFrames, describe, frames_of
 from trainlog.topics import EVENTS, GNSS_FIX, IMU
 from trainlog.units import NANOSECONDS
@@ -44,8 +53,6 @@ _STAMPS = ("header.stamp", "timestamp", "stamp")
 """Where messages keep their own time."""
 
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsecs", "nsec", "nanos")
-
-_MOST_NAMED = 12
 
 Reading = tuple[dict[str, FloatArray], dict[str, NDArray[np.object_]]]
 """Signals and texts as in a `Table`."""
@@ -181,7 +188,7 @@ class _Reader:
         """What was mapped; InputError if that is nothing."""
         self._count_skipped()
         if not self.tables:
-            listed = ", ".join(list(self.held)[:_MOST_NAMED]) or "none at all"
+            listed = ", ".join(list(self.held)[:SHOWN]) or "none at all"
             raise InputError(
                 f"holds nothing that can be mapped by itself; its topics: {listed}",
                 file=self.path,
@@ -265,7 +272,7 @@ class _Reader:
         ]
         count = sum(item.messages for item in broken)
         if count:
-            note = "; ".join(str(item) for item in broken[:_MOST_NAMED])
+            note = "; ".join(str(item) for item in broken[:SHOWN])
             self.findings.append(Finding("damaged_messages", count, note=note))
             self.rows_read += count
 

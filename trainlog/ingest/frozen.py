@@ -21,14 +21,17 @@ from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robus
 from trainlog.ingest.clock import Result, gap_threshold
 from trainlog.ingest.motion import (
     EFFORTS,
+    ELSEWHERE,
     GATE,
     GNSS_SPEED,
     LATITUDE,
     LONGITUDE,
+    MANY,
     MOVING,
     POSITION,
     RESTING,
-    RESTING_SAMPLES,
+    SEVERAL,
+    SPAN,
     SPEED,
     SPEED_STD,
     STANDING,
@@ -42,16 +45,13 @@ from trainlog.ingest.motion import (
     seconds_of,
 )
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import Finding, Table, field_of
+from trainlog.ingest.recording import MOST, Finding, Table, field_of
 from trainlog.trip import Trip
 
 Column = FloatArray | ComplexArray
 
 MEASURED = ("/train/state", "/train/controls", "/train/axles", "/gnss/fix", "/gnss/motion", "/imu")
 """Topics that are measured at every instant; others, such as the weather, rest."""
-
-WINDOW = 5.0
-"""Time [s] over which speeds and distances are compared."""
 
 TREMBLING = 0.8
 """Noise over the column's step beyond which it cannot repeat itself for long."""
@@ -62,28 +62,11 @@ ALTERNATING = -0.3
 UNUSUAL = 10.0
 """Ratio to the usual number of repeats beyond which a run of them is unusual."""
 
-LEAST_COMPARED = 50
-"""Samples of like size that it takes to know a column's noise."""
-
-SPEED_MARGIN = 0.3
-"""How far two speeds may differ [m/s], beside `GATE` standard deviations of their usual
-difference."""
-
 USUAL_FIX_STD = 3.0
 """Standard deviation of that difference [m/s] where it is not known, of the speed by fixes."""
 
-STAYED, FIX_STAYED = 15.0, 30.0
-"""Distance [m] from which on a position, or a fix, must have changed."""
-
-
-LEAST_FITTED = 30
-"""Windows that it takes to know how efforts accelerate the train."""
-
 BEYOND = 1.5
 """Ratio to the largest unexplained acceleration elsewhere that speaks against an effort."""
-
-EXPLAINED = 0.5
-"""Share of the acceleration that efforts may leave unexplained."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +131,12 @@ def long_runs(seconds: FloatArray, values: Column, gap: float) -> Runs | None:
         Time between two samples that ends a run.
     """
     known = np.flatnonzero(np.isfinite(values))
-    if known.size < RESTING_SAMPLES:
+    if known.size < SEVERAL:
         return None
     column, at = values[known], seconds[known]
     found = repeats(values, np.flatnonzero(np.diff(at) > gap))
     first, last, samples = found.first, found.last, found.samples
-    long = (samples >= RESTING_SAMPLES) & (at[last] - at[first] >= RESTING)
+    long = (samples >= SEVERAL) & (at[last] - at[first] >= RESTING)
     if not long.any():
         return None
     jump = np.abs(column[first[1:]] - column[last[:-1]])
@@ -293,12 +276,12 @@ class _Motion:
 
     def __post_init__(self) -> None:
         self.seconds = seconds_of(self.table)
-        self.edges = np.arange(0.0, self.seconds[-1] + 1e-9, WINDOW)
+        self.edges = np.arange(0.0, self.seconds[-1] + 1e-9, SPAN)
         self.gap = gap_threshold(self.table.time, self.limits)
 
     def add(self, name: str, values: Column) -> None:
         """Take in a column."""
-        runs = long_runs(self.seconds, values, max(self.gap, WINDOW))
+        runs = long_runs(self.seconds, values, max(self.gap, SPAN))
         self.values[name] = values
         if runs is not None:
             self.runs[name] = runs
@@ -321,20 +304,20 @@ class _Motion:
         if is_rate:
             column = cumulative_trapezoid(column, at, initial=0.0)
         moved = np.diff(np.interp(self.edges, at, column))
-        late = np.flatnonzero(np.diff(at) > max(self.gap, WINDOW / 2.0))
+        late = np.flatnonzero(np.diff(at) > max(self.gap, SPAN / 2.0))
         inside = (self.edges[:-1] >= at[0]) & (self.edges[1:] <= at[-1])
         # Windows that overlap a gap.
         begin = np.searchsorted(self.edges, at[late], side="right") - 1
         end = np.searchsorted(self.edges, at[late + 1], side="left")
         inside &= ~covered(begin, end, found.size)
-        found[inside] = np.abs(moved[inside]) / WINDOW
+        found[inside] = np.abs(moved[inside]) / SPAN
         return found
 
     def windows(self, name: str) -> tuple[IntArray, IntArray]:
         """First window within each run of a column, and the first beyond."""
         runs = self.runs[name]
-        first = np.ceil(self.seconds[runs.first] / WINDOW - 1e-9).astype(np.int64)
-        beyond = np.floor(self.seconds[runs.last] / WINDOW + 1e-9).astype(np.int64)
+        first = np.ceil(self.seconds[runs.first] / SPAN - 1e-9).astype(np.int64)
+        beyond = np.floor(self.seconds[runs.last] / SPAN + 1e-9).astype(np.int64)
         return first, np.maximum(first, np.minimum(beyond, self.edges.size - 1))
 
     def exclude(self, frozen: dict[str, BoolArray]) -> None:
@@ -346,8 +329,8 @@ class _Motion:
     def _covered(self, name: str, chosen: BoolArray, size: int) -> BoolArray:
         """Windows that overlap the chosen runs of a column."""
         runs = self.runs[name]
-        first = np.floor(self.seconds[runs.first[chosen]] / WINDOW).astype(np.int64)
-        last = np.ceil(self.seconds[runs.last[chosen]] / WINDOW).astype(np.int64)
+        first = np.floor(self.seconds[runs.first[chosen]] / SPAN).astype(np.int64)
+        last = np.ceil(self.seconds[runs.last[chosen]] / SPAN).astype(np.int64)
         return covered(first, last, size)
 
     def trembling(self, name: str) -> BoolArray:
@@ -388,7 +371,7 @@ class _Motion:
         """During which runs of a position the train was driven on."""
         runs = self.runs[name]
         first, beyond = self.windows(name)
-        least = (STAYED if name == POSITION else FIX_STAYED) + 3.0 * runs.step
+        least = ELSEWHERE + 3.0 * runs.step
         driven = np.zeros(runs.value.size)
         for other, pace in self.paces().items():
             if is_speed(other):
@@ -396,7 +379,7 @@ class _Motion:
                 if other in self.runs:
                     resting = self._covered(other, self.runs[other].value != 0.0, pace.size)
                 usable = (pace > MOVING) & ~self.excluded[other] & ~resting
-                total = np.concatenate(([0.0], np.cumsum(np.where(usable, pace * WINDOW, 0.0))))
+                total = np.concatenate(([0.0], np.cumsum(np.where(usable, pace * SPAN, 0.0))))
                 driven = np.maximum(driven, total[beyond] - total[first])
         return driven > least
 
@@ -408,7 +391,7 @@ class _Motion:
         compared = []
         for other, pace in self._others(name).items():
             ratio, std, _ = _agreement(own, pace, ~resting, name, other)
-            allowed = runs.step + SPEED_MARGIN + GATE * std
+            allowed = runs.step + STANDING + GATE * std
             compared.append(self._compared(name, own - ratio * pace, std, allowed))
         contradicted, asked = _verdict(compared, runs)
         # No train changes its speed so at once: the receiver had held it, and wheels do not slip.
@@ -441,12 +424,12 @@ class _Motion:
         speed = next((self.paces()[s] for s in (SPEED, GNSS_SPEED) if s in self.paces()), None)
         names = [name for name in self.runs if name.startswith(EFFORTS)]
         none = {name: np.zeros(self.runs[name].value.size, dtype=np.bool_) for name in names}
-        if not names or speed is None or speed.size < LEAST_FITTED:
+        if not names or speed is None or speed.size < MANY:
             return none
         source = SPEED if SPEED in self.paces() else GNSS_SPEED
         speed = np.where(self.excluded[source], np.nan, speed)
         # Efforts are averaged over the two windows whose mean speeds are compared.
-        acceleration = np.append(np.diff(speed), np.nan) / WINDOW
+        acceleration = np.append(np.diff(speed), np.nan) / SPAN
         efforts = {name: self.values[name] for name in self.values if name.startswith(EFFORTS)}
         mean = [self._pace(values, is_rate=True) for values in efforts.values()]
         mean = [0.5 * (each + np.append(each[1:], np.nan)) for each in mean]
@@ -457,20 +440,20 @@ class _Motion:
             # What another effort does while one is known to be frozen is not known.
             known &= ~self._covered(name, frozen[name], speed.size)
             live &= ~self._covered(name, self.runs[name].value != 0.0, speed.size)
-        if np.count_nonzero(live) < LEAST_FITTED:
+        if np.count_nonzero(live) < MANY:
             return none
         scale = np.maximum(np.max(np.abs(columns[live]), axis=0), 1e-9)
         found = np.linalg.lstsq(columns[live] / scale, acceleration[live], rcond=None)[0]
         off = np.where(known, acceleration - columns @ (found / scale), np.nan)
         size = np.abs(off[live])
-        if np.sqrt(np.mean(size**2)) > EXPLAINED * np.std(acceleration[live]):
+        if np.sqrt(np.mean(size**2)) > MOST * np.std(acceleration[live]):
             return none
         allowed = max(GATE * robust_std(size), BEYOND * float(np.max(size)))
         # Of two efforts that rest at the same time the one that does so longer is doubted first.
         took = {n: np.max(self.runs[n].last - self.runs[n].first) for n in names}
         for name in sorted(names, key=lambda n: -took[n]):
             column = columns[:, list(efforts).index(name)]
-            if np.count_nonzero(live & (column != 0.0)) < LEAST_FITTED:
+            if np.count_nonzero(live & (column != 0.0)) < MANY:
                 off[self._covered(name, self.runs[name].value != 0.0, off.size)] = np.nan
                 continue
             compared = self._compared(name, off, 1.0, allowed)
@@ -546,7 +529,7 @@ def _trembles(column: Column, size: float, step: float) -> bool:
     """Whether a column has noise of more than a step among values of about that size."""
     like = (np.abs(column) >= 0.5 * size) & (np.abs(column) < 4.0 * size)
     bend = np.diff(column, 2)[like[:-2] & like[1:-1] & like[2:]]
-    if bend.size < LEAST_COMPARED:
+    if bend.size < MANY:
         return False
     noise = robust_std(bend) / np.sqrt(6.0)
     signs = np.sign(bend)

@@ -19,14 +19,20 @@ from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result, gap_threshold
 from trainlog.ingest.motion import (
     ACCURACY,
+    ENOUGH,
+    FEW,
     FIX_STD,
     GNSS_SPEED,
     LATITUDE,
     LONGITUDE,
     POSITION,
     RESTING,
+    SEVERAL,
+    SPAN,
     SPEED,
     STANDING,
+    STAYED,
+    STEEPEST,
     covered,
     plane,
     repeats,
@@ -34,24 +40,11 @@ from trainlog.ingest.motion import (
     speed_of,
 )
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import Finding, Table, base_name
+from trainlog.ingest.recording import MOST, NEARLY_ALL, Finding, Table, base_name
 from trainlog.spans import runs_of
-
-LEAST = 7
-"""Samples that a column needs before any of them can be a spike."""
-
-PERSISTING = 5.0
-"""Time [s] for which values must stay where they jumped to before the jump is taken for real; twice
-that between a jump and the jump back."""
-
-LEAST_PERSISTING = 3
-"""Samples that this is at least."""
 
 REACH = 20
 """Pieces between which the way back is looked for."""
-
-MOST_SPIKES = 1 / 3
-"""Share of a column's values beyond which they are no spikes: it has another unit."""
 
 FIX_TOLERANCE = 20.0
 """By how much satellite positions of perfect accuracy may err from one to the next [m]."""
@@ -59,17 +52,11 @@ FIX_TOLERANCE = 20.0
 FIX_STDS = 3.0
 """Standard deviations, as receivers usually state them, that are added to that."""
 
-LARGEST_USUAL = 50.0
-"""Standard deviation [m] that is usual at most."""
-
 SPEED_MARGIN, FASTER = 1.2, 10.0
 """How much faster than the recorded speed positions may move, as a factor and beyond it [m/s]."""
 
 POOR = 3.0
 """Ratio to the usual accuracy from which on a fix is compared with those around it."""
-
-TURNING = 2.0
-"""Acceleration [m/s²], along and across, by which a train departs from a straight line."""
 
 LONGEST_BETWEEN = 60.0
 """Time [s] between two good fixes beyond which they do not say where one between them is."""
@@ -77,26 +64,8 @@ LONGEST_BETWEEN = 60.0
 UNSURE, UNSTEADY = 0.3, 2.0
 """By how much a step may differ from what was driven: as a share of it, and a second [m]."""
 
-STEADY = 5
-"""Samples that must follow a step for it to be one of the counter, or else it is a spike."""
-
-RETURNING = 10.0
-"""Time [s] within which a step back makes the samples between them a spike."""
-
 LEAST_LOST = 100.0
 """Distance [m] from which on a loss is one of a counter and not of a balise."""
-
-TURNED = 50.0
-"""Distance [m] between two stops from which on a counter may be said to count down."""
-
-BACK = 0.5
-"""Share of the distance driven that it must lose there."""
-
-MOST_STEPS = 0.01
-"""Share of steps beyond which it is the unit or the speed that does not fit."""
-
-THROUGHOUT = 0.9
-"""Share of the distance beyond which it is the sign of the column that is wrong."""
 
 
 def blank_spikes(table: Table, limits: Limits) -> Result:
@@ -104,7 +73,7 @@ def blank_spikes(table: Table, limits: Limits) -> Result:
 
     A column is cut wherever two values differ by more than ``tolerance + rate * (time between
     them)``. Of its pieces those are kept that make the best sequence: the most samples, less
-    `PERSISTING` for every two that follow each other and do not fit. The sample after a spike, and
+    `SPAN` for every two that follow each other and do not fit. The sample after a spike, and
     runs of several, are judged in the same way as a spike. What changes no faster than `rate` is
     never taken for one, whatever its sampling; nor is anything where most would be.
     """
@@ -147,7 +116,7 @@ def spikes(
     """
     marked = np.zeros(values.size, dtype=np.bool_)
     present = np.flatnonzero(np.isfinite(values))
-    if present.size < LEAST:
+    if present.size < ENOUGH:
         return marked
     known, at = values[present], seconds[present]
     fastest = np.broadcast_to(np.asarray(rate, dtype=np.float64), values.shape)[present]
@@ -159,7 +128,7 @@ def spikes(
     last = np.concatenate((cuts, [present.size - 1]))
     kept = _best_sequence(first, last, at, known, fastest, tolerance)
     outside = np.repeat(~kept, last - first + 1)
-    if np.count_nonzero(outside) <= MOST_SPIKES * present.size:
+    if np.count_nonzero(outside) <= MOST * present.size:
         marked[present] = outside
     return marked
 
@@ -175,7 +144,7 @@ def _best_sequence(
     """Which pieces, each from sample `first` to `last`, make the best sequence."""
     size = last - first + 1.0
     step = float(np.median(np.diff(at)))
-    price = max(LEAST_PERSISTING, round(PERSISTING / step)) if step > 0.0 else LEAST_PERSISTING
+    price = max(SEVERAL, round(SPAN / step)) if step > 0.0 else SEVERAL
     best, before = size.copy(), np.full(size.size, -1)
     for piece in range(1, size.size):
         others = np.arange(max(0, piece - REACH), piece)
@@ -209,7 +178,7 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     stated = table.signals.get(ACCURACY, np.full(len(table), np.nan))
     stated = np.where(stated > 0.0, stated, np.nan)
     known = stated[np.isfinite(stated) & np.isfinite(places)]
-    usual = min(float(np.median(known)), LARGEST_USUAL) if known.size else FIX_STD
+    usual = min(float(np.median(known)), STAYED) if known.size else FIX_STD
     tolerance = FIX_TOLERANCE + FIX_STDS * usual
     fastest = limits.of(GNSS_SPEED).high
     leaps = spikes(seconds, places, _fastest(table, seconds, fastest), tolerance)
@@ -248,7 +217,7 @@ def _beside(
     a, b = known[after - 1], known[after]
     since, until = seconds[asked] - seconds[a], seconds[b] - seconds[asked]
     there = (places[a] * until + places[b] * since) / (since + until)
-    allowed = tolerance + 0.5 * TURNING * since * until
+    allowed = tolerance + 0.5 * STEEPEST * since * until
     far = np.abs(places[asked] - there) > allowed
     beside[asked] = far & (since + until <= LONGEST_BETWEEN)
     return beside
@@ -293,7 +262,7 @@ def unwrap_counters(table: Table, limits: Limits) -> Result:
     if position is None:
         return table, []
     known = np.isfinite(position)
-    if np.count_nonzero(known) < 2 * STEADY:
+    if np.count_nonzero(known) < ENOUGH:
         return table, []
     counter = _counter(table, position, known, limits)
     gained = np.flatnonzero((counter.step - counter.expected) > counter.tolerance)
@@ -341,7 +310,7 @@ def _counter(table: Table, position: FloatArray, known: BoolArray, limits: Limit
         if np.any(whole):
             driven = driven * float(np.sum(np.abs(step[whole])) / np.sum(driven[whole]))
     else:
-        expected = median_filter(np.abs(step) / np.maximum(took, 1e-9), STEADY) * took
+        expected = median_filter(np.abs(step) / np.maximum(took, 1e-9), SEVERAL) * took
     late = took > gap_threshold(table.time, limits)
     expected = np.where(late, 0.0, expected) if recorded is None else np.nan_to_num(driven)
     driven = np.where(late, np.nan, driven)
@@ -365,10 +334,10 @@ def _losses(counter: _Counter, gained: IntArray) -> IntArray:
 
 def _stays(counter: _Counter, place: int, gained: IntArray) -> bool:
     """Whether the samples after a loss follow it, and no step leads back at once."""
-    if counter.position.size - place - 1 < STEADY:
+    if counter.position.size - place - 1 < SEVERAL:
         return False
     loss = counter.expected[place] - counter.step[place]
-    soon = gained[np.abs(counter.seconds[gained] - counter.seconds[place]) <= RETURNING]
+    soon = gained[np.abs(counter.seconds[gained] - counter.seconds[place]) <= RESTING]
     back = np.abs(counter.step[soon] - loss) <= np.maximum(counter.tolerance[soon], 0.1 * loss)
     return not bool(back.any())
 
@@ -399,8 +368,8 @@ def _counting_down(counter: _Counter, step: FloatArray) -> BoolArray:
     net, both_ways = sums[ends] - sums[begins], ways[ends] - ways[begins]
     driven = np.concatenate(([0.0], np.cumsum(counter.expected)))
     far = np.maximum(both_ways, driven[ends] - driven[begins])
-    falls = (net < -TURNED) & (-net >= BACK * far)
-    if not falls.any() or -net[falls].sum() > THROUGHOUT * np.abs(net).sum():
+    falls = (net < -STAYED) & (-net >= MOST * far)
+    if not falls.any() or -net[falls].sum() > NEARLY_ALL * np.abs(net).sum():
         return none
     return covered(begins[falls], ends[falls], step.size) & possible
 
@@ -416,7 +385,7 @@ def report_steps(table: Table, limits: Limits) -> Result:
     counter = _counter(table, position, known, limits)
     off = np.abs(counter.step - counter.expected)
     steps = off > counter.tolerance
-    if np.count_nonzero(steps) > MOST_STEPS * steps.size:
+    if np.count_nonzero(steps) > FEW * steps.size:
         return table, []
     if not steps.any():
         return table, []

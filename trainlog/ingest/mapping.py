@@ -18,6 +18,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile import WORDS, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
+    MOST,
     NO_TIME,
     SHOWN_ROWS,
     TIME_CELL,
@@ -29,9 +30,6 @@ from trainlog.ingest.recording import (
 )
 from trainlog.topics import SLIP_PROTECTION
 from trainlog.units import DAY, NANOSECONDS, to_si
-
-MAX_UNREADABLE = 0.5
-"""Share of the cells of a number column that may be text before the column is refused."""
 
 
 def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> list[str]:
@@ -208,7 +206,7 @@ def _refuse_garbled(
     file: Path,
 ) -> None:
     count, readable = np.count_nonzero(garbled), np.count_nonzero(np.isfinite(raw))
-    if count <= MAX_UNREADABLE * (count + readable):
+    if count <= MOST * (count + readable):
         return
     at = int(np.argmax(garbled))
     cell = str(cells.table[source][at].as_py())

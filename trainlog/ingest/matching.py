@@ -3,7 +3,7 @@
 First the best chain of the places that the fixes may mean (`estimators.matching`), on a network cut
 where the train turned round or was away. Then, for every edge of the chain, the best one without
 it: both are compared by the fixes' distances beside them, whose errors last, and by the distances
-driven. The least of these differences is the margin. What is below `DECIDES` is not determined.
+driven. The least of these differences is the margin. What is below `LIKELY` is not determined.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from estimators.matching import (
     distances,
 )
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
-from trainlog.ingest.motion import GATE, MOVING
+from trainlog.ingest.motion import GATE, LIKELY, MOVING, SEVERAL
 from trainlog.ingest.receiver import Driven, Fixes, distance_driven
 from trainlog.railway.geometry import SPACING as TRACK_SPACING, Track, beside, candidates, to_plane
 from trainlog.railway.line import Geometry
@@ -69,14 +69,11 @@ FURTHEST = 60.0
 APART = 3.0
 """Distance [m] from which on two ways run apart."""
 
-DECIDES = 6.0
-"""Margin, a difference of log-likelihoods, from which on a route is determined."""
-
 END = 100.0
 """A route's first and last edge on which a train was for less than this [m] do not count."""
 
-LEAST_NODES, LEAST_LENGTH = 5, 300.0
-"""Fewer fixes, or a shorter stretch [m], show no route."""
+LEAST_LENGTH = 300.0
+"""A shorter stretch [m] shows no route."""
 
 KNOWN_LENGTH = 0.01
 """Share by which the length of an edge without a course may be off."""
@@ -291,7 +288,7 @@ class Passage:
     @property
     def determined(self) -> bool:
         """Whether the fixes determine it."""
-        return self.margin >= DECIDES
+        return self.margin >= LIKELY
 
 
 @dataclass(frozen=True)
@@ -341,7 +338,7 @@ def match_route(edges: EdgeTracks, fixes: Fixes) -> Passages:
     nodes = edge_nodes(edges, fixes, chosen, std, driven, places)
     distance = float(np.median(near)) if near.size else np.inf
     count, reached = nodes.seconds.size, int(np.count_nonzero(np.diff(nodes.first)))
-    if reached < LEAST_NODES:
+    if reached < SEVERAL:
         return Passages((), count, 0, reached, distance)
     between = distances(edges.graph, np.unique(nodes.edge))
     chain = best_chain(edges.graph, nodes, between)
@@ -349,7 +346,7 @@ def match_route(edges: EdgeTracks, fixes: Fixes) -> Passages:
     for part, after in _parts(chain):
         first, last = int(part.node[0]), int(part.node[-1])
         extent = float(np.ptp(_driven(part, nodes, edges.graph, between, None).position))
-        if part.node.size < LEAST_NODES or extent < LEAST_LENGTH:
+        if part.node.size < SEVERAL or extent < LEAST_LENGTH:
             dropped.append((float(nodes.seconds[first]), float(nodes.seconds[last])))
             continue
         inside += part.node.size

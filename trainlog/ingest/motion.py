@@ -40,33 +40,43 @@ MOVING = 1.0
 """Speed [m/s] from which on a train moves, and ratios of columns mean something: receivers show as
 much at rest, and hold a position that stands."""
 
+SPAN, RESTING, CHORD = 5.0, 10.0, 20.0
+"""Time [s] over which speeds and accelerations are compared, for which a value repeats that may be
+frozen, and between two fixes whose distance is compared with the distance driven."""
+
+SEVERAL, ENOUGH, MANY = 5, 10, 50
+"""Samples in a row that are no accident; from which on their median, and how they spread, are
+known; from which on what they have in common is."""
+
+ELSEWHERE, STAYED, FAR = 30.0, 50.0, 500.0
+"""Distance [m] from which on two places are not the same one; within which a train that never moves
+stays; which no error explains, so that line, unit or direction are wrong."""
+
 STEEPEST = 1.5
 """No train on wheels gains or loses speed faster than this [m/s²]; slipping wheels do."""
 
-RESTING, RESTING_SAMPLES = 10.0, 6
-"""A value that repeats for so long [s], in so many samples, may be frozen."""
+FEW = 0.01
+"""Share of the steps up to which those that nothing explains are single ones."""
+
+SUSPECT = 1.15
+"""Ratio of two columns from which on their units are suspected."""
 
 GATE, HOLD = 4.5, 2.5
 """What departs by more than `GATE` standard deviations is off; so are its neighbours, one after the
 other, down to `HOLD`."""
 
+LIKELY, SURE = 6.0, 10.0
+"""Differences of log-likelihoods from which on the likelier is taken, or is taken to be certain."""
+
 INLIER, HOLDS = 0.3, 0.6
 """Deviation from the median ratio of two columns, as a share of it, up to which a sample has this
 ratio; share of the samples from which on the columns do."""
 
-CHORD, STRAIGHT = 20.0, 0.97
-"""Time [s] between two fixes whose distance is compared with the distance driven, where it is this
-share of the way by the fix between them."""
+STRAIGHT = 0.97
+"""Share of the way by the fix between two that their distance is where they show the distance driven."""
 
-ENOUGH = 10
-"""Samples from which on their median, and how they spread, are known."""
-
-HALF_SPAN = 2.5
-"""Half of the time [s] over which acceleration is taken."""
-
-LEAST_DRIVEN, DRIVES = 30.0, 0.5
-"""Time in motion [s], and correlation with the acceleration, from which on an effort shows the mass
-that it moves."""
+DRIVES = 0.5
+"""Correlation with the acceleration from which on an effort shows the mass that it moves."""
 
 ACTS, COASTS = 0.05, 0.1
 """Share of the largest effort from which on it acts; a train that coasts changes its speed by less
@@ -79,9 +89,6 @@ FIX_STD, SPEED_STD = 5.0, 0.5
 """Standard deviation of a fix in each direction [m], and of a satellite speed [m/s], where the
 receiver states none."""
 
-
-STAYED = 50.0
-"""Way [m] that places and distances of a train which never moves stay within."""
 
 LEG, TURN = 15.0, np.radians(60.0)
 """Ways [m] along the fixes between which no track turns by more than the angle: trams' bends have
@@ -278,9 +285,9 @@ def rate_of(seconds: FloatArray, values: FloatArray) -> FloatArray:
     if np.count_nonzero(known) < 2:
         return np.full(values.size, np.nan)
     after, before = (
-        np.interp(seconds + by, seconds[known], values[known]) for by in (HALF_SPAN, -HALF_SPAN)
+        np.interp(seconds + by, seconds[known], values[known]) for by in (0.5 * SPAN, -0.5 * SPAN)
     )
-    return np.asarray((after - before) / (2.0 * HALF_SPAN))
+    return np.asarray((after - before) / SPAN)
 
 
 class DrivenMass(NamedTuple):
@@ -308,7 +315,7 @@ class DrivenMass(NamedTuple):
     @property
     def decides(self) -> bool:
         """Whether the effort clearly moves the train."""
-        return self.seconds >= LEAST_DRIVEN and abs(self.correlation) >= DRIVES
+        return self.seconds >= MANY and abs(self.correlation) >= DRIVES
 
 
 def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> DrivenMass:
@@ -340,7 +347,7 @@ def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> D
         known[known] = acts | (np.abs(rate[known]) < COASTS)
     lasted = float(np.sum(np.minimum(np.diff(seconds, append=seconds[-1]), 1.0)[known]))
     force, rate, v = effort[known], rate[known], speed[known]
-    if lasted < LEAST_DRIVEN or np.std(force) == 0.0 or np.std(rate) < 0.02:
+    if lasted < MANY or np.std(force) == 0.0 or np.std(rate) < 0.02:
         return DrivenMass(np.nan, 0.0, lasted, alone)
     columns = np.column_stack([rate, basis(v)])
     scale = np.max(np.abs(columns), axis=0)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.ingest.motion import POSITION, STANDING, speed_of
+from trainlog.ingest.motion import ENOUGH, POSITION, STANDING, speed_of
 from trainlog.ingest.profile import Profile, TripColumns, problem_of
 from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table, base_name
 from trainlog.railway.weather import given_condition
@@ -26,9 +26,6 @@ from trainlog.units import DAY, NANOSECONDS, to_si
 
 BACKWARDS = 0.75
 """Share of the steps of time that fall where a table has its newest row first."""
-
-LEAST_GROUP = 10
-"""Fewer rows between two leaps of the clock are a defect of it, and no trip."""
 
 LEAST_WAY = 200.0
 """A part in which the train moves by less [m] is no trip of its own."""
@@ -181,7 +178,7 @@ def pauses_in(table: Table, pause: float) -> IntArray:
     (k,) int64 array
     """
     known = np.flatnonzero(table.time != NO_TIME)
-    if known.size < 2 * LEAST_GROUP:
+    if known.size < 2 * ENOUGH:
         return np.zeros(0, dtype=np.int64)
     time, speed = table.time[known], speed_of(table)
     longest = int(pause * NANOSECONDS)
@@ -189,9 +186,7 @@ def pauses_in(table: Table, pause: float) -> IntArray:
     leaps = np.flatnonzero(np.abs(steps) > longest) + 1
     edges = np.concatenate(([0], leaps, [known.size]))
     # A few rows between two leaps are a defect of the clock.
-    groups = [
-        (int(first), int(last)) for first, last in pairwise(edges) if last - first >= LEAST_GROUP
-    ]
+    groups = [(int(first), int(last)) for first, last in pairwise(edges) if last - first >= ENOUGH]
     cuts = []
     for (_, end), (begin, _) in pairwise(groups):
         step = int(time[begin]) - int(time[end - 1])

@@ -22,15 +22,9 @@ from trainlog.ingest.chainage import (
     estimated_state,
     position_offset,
 )
-from trainlog.ingest.motion import (
-    GNSS_SPEED,
-    POSITION,
-    SPEED,
-    suspect_efforts,
-    unlike_a_train,
-)
+from trainlog.ingest.motion import FAR, GNSS_SPEED, POSITION, SPEED, suspect_efforts, unlike_a_train
 from trainlog.ingest.parts import parts_of
-from trainlog.ingest.placing import OVERRUN, placed
+from trainlog.ingest.placing import placed
 from trainlog.ingest.profile import (
     Limit,
     Limits,
@@ -478,7 +472,7 @@ def _check_on_line(trip: Trip, line: Line) -> None:
         if topic not in trip or not trip[topic]["position"].notna().any():
             continue
         furthest = float(trip[topic]["position"].max())
-        if furthest > line.length + OVERRUN:
+        if furthest > line.length + FAR:
             reached = f"km {furthest / 1e3:.3f}"
             if line.reference is not None:
                 reached = f"{(furthest - line.length) / 1e3:.3f} km further"

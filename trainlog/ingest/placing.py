@@ -12,29 +12,25 @@ import numpy as np
 
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.errors import InputError
-from trainlog.ingest.motion import EFFORTS, MOVING, POSITION, SPEED, STANDING, seconds_of
+from trainlog.ingest.motion import (
+    EFFORTS,
+    MANY,
+    MOVING,
+    POSITION,
+    RESTING,
+    SPAN,
+    SPEED,
+    STANDING,
+    SURE,
+    seconds_of,
+)
 from trainlog.ingest.recording import Table
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.units import NANOSECONDS
 
-OVERRUN = 500.0
-"""How far recorded positions may leave the line [m]: odometers drift, lines end at platforms."""
-
-LEAST_STOP = 8.0
-"""A shorter standstill [s] is no stop at a station, but for the trip's ends."""
-
 NEAR, DRIFT = 60.0, 0.01
 """A stop lies at a station up to this distance [m], and this share of the way so far."""
-
-WINDOW = 4.0
-"""Time [s] over which motion and efforts are averaged."""
-
-LEAST_WINDOWS = 60
-"""Fewer windows do not show the direction."""
-
-DECIDES = 12.0
-"""Log-likelihood ratio from which on the gradients decide; of three windows one counts."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,7 @@ def stops_of(table: Table) -> FloatArray | None:
     if moves.size < 2 or moves[0] == 0 or moves[-1] == known.size - 1:
         return None
     time, place = table.time[known] / NANOSECONDS, position[known]
-    still = np.flatnonzero(np.diff(time[moves]) >= LEAST_STOP)
+    still = np.flatnonzero(np.diff(time[moves]) >= RESTING)
     inner = [
         float(np.median(place[first + 1 : last]))
         for first, last in zip(moves[still].tolist(), moves[still + 1].tolist(), strict=True)
@@ -135,7 +131,7 @@ def gradients_in(table: Table, line: Line, train: Train, start: float | None) ->
     if not len(values):
         return None
     values[:, 1] += 0.0 if start is None else start - values[0, 1]
-    bins = (values[:, 0] / WINDOW).astype(np.int64)
+    bins = (values[:, 0] / SPAN).astype(np.int64)
     count = np.bincount(bins)
     sums = [np.bincount(bins, column) for column in values.T]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -144,7 +140,7 @@ def gradients_in(table: Table, line: Line, train: Train, start: float | None) ->
     mean = 0.25 * (mean[2:] + 2.0 * mean[1:-1] + mean[:-2])
     used = np.isfinite(rate) & np.isfinite(mean).all(axis=1) & (mean[:, 2] > MOVING)
     used &= rate > (-0.4 if EFFORTS[2] not in table.signals else -3.0)
-    if used.sum() < LEAST_WINDOWS:
+    if used.sum() < MANY:
         return None
     rate, mean = rate[used], mean[used]
     place, speed = np.clip(mean[:, 1], 0.0, line.length), mean[:, 2]
@@ -222,7 +218,7 @@ def placed(
         way = "forward" if one.squares <= other.squares else "reverse"
         good, bad = (one, other) if way == "forward" else (other, one)
         ratio = good.windows / 6.0 * float(np.log(bad.squares / max(good.squares, 1e-12)))
-        if ratio > DECIDES and 0.5 < good.share < 1.6 and (not by_stations or way in able):
+        if ratio > SURE and 0.5 < good.share < 1.6 and (not by_stations or way in able):
             words = (
                 f"the motion follows the gradients {way} ({good.share:.2f}"
                 f" ± {1.96 * good.std:.2f} of them; the other way {bad.share:.2f}"

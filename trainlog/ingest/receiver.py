@@ -34,11 +34,14 @@ from trainlog.ingest.motion import (
     FIX_STD,
     GATE,
     GNSS_SPEED,
+    MANY,
     MOVING,
     RESTING,
-    RESTING_SAMPLES,
+    SEVERAL,
+    SPAN,
     SPEED,
     SPEED_STD,
+    STANDING,
     STEEPEST,
     agreement,
     covered,
@@ -48,14 +51,10 @@ from trainlog.ingest.motion import (
     seconds_of,
     speed_of,
 )
-from trainlog.ingest.recording import Finding, Table
+from trainlog.ingest.recording import NEARLY_ALL, Finding, Table
 from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
-
-STANDSTILL_STDS, STAND_WINDOW = 2.0, "5s"
-"""A receiver gives the size of the speed, so its noise never averages to 0: where it, or its median
-over such a window, is below this many standard deviations the train is taken to stand."""
 
 SMALLEST_SPEED_STD = 0.03
 """What no receiver undercuts [m/s], whatever it states."""
@@ -65,16 +64,6 @@ ODOMETER_STD = 0.1
 
 LONGEST_OUTAGE = 600.0
 """Through longer gaps [s] nothing is estimated: the train may have been anywhere."""
-
-WHEEL_GATE = 0.4
-"""Least difference between wheels and satellites that counts as slip [m/s]."""
-
-EVIDENT = 0.8
-"""Part of the fixes that must be held equally long, both coordinates changing at once: coordinates
-that are only rounded change one by one, and after times that vary."""
-
-SLIP_TIME = 5.0
-"""Wheels that changed speed too fast twice within this time [s] are not trusted between."""
 
 EVEN, ROUNDING = 0.02, 0.03
 """Part of the usual change of a step that is still the same step, and the change [m] that comes of
@@ -102,9 +91,6 @@ LATEST = 3.0
 LEAST_CHORDS = ((0.7, 10.0), (0.3, 20.0))
 """Within so long [s] no train, nor tram, turns so sharply that the distance between its fixes is
 less than this part of that along the track."""
-
-LEAST_COMPARED = 60
-"""Fixes from which on they judge speeds."""
 
 LATEST_SPEED, DELAY_TURNS = 12.0, 12
 """Largest delay of the speed behind the positions [s], and how often it is sought around the one
@@ -134,9 +120,9 @@ LEAST_COMMON, LEAST_OF_STEP = 0.05, 0.1
 """A smaller delay of fixes and speeds together [s], or part of the time between speeds, is not
 corrected."""
 
-SIGNIFICANT, SIGNIFICANT_ALONE = 3.0, 2.0
-"""A delay of fewer standard deviations is not corrected; fixes that are earlier than the speeds by
-more, and by half the delay, do not share it."""
+SIGNIFICANT, NOTHING = 3.0, 2.0
+"""A delay of fewer standard deviations is not corrected; a speed, or a difference, of fewer may be
+none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +211,9 @@ def fixes_of(trip: Trip) -> Fixes:
     stated = columns.get("speed_accuracy", absent)
     speed_std = np.maximum(np.where(stated > 0.0, stated, SPEED_STD), SMALLEST_SPEED_STD)
     speed = columns.get("speed", absent)
-    usual = pd.Series(speed, index).rolling(STAND_WINDOW, center=True).median().to_numpy()
-    stands = (np.minimum(speed, usual) < STANDSTILL_STDS * speed_std) & (speed < GATE * speed_std)
+    usual = pd.Series(speed, index).rolling(f"{SPAN:g}s", center=True).median().to_numpy()
+    # The size of a speed never averages to 0: the train is taken to stand.
+    stands = (np.minimum(speed, usual) < NOTHING * speed_std) & (speed < GATE * speed_std)
     turning = None
     if wheels is not None:
         turning = np.asarray(wheels.reindex(index), dtype=np.float64)
@@ -300,7 +287,7 @@ def held_fixes(
     row, usual = float(np.median(np.diff(time))), float(np.median(lasted))
     even = np.mean(np.abs(lasted - usual) < 1.1 * row)
     moved = [np.diff(each[found.known])[begins - 1] != 0.0 for each in (latitude, longitude)]
-    if usual < 1.9 * row or min(even, np.mean(moved[0] & moved[1])) < EVIDENT:
+    if usual < 1.9 * row or min(even, np.mean(moved[0] & moved[1])) < NEARLY_ALL:
         return flags, 0.0
     short = np.flatnonzero(lasted < usual + 1.1 * row) + 1
     again = covered(found.first[short] + 1, found.last[short] + 1, found.known.size)
@@ -318,7 +305,7 @@ def hold_of(seconds: FloatArray, speed: FloatArray) -> float:
     3.9
     """
     moving = np.flatnonzero(speed > MOVING)
-    if moving.size < RESTING_SAMPLES:
+    if moving.size < SEVERAL:
         return 1.0
     steps = np.diff(seconds[moving])
     together = steps < 3.0 * float(np.median(steps))
@@ -343,7 +330,7 @@ def extrapolated(seconds: FloatArray, points: ComplexArray) -> BoolArray:
     """
     flags = np.zeros(points.size, dtype=np.bool_)
     known = np.flatnonzero(np.isfinite(points))
-    if known.size < 10:
+    if known.size < ENOUGH:
         return flags
     time, point = seconds[known], points[known]
     step = max(float(np.median(np.diff(time))), 0.0)
@@ -444,7 +431,7 @@ def contradicted(
     flags = np.zeros(seconds.size, dtype=np.bool_)
     driven, missing = integral(seconds, speed)
     fixes = series_of(seconds, places)
-    if not np.isfinite(driven).all() or fixes.values.size < 10:
+    if not np.isfinite(driven).all() or fixes.values.size < ENOUGH:
         return flags
     time = fixes.seconds
     along = np.interp(time, seconds, driven)
@@ -520,7 +507,7 @@ def without_contradicted(table: Table) -> Result:
     if points is None or speed is None:
         return table, []
     known = np.isfinite(points)
-    if np.count_nonzero(known) < LEAST_COMPARED or np.count_nonzero(np.isfinite(speed)) < 2:
+    if np.count_nonzero(known) < MANY or np.count_nonzero(np.isfinite(speed)) < 2:
         return table, []
     seconds = seconds_of(table)
     std = np.sqrt(2.0) * _fix_std(table, points)
@@ -645,7 +632,7 @@ def old_fixes(table: Table) -> list[Finding]:
     along = way_along(points, std)
     driven = integral(seconds, speed)[0]
     fixed = np.flatnonzero(np.isfinite(points))
-    if along is None or fixed.size < LEAST_COMPARED or not np.isfinite(driven).all():
+    if along is None or fixed.size < MANY or not np.isfinite(driven).all():
         return []
     measured, stds = unmeasured(seconds, speed), np.full(seconds.size, std)
     # The way through an outage is not known: it bends.
@@ -711,7 +698,7 @@ def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
     if late.value < least:
         return none
     left = wheels.delay_left(fixes.seconds, chainage, late.value)
-    alone = left is not None and left.value < -max(0.5 * late.value, SIGNIFICANT_ALONE * left.std)
+    alone = left is not None and left.value < -max(0.5 * late.value, NOTHING * left.std)
     return none if alone else late
 
 
@@ -749,18 +736,18 @@ def slipping_wheels(
         return np.zeros(fixes.seconds.size, dtype=np.bool_)
     apart = np.abs(fixes.wheel_speed * ratio - _bridged(fixes.seconds, speed))
     spread = np.hypot(fixes.wheel_speed_std, _bridged(fixes.seconds, speed_std))
-    unit = np.maximum(spread, WHEEL_GATE / GATE)
+    unit = np.maximum(spread, STANDING / GATE)
     slipping = held(apart / unit, fixes.seconds)
     known = np.flatnonzero(np.isfinite(fixes.wheel_speed))
     speeds, time = fixes.wheel_speed[known], fixes.seconds[known]
     back = np.ascontiguousarray(speeds[::-1])  # one layout, one compiled version
     spans = (_feasible(time, speeds), _feasible(-time[::-1], back)[::-1])
-    unit = np.maximum(fixes.wheel_speed_std[known], WHEEL_GATE / GATE)
+    unit = np.maximum(fixes.wheel_speed_std[known], STANDING / GATE)
     for feasible in spans:
         slipping[known] |= held(np.abs(speeds - feasible) / unit, time)
     # Between the rise and the fall of a slip the wheels turn at a steady speed.
     flagged = np.flatnonzero(slipping)
-    short = np.diff(fixes.seconds[flagged]) < SLIP_TIME
+    short = np.diff(fixes.seconds[flagged]) < SPAN
     slipping |= covered(flagged[:-1][short], flagged[1:][short], slipping.size)
     return np.asarray(slipping & np.isfinite(fixes.wheel_speed))
 

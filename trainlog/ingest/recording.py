@@ -31,6 +31,13 @@ METRES_PER_DEGREE = 111_195.0
 SHOWN_ROWS = 5
 """How many of the rows concerned a finding names."""
 
+SHOWN = 10
+"""How many of many lines, files or topics are shown."""
+
+SELDOM, MOST, NEARLY_ALL = 0.05, 0.5, 0.9
+"""Share of rows up to which something is an exception; from which on it is usual, so that what is
+wrong is not the rows but what is thought of them; from which on the others are exceptions."""
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -322,10 +329,6 @@ VERTICAL_PER_VDOP = 4.2
 """Standard deviation of the altitude [m] at a VDOP of 1."""
 
 
-MAX_DAMAGED = 0.5
-"""Share of messages that cannot be read beyond which it is another kind of file."""
-
-
 @dataclass
 class Messages:
     """Messages as they are read: which are damaged, which are of no use, and how many there are.
@@ -359,7 +362,7 @@ class Messages:
         count = len(self.damaged_rows)
         if not count:
             return ()
-        if count > MAX_DAMAGED * self.read:
+        if count > MOST * self.read:
             raise InputError(
                 f"{count} of {self.read} messages are damaged",
                 place=f"row {self.damaged_rows[0]}",

@@ -22,7 +22,7 @@ import pyarrow.parquet
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import LogError
 from trainlog.ingest.clock import longest_nondecreasing
-from trainlog.ingest.recording import NO_TIME, Finding, Raw, Table
+from trainlog.ingest.recording import NO_TIME, SHOWN, Finding, Raw, Table
 from trainlog.presentation import Presented
 from trainlog.trip import Trip
 
@@ -37,9 +37,6 @@ CLOCK_RULES = (
 
 STATED = ("clock_step_suspected", "position_steps", "unit_suspected", "quantised", "gaps")
 """Rules that state what they find and change nothing."""
-
-MOST_LINES = 8
-"""Of the report in a prompt."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,14 +123,14 @@ class Report(Presented):
         """The first of the other lines, by what they are about."""
         others = self.lines()[1:]
         rows: dict[str, str] = {}
-        for number, line in enumerate(others[:MOST_LINES]):
+        for number, line in enumerate(others[:SHOWN]):
             column = self.findings[number].column if number < len(self.findings) else ""
             about, _, what = line.replace(f" in {column}", "", 1).partition(": ")
             if about == "not used":
                 about, _, what = line.rpartition(": ")
             rows[f"{about} {column}".rstrip()] = what
-        if len(others) > MOST_LINES:
-            rows["more"] = f"{len(others) - MOST_LINES} lines; see lines()"
+        if len(others) > SHOWN:
+            rows["more"] = f"{len(others) - SHOWN} lines; see lines()"
         return rows
 
     def lines(self) -> list[str]:

@@ -17,15 +17,14 @@ from estimators.matching import EdgeGraph, EdgeNodes
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.matching import (
-    DECIDES,
-    LEAST_NODES,
     SPACING,
+    WIDEST,
     EdgeTracks,
     Passage,
     Search,
     Way,
 )
-from trainlog.ingest.motion import MOVING, POSITION
+from trainlog.ingest.motion import LIKELY, MOVING, POSITION, SEVERAL
 from trainlog.ingest.placing import DRIFT, NEAR
 from trainlog.ingest.recording import NO_TIME, Table
 from trainlog.railway.line import Line
@@ -34,9 +33,6 @@ from trainlog.units import NANOSECONDS
 
 KILOMETRE_STD = 50.0
 """Standard deviation [m] of kilometres that a recorder writes."""
-
-BEYOND = 150.0
-"""Kilometres so far [m] beyond the ends of an edge are still on it."""
 
 LEAST_KNOWN = 0.7
 """Share of the kilometres that the network must have."""
@@ -103,7 +99,7 @@ def by_kilometres(
     chosen = _spaced(kilometre, words, known)
     nodes = _nodes(network, lines, table, chosen, kilometre, words)
     reached = np.diff(nodes.first) > 0
-    if reached.sum() < max(LEAST_NODES, LEAST_KNOWN * chosen.size):
+    if reached.sum() < max(SEVERAL, LEAST_KNOWN * chosen.size):
         at = chosen[np.flatnonzero(~reached)[:1]]
         where = (
             f", such as {kilometre[at[0]] / 1e3:.3f} of line '{words[at[0]]}'" if at.size else ""
@@ -195,7 +191,7 @@ def _nodes(
         for number in lines.get(word, []):
             line = network.edges[number].line
             for chainage, beyond in _chainages(line, kilometre[chosen[mine]]):
-                near = beyond <= BEYOND
+                near = beyond <= WIDEST
                 edge = np.full(int(near.sum()), number, dtype=np.int64)
                 rows.append((mine[near], edge, chainage[near], beyond[near]))
     owner = np.concatenate([each[0] for each in rows])
@@ -247,7 +243,7 @@ def _positions(
     rows = np.arange(kilometre.size)
     course = np.interp(rows, chosen[part.node], part.position)
     position = np.full(kilometre.size, np.nan)
-    best = np.full(kilometre.size, 10.0 * BEYOND)
+    best = np.full(kilometre.size, 10.0 * WIDEST)
     begun = 0.0
     for number in part.courses:
         edge = network.edges[number // 2]
@@ -255,7 +251,7 @@ def _positions(
         mine = np.isin(words.astype(str), sorted(names)) & np.isfinite(kilometre)
         for chainage, beyond in _chainages(edge.line, np.where(mine, kilometre, 0.0)):
             along = begun + (edge.line.length - chainage if number % 2 else chainage)
-            off = np.where(mine & (beyond <= BEYOND), np.abs(along - course), np.inf)
+            off = np.where(mine & (beyond <= WIDEST), np.abs(along - course), np.inf)
             closer = off < best
             position[closer], best[closer] = along[closer], off[closer]
         begun += edge.line.length
@@ -330,7 +326,7 @@ def check_determined(placed: Placed, words: str, other: str) -> None:
     if not placed.passage.determined:
         raise InputError(
             f"they do not determine the route ({placed.words}): over {words} is by a"
-            f" log-likelihood of {margin:.1f} better than over {other}, {DECIDES:g} is"
+            f" log-likelihood of {margin:.1f} better than over {other}, {LIKELY:g} is"
             " needed",
             remedy="state its stations (--stations A,B)",
         )

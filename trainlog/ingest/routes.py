@@ -19,7 +19,6 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import sha256
 from trainlog.ingest.matching import (
-    DECIDES,
     EdgeTracks,
     Passage,
     Passages,
@@ -27,7 +26,7 @@ from trainlog.ingest.matching import (
     edge_tracks,
     match_route,
 )
-from trainlog.ingest.motion import LATITUDE, POSITION
+from trainlog.ingest.motion import LATITUDE, LIKELY, POSITION
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import stops_of
 from trainlog.ingest.receiver import Fixes, fixes_of
@@ -487,7 +486,7 @@ def _undetermined(routes: NetworkRoutes, passage: Passage) -> InputError:
     return InputError(
         f"the fixes do not determine the route: over {routes.words(passage.courses)} is by a"
         f" log-likelihood of {passage.margin:.1f} better than over {routes.words(passage.other)},"
-        f" {DECIDES:g} is needed",
+        f" {LIKELY:g} is needed",
         remedy="state the way: --stations with a place on the edge that was driven,"
         " such as A,edge@1.2,B",
     )

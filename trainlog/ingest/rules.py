@@ -21,10 +21,15 @@ from trainlog.ingest.frozen import blank_frozen
 from trainlog.ingest.jumps import blank_spikes, report_steps, unwrap_counters
 from trainlog.ingest.motion import (
     EFFORTS,
+    ENOUGH,
+    FAR,
+    FEW,
     GNSS_SPEED,
     MOVING,
     POSITION,
+    SEVERAL,
     SPEED,
+    SUSPECT,
     WHEEL_SPEED,
     agreement,
     driven_mass,
@@ -33,11 +38,17 @@ from trainlog.ingest.motion import (
     seconds_of,
 )
 from trainlog.ingest.profile import Limits, Repair
-from trainlog.ingest.recording import NO_TIME, Finding, Raw, Table, base_name, field_of
+from trainlog.ingest.recording import (
+    MOST,
+    NEARLY_ALL,
+    NO_TIME,
+    Finding,
+    Raw,
+    Table,
+    base_name,
+    field_of,
+)
 from trainlog.ingest.report import changes
-
-MAX_OUT_OF_LIMITS = 0.5
-"""Share of a column's values other than 0 out of limits beyond which its unit is doubted."""
 
 
 def blank_without_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG001
@@ -74,7 +85,7 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
         count, present = np.count_nonzero(out), np.count_nonzero(judged)
         if not count:
             continue
-        if count > MAX_OUT_OF_LIMITS * present:
+        if count > MOST * present:
             unit = field_of(name)[2].unit
             first = int(np.argmax(out))
             raise InputError(
@@ -88,21 +99,11 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
     return table, findings
 
 
-SHORTEST = 500.0
-"""Distance [m] from which on position and speed are compared."""
-
 FACTOR = 2.0
 """Ratio of two columns beyond which they cannot be of the units that the profile gives."""
 
-FEW = 0.01
-"""Share of steps up to which a position that leaps was set, and is not of another unit."""
-
-AGAINST = -0.5
-"""Correlation of effort and acceleration below which the sign of the effort is wrong."""
-
-LEAST_EFFORT, LEAST_SECONDS = 0.2, 60.0
-"""Share of the largest effort from which on acceleration is expected to follow it, and the time [s]
-with such efforts that it takes to refuse their sign."""
+LEAST_EFFORT = 0.2
+"""Share of the largest effort from which on acceleration is expected to follow it."""
 
 LEVER = "/train/controls.lever"
 
@@ -149,7 +150,7 @@ def ratios(table: Table, limits: Limits) -> Iterator[tuple[str, float, str]]:
         if points is not None and name in table.signals:
             seconds, speed = seconds_of(table), table.signals[name]
             ratio = scale_of(seconds, points, speed)
-            if np.isfinite(ratio) and np.ptp(integral(seconds, speed)[0]) > SHORTEST:
+            if np.isfinite(ratio) and np.ptp(integral(seconds, speed)[0]) > FAR:
                 words = f"{name} is {ratio:.4g} times the speed at which the fixes move"
                 yield name, ratio, words
 
@@ -170,9 +171,9 @@ def _distance_ratio(
         whole &= ~leaps
     moved = float(np.sum(moves[whole]))
     driven = float(np.sum(np.diff(integral(seconds, speed[known])[0])[whole]))
-    if driven < SHORTEST:
+    if driven < FAR:
         return
-    if moved < -SHORTEST:
+    if moved < -FAR:
         raise InputError(
             f"{POSITION} falls by {-moved:.0f} m while the train drives {driven:.0f} m",
             remedy="position grows in the direction of travel: set sign = -1, and offset to"
@@ -198,7 +199,7 @@ def _refuse_sign(table: Table) -> None:
 def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
     strong = np.abs(push) >= LEAST_EFFORT * np.max(np.abs(push))
     driven = driven_mass(seconds_of(table), np.where(strong, push, np.nan), speed)
-    if driven.seconds >= LEAST_SECONDS and driven.correlation < AGAINST:
+    if driven.decides and driven.correlation < 0.0:
         raise InputError(
             f"the train slows down whenever {name} would drive it"
             f" (correlation {driven.correlation:.2f})",
@@ -206,9 +207,6 @@ def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str
             " profile: traction speeds a train up",
         )
 
-
-SUSPECT = 1.15
-"""Ratio of two columns from which on their units are suspected."""
 
 CONFUSIONS = {
     1.609: "miles an hour taken for km/h",
@@ -218,17 +216,8 @@ CONFUSIONS = {
 }
 """Ratios that units of speed have."""
 
-LEAST_LEVELS = 5
-"""Levels that a column must take before it is said to be quantised."""
-
-LEAST_CHANGES = 20
-"""Changes that it must show."""
-
 HELD = 0.3
 """Share of its samples that must repeat the one before."""
-
-ONE_STEP = 0.9
-"""Share of its changes that must be by one step."""
 
 ROUNDING = 0.01
 """Share of a step by which the digits that a file keeps may change it."""
@@ -273,7 +262,7 @@ def quantum(values: FloatArray) -> float | None:
     known = values[np.isfinite(values)]
     change = np.diff(known)
     moving = np.flatnonzero(change)
-    if moving.size < LEAST_CHANGES:
+    if moving.size < 2 * ENOUGH:
         return None
     within = change[moving[0] : moving[-1] + 1]
     size = np.abs(within[within != 0.0])
@@ -281,7 +270,7 @@ def quantum(values: FloatArray) -> float | None:
     single: BoolArray = np.abs(size - step) <= ROUNDING * step
     held = float(np.mean(within == 0.0))
     levels = (float(np.max(known)) - float(np.min(known))) / step
-    if held < HELD or float(np.mean(single)) < ONE_STEP or levels < LEAST_LEVELS:
+    if held < HELD or float(np.mean(single)) < NEARLY_ALL or levels < SEVERAL:
         return None
     return step
 

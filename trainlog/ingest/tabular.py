@@ -23,14 +23,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import columns_left, recording_of, wanted_columns
 from trainlog.ingest.profile import FileOptions, MismatchError, Profile, suggestion
-from trainlog.ingest.recording import SHOWN_ROWS, Cells, Finding, Raw, Recording
-
-MAX_RAGGED = 0.5
-"""Share of rows with the wrong number of cells beyond which the delimiter is doubted."""
-
-
-SELDOM = 0.05
-"""Share of rows up to which those that end before the usual number of cells were cut off."""
+from trainlog.ingest.recording import MOST, SELDOM, SHOWN_ROWS, Cells, Finding, Raw, Recording
 
 HABIT, FEWEST_WHOLE = 0.2, 2
 """Share of rows from which on those that end early at one cell are how the recorder writes, where
@@ -146,7 +139,7 @@ class TextFile:
             if padded is not None and len(padded.ragged) < len(parsed.ragged):
                 parsed, cut = padded, np.zeros(0, dtype=np.int64)
                 ragged = np.array(parsed.ragged, dtype=np.int64)
-        if ragged.size > MAX_RAGGED * self.rows.size:
+        if ragged.size > MOST * self.rows.size:
             raise self._misfit(parsed, ragged.size)
         table = parsed.table
         if cut.size:

@@ -14,9 +14,9 @@ import pandas as pd
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.declared import toml_value
-from trainlog.ingest.motion import POSITION, speed_of
+from trainlog.ingest.motion import FAR, POSITION, speed_of
 from trainlog.ingest.parts import parts_of
-from trainlog.ingest.placing import OVERRUN, placed
+from trainlog.ingest.placing import placed
 from trainlog.ingest.profile import FileOptions, Limits, Profile, Repair, parse_profile
 from trainlog.ingest.proposal.columns import (
     EITHER_BRAKE,
@@ -252,7 +252,7 @@ def _start(parts: list[Recording], line: Line, train: Train | None) -> list[Read
         position = table.signals.get(POSITION)
         if position is None or not np.isfinite(position).any():
             return []
-        if np.nanmin(position) > -OVERRUN and np.nanmax(position) < line.length + OVERRUN:
+        if np.nanmin(position) > -FAR and np.nanmax(position) < line.length + FAR:
             return []
         try:
             shown.append(placed(table, line, train, None, by_stations=True).evidence)

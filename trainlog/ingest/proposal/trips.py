@@ -10,7 +10,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from trainlog.arrays import IntArray
-from trainlog.ingest.parts import CONSTANT, LEAST_GROUP
+from trainlog.ingest.motion import ENOUGH
+from trainlog.ingest.parts import CONSTANT
 from trainlog.ingest.profile import LoadColumn, TripColumns, WeatherColumn
 from trainlog.ingest.proposal.columns import Work
 from trainlog.ingest.proposal.layout import Reading
@@ -61,7 +62,7 @@ def _number(work: Work) -> str | None:
                 continue
             cells = _cells(work, name)
             edges = np.flatnonzero(np.concatenate(([True], cells[1:] != cells[:-1], [True])))
-            if np.diff(edges).min() < LEAST_GROUP or not cells[0]:
+            if np.diff(edges).min() < ENOUGH or not cells[0]:
                 why = "may number trips, but it is not constant over blocks of rows"
                 work.left[name] = why
                 continue
