@@ -45,6 +45,7 @@ from trainlog.errors import InputError
 from trainlog.ingest.clock import Result
 from trainlog.ingest.matching import GEOMETRY_STD, EdgeTracks, edge_nodes, rough_noise
 from trainlog.ingest.motion import (
+    ALIKE,
     ELSEWHERE,
     ENOUGH,
     FAR,
@@ -67,6 +68,7 @@ from trainlog.ingest.receiver import (
     ODOMETER_STD,
     OLDEST,
     REPLAYED,
+    SMALLEST_NOISE,
     Driven,
     Fixes,
     common_delay,
@@ -104,17 +106,11 @@ AGE_STD, AGE_TIME = 3.0, 60.0
 LATE_CHANGES = 120.0
 """For how long a receiver that is late throughout stays equally late at least [s]."""
 
-STEADY = 0.1
-"""Change of the age of a fix [s/s] up to which its receiver does not catch up."""
-
 TURNS = 5
 """Times the fixes are projected and the motion is smoothed."""
 
 WHEEL_TIME = 2.0
 """Time over which the errors of wheel speeds last [s]: creep goes with the effort."""
-
-SMALLEST_NOISE = 0.3, 0.02
-"""Standard deviations that no receiver undercuts: of a position [m], of a speed [m/s]."""
 
 UNSEEN_SPREAD, UNSEEN_DENSITY = 0.6, 6.0
 """The least of both where no speed was measured."""
@@ -128,9 +124,6 @@ OUTAGE_DENSITY = 3.0, 12.0
 SPEED_SPREAD = 0.4, 1.2
 """Least and largest standard deviation of a train's acceleration [m/s²]: trains that rarely
 change speed, trams."""
-
-SPARSE = 2.5
-"""Fixes further apart than this [s] are rare."""
 
 FOLDS = 4
 """Parts in which fixes are left out and predicted."""
@@ -401,7 +394,7 @@ class OnLine:
         seconds, points = self.fixes.seconds, self.points.copy()
         age = np.where(np.isfinite(chainage), found.age, np.nan)
         old = held(age, seconds, REPLAYED - 0.5, 0.5)
-        steady = measured | (np.abs(rate_of(seconds, age)) < STEADY)
+        steady = measured | (np.abs(rate_of(seconds, age)) < ALIKE)
         self.computed |= old & np.isfinite(points)
         self.misplaced = found.wrong & ~old
         placed = np.where(old | self.misplaced, np.nan, chainage)
@@ -586,7 +579,7 @@ class OnLine:
         seconds = self.fixes.seconds
         known = np.flatnonzero(np.isfinite(chainage))
         spacing = float(np.median(np.diff(seconds[known]))) if known.size > 1 else 0.0
-        if known.size < ENOUGH or (spacing < SPARSE and self.speed_noise is not None):
+        if known.size < ENOUGH or (spacing < LARGEST_GAP and self.speed_noise is not None):
             return
         _, first = np.unique(np.floor(seconds / max(0.5 * spacing, 1.0)), return_index=True)
         rows = np.unique(np.concatenate([first, known])) if spacing >= 1.0 else first

@@ -34,6 +34,7 @@ from trainlog.ingest.clock import (
     usual_step,
 )
 from trainlog.ingest.motion import (
+    CHORD,
     ENOUGH,
     GATE,
     GNSS_SPEED,
@@ -66,16 +67,13 @@ EARLY = np.datetime64("2007-01-01").astype("datetime64[ns]").astype(np.int64)
 MOST_ZONE = 14 * 3600 * NANOSECONDS
 """Time zones span 26 hours, but nobody sets a clock by more than so much [ns]."""
 
-REAL = 5 * NANOSECONDS
-"""Time that may really pass while a clock is set [ns]."""
-
 MAJORITY = 2.0 / 3.0
 """Share of the rows that a date must have to be the right one."""
 
 LEAST_STEP = 0.6
 """Smaller steps [s] are left: receivers themselves are late by as much."""
 
-LARGEST = 60.0, 900.0
+LARGEST = 60.0
 """Longer steps forward [s] are pauses, after which a recorder may begin where it left off: they are
 reported where the train cannot have come so little; longer ones back are of zones and dates."""
 
@@ -85,7 +83,7 @@ HARDEST = 0.3, 1.2
 UNSEEN = 1.5
 """How much harder than elsewhere in the recording a train may accelerate and brake unseen."""
 
-WINDOWS = 2.0, 20.0
+WINDOWS = 2.0, CHORD
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
 after a gap has caught up within the longer one."""
 
@@ -224,7 +222,7 @@ def _to_dated(time: IntArray, levels: IntArray) -> IntArray:
     return np.where(~undated & np.isin(levels, few), 0, right - levels)
 
 
-def _edges(time: IntArray, unit: int, real: float = REAL) -> IntArray:
+def _edges(time: IntArray, unit: int, real: float = SPAN * NANOSECONDS) -> IntArray:
     """Steps by multiples of a unit [ns], besides which `real` may have passed; 0 where none is."""
     step = np.diff(time)
     count = np.floor_divide(step + int(real), unit)
@@ -431,8 +429,8 @@ def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, boo
     they were written late.
     """
     late = float(rows.late[place])
-    pause = late >= LARGEST[0]
-    if late <= -LARGEST[1] or (pause and (motion is None or not motion.signed)):
+    pause = late >= LARGEST
+    if late * NANOSECONDS <= -QUARTER or (pause and (motion is None or not motion.signed)):
         return 0.0, False
     if late < 0.0 and rows.written_twice(place) <= MOST:
         return 0.0, False
@@ -583,7 +581,7 @@ class _Motion:
         widths = [np.subtract(*reach(speeds, each, *self.hardest)) / 6.0 for each in took]
         unsure = np.hypot(std, widths) / speed
         best = int(np.argmin(unsure))
-        if not 0.0 < took[best] < LARGEST[0]:
+        if not 0.0 < took[best] < LARGEST:
             return nothing
         return likelier, float(took[best]), float(unsure[best])
 

@@ -19,6 +19,7 @@ from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result, gap_threshold
 from trainlog.ingest.motion import (
     ACCURACY,
+    ALIKE,
     ENOUGH,
     FEW,
     FIX_STD,
@@ -338,7 +339,7 @@ def _stays(counter: _Counter, place: int, gained: IntArray) -> bool:
         return False
     loss = counter.expected[place] - counter.step[place]
     soon = gained[np.abs(counter.seconds[gained] - counter.seconds[place]) <= RESTING]
-    back = np.abs(counter.step[soon] - loss) <= np.maximum(counter.tolerance[soon], 0.1 * loss)
+    back = np.abs(counter.step[soon] - loss) <= np.maximum(counter.tolerance[soon], ALIKE * loss)
     return not bool(back.any())
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
+from trainlog.ingest.motion import SPAN
 from trainlog.ingest.profile import WORDS, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
     MOST,
@@ -320,9 +321,6 @@ _WITH_OFFSET = r":\d\d.*(Z|z|[+-]\d\d(:?\d\d)?)$"
 UNDATED_PARTS = (1980, 1, 6)
 """Year, month and day that stand in for a date of zeros: the begin of GPS time."""
 
-LONGEST_UNDATED = 5 * NANOSECONDS
-"""Time [ns] between two rows from which on the time of day does not lead from one to the other."""
-
 _NO_DATE = r"^\s*\d{4}-00-00"
 
 
@@ -387,7 +385,7 @@ def _with_time_of_day(time: IntArray, undated: BoolArray) -> IntArray:
         return time
     known = np.flatnonzero(time != NO_TIME)
     apart = np.abs(np.diff(time[known] % DAY))
-    group = np.cumsum(np.concatenate(([0], np.minimum(apart, DAY - apart) > LONGEST_UNDATED)))
+    group = np.cumsum(np.concatenate(([0], np.minimum(apart, DAY - apart) > SPAN * NANOSECONDS)))
     dated = np.isin(group, group[~undated[known]])
     kept = time.copy()
     kept[known[~dated]] = NO_TIME

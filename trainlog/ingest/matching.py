@@ -52,12 +52,9 @@ SHIFT = 5.0
 WIDEST = 150.0
 """Distance [m] within which a fix may be on the network at all."""
 
-TURNING_TIME = 60.0
-"""Time [s] that it takes a train to turn round, where no speed is known."""
-
-LASTING, LEAST_LASTING, WHITE = 60.0, 2.5, 2.0
-"""How long [s] errors of a receiver last, their least standard deviation [m], and that [m] of what
-does not last."""
+LASTING, WHITE = 60.0, 2.0
+"""How long [s] errors of a receiver last, or a train takes to turn round; the least standard
+deviation [m] of what lasts, and that of what does not."""
 
 LEAST_DISTURBED, DISTURBED, DISTURBANCE = 0.002, 0.05, 30.0
 """Probability that a stretch of any length is disturbed, that a short one is, besides, and how
@@ -214,11 +211,11 @@ def rough_noise(std: FloatArray, near: FloatArray) -> tuple[FloatArray, float]:
 def _stood(fixes: Fixes, chosen: IntArray, points: ComplexArray) -> BoolArray:
     """Whether the train may have stood since the fix chosen before."""
     steps, way = np.diff(fixes.seconds[chosen]), np.abs(np.diff(points))
-    slow = (way < MOVING * steps) & (steps > 5.0) | (steps > TURNING_TIME)
+    slow = (way < MOVING * steps) & (steps > 5.0) | (steps > LASTING)
     speed = fixes.any_speed
     if np.count_nonzero(np.isfinite(speed)) > 0.5 * np.count_nonzero(np.isfinite(fixes.latitude)):
         still = np.cumsum(speed < MOVING)
-        slow = (np.diff(still[chosen]) > 0) | (steps > TURNING_TIME)
+        slow = (np.diff(still[chosen]) > 0) | (steps > LASTING)
     return np.concatenate(([False], slow)).astype(np.bool_)
 
 
@@ -593,7 +590,7 @@ class Search:
         gap = np.where(one.known & other.known, np.abs(one.vector - other.vector), FURTHEST)
         block = _blocks(self.nodes.seconds[known], (gap > APART)[known])
         size = robust_std(one.size[known & one.known])
-        std = max(LEAST_LASTING, size)
+        std = max(WHITE, size)
         seconds = self.nodes.seconds[known]
         fit = [_evidence(way.at(known), block, seconds, std) for way in (one, other)]
         steps = [self._steps(way, best, rival) for way in (best, rival)]

@@ -17,7 +17,7 @@ import pandas as pd
 from estimators.receiver import integral, pairs_at, series_of
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.declaration import form_for
-from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
+from trainlog.ingest.recording import METRES_PER_DEGREE, MOST, Finding, Table
 from trainlog.railway.resistance import basis
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
@@ -58,8 +58,9 @@ STEEPEST = 1.5
 FEW = 0.01
 """Share of the steps up to which those that nothing explains are single ones."""
 
-SUSPECT = 1.15
-"""Ratio of two columns from which on their units are suspected."""
+ALIKE, SUSPECT = 0.1, 1.15
+"""Relative difference up to which two columns say the same; their ratio from which on a unit is
+suspected."""
 
 GATE, HOLD = 4.5, 2.5
 """What departs by more than `GATE` standard deviations is off; so are its neighbours, one after the

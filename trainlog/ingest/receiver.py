@@ -18,6 +18,7 @@ from numba import njit
 from scipy.integrate import cumulative_trapezoid
 
 from estimators.receiver import (
+    DELAY_TURNS,
     Delay,
     WheelSpeeds,
     integral,
@@ -30,6 +31,8 @@ from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robus
 from trainlog.ingest.clock import Result
 from trainlog.ingest.motion import (
     ACCURACY,
+    ALIKE,
+    CHORD,
     ENOUGH,
     FIX_STD,
     GATE,
@@ -56,8 +59,9 @@ from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
-SMALLEST_SPEED_STD = 0.03
-"""What no receiver undercuts [m/s], whatever it states."""
+SMALLEST_NOISE = 0.3, 0.02
+"""Standard deviations that no receiver undercuts, whatever it states: of a position [m], of a speed
+[m/s]."""
 
 ODOMETER_STD = 0.1
 """Standard deviation of the speed from the wheels [m/s]."""
@@ -78,12 +82,8 @@ LEAST_NOISE = 0.3
 LEAST_STD = 1.0
 """Standard deviation [m] of distances between fixes that is not undercut."""
 
-WINDOWS = (4.0, 10.0, 20.0, 40.0, 80.0)
+WINDOWS = SPAN, CHORD, 80.0
 """Spans over which positions and the integral of the speed are compared [s]."""
-
-STEEPEST_ERROR = 0.1
-"""Part of the distance by which the integral of a good speed may be off, and by which the ways
-along the fixes and by the speeds may differ while both are right."""
 
 LATEST = 3.0
 """Delay of a speed [s] for which it is not yet set aside before its delay is known."""
@@ -91,10 +91,6 @@ LATEST = 3.0
 LEAST_CHORDS = ((0.7, 10.0), (0.3, 20.0))
 """Within so long [s] no train, nor tram, turns so sharply that the distance between its fixes is
 less than this part of that along the track."""
-
-LATEST_SPEED, DELAY_TURNS = 12.0, 12
-"""Largest delay of the speed behind the positions [s], and how often it is sought around the one
-found."""
 
 UNCHECKED_DENSITY = 5.0
 """Spectral density of the error of a speed that was not checked [m²/s]: 0.5 m/s for 10 s."""
@@ -116,9 +112,8 @@ LONGEST_STEP = 3.0
 LEAST_DELAY = 0.4
 """A smaller delay [s] is not corrected."""
 
-LEAST_COMMON, LEAST_OF_STEP = 0.05, 0.1
-"""A smaller delay of fixes and speeds together [s], or part of the time between speeds, is not
-corrected."""
+LEAST_COMMON = 0.05
+"""A smaller delay of fixes and speeds together [s] is not corrected."""
 
 SIGNIFICANT, NOTHING = 3.0, 2.0
 """A delay of fewer standard deviations is not corrected; a speed, or a difference, of fewer may be
@@ -209,7 +204,7 @@ def fixes_of(trip: Trip) -> Fixes:
     columns = {name: frame[name].to_numpy(np.float64) for name in frame.columns}
     accuracy = columns["horizontal_accuracy"]
     stated = columns.get("speed_accuracy", absent)
-    speed_std = np.maximum(np.where(stated > 0.0, stated, SPEED_STD), SMALLEST_SPEED_STD)
+    speed_std = np.maximum(np.where(stated > 0.0, stated, SPEED_STD), SMALLEST_NOISE[1])
     speed = columns.get("speed", absent)
     usual = pd.Series(speed, index).rolling(f"{SPAN:g}s", center=True).median().to_numpy()
     # The size of a speed never averages to 0: the train is taken to stand.
@@ -396,7 +391,7 @@ def delay_behind(speeds: WheelSpeeds, seconds: FloatArray, along: FloatArray) ->
     delay = 0.0
     for _ in range(DELAY_TURNS):
         left = speeds.delay_left(seconds, along, -delay)
-        if left is None or not -1.0 < delay - left.value < LATEST_SPEED:
+        if left is None or not -1.0 < delay - left.value < OLDEST:
             return 0.0
         delay -= left.value
         if abs(left.value) < 0.02:
@@ -453,7 +448,7 @@ def contradicted(
         driving = by_speed > MOVING * window
         usual = robust_std((chord - by_speed)[driving]) if driving.any() else std
         size = min(np.sqrt(2.0) * std, max(usual, LEAST_STD))
-        noise = GATE * size + STEEPEST_ERROR * np.abs(by_speed)
+        noise = GATE * size + ALIKE * np.abs(by_speed)
         noise += LATEST * np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
         wrong = chord - by_speed > noise
         for share, longest in LEAST_CHORDS:
@@ -523,7 +518,7 @@ def without_contradicted(table: Table) -> Result:
         ends = np.array([max(before - 1, 0), min(after, way.size - 1)])
         by_fixes = way[ends[1]] - way[ends[0]]
         by_speed = float(np.ptp(np.interp(fixes.seconds[ends], seconds, driven)))
-        if abs(by_fixes - by_speed) > STEEPEST_ERROR * max(by_fixes, by_speed) + GATE * std:
+        if abs(by_fixes - by_speed) > ALIKE * max(by_fixes, by_speed) + GATE * std:
             wrong[first:beyond] = True
     wrong &= doubtful
     found = table.found("contradicted", wrong, GNSS_SPEED, "by the way along the fixes")
@@ -693,9 +688,7 @@ def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
         late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
     if late is None:
         return unknown
-    step = float(np.median(np.diff(fixes.seconds[known])))
-    least = max(LEAST_COMMON, LEAST_OF_STEP * min(step, 1.0), SIGNIFICANT * late.std)
-    if late.value < least:
+    if late.value < max(LEAST_COMMON, SIGNIFICANT * late.std):
         return none
     left = wheels.delay_left(fixes.seconds, chainage, late.value)
     alone = left is not None and left.value < -max(0.5 * late.value, NOTHING * left.std)

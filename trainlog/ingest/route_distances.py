@@ -35,7 +35,7 @@ KILOMETRE_STD = 50.0
 """Standard deviation [m] of kilometres that a recorder writes."""
 
 LEAST_KNOWN = 0.7
-"""Share of the kilometres that the network must have."""
+"""Share of the kilometres, or fixes, that the network must have."""
 
 SKIPPED, MOST_SKIPPED = 8.0, 0.25
 """What it costs, in units of log-likelihood, to take a stop for one outside stations, and the share

@@ -31,16 +31,19 @@ from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import stops_of
 from trainlog.ingest.receiver import Fixes, fixes_of
 from trainlog.ingest.recording import Recording, Table
-from trainlog.ingest.route_distances import Placed, by_kilometres, by_stops, check_determined
+from trainlog.ingest.route_distances import (
+    LEAST_KNOWN,
+    Placed,
+    by_kilometres,
+    by_stops,
+    check_determined,
+)
 from trainlog.railway.line import Geometry, Leg, Line
 from trainlog.railway.network import Edge, Network, Route
 from trainlog.trip import Trip
 
 AT_STATION = 250.0
 """A trip that begins or ends so near [m] to a station or a node begins or ends there."""
-
-LEAST_FOLLOWING = 0.7
-"""Share of the fixes near edges that follow a route, below which the network is another one."""
 
 LEFT_BEHIND = 60.0
 """Time [s] off the network, before and after a route, from which on its rows are left out."""
@@ -474,7 +477,7 @@ def _check(network: Network, found: Passages) -> None:
             " looked at lie near an edge",
             remedy="state the stations of the trip (--stations A,B)",
         )
-    if found.on_network < LEAST_FOLLOWING * found.near:
+    if found.on_network < LEAST_KNOWN * found.near:
         raise InputError(
             f"only {found.on_network / found.near:.0%} of the fixes near edges of {where} follow a"
             " route that its turns allow",

@@ -219,9 +219,6 @@ CONFUSIONS = {
 HELD = 0.3
 """Share of its samples that must repeat the one before."""
 
-ROUNDING = 0.01
-"""Share of a step by which the digits that a file keeps may change it."""
-
 
 def suspect_units(table: Table, limits: Limits) -> Result:
     """Report columns that disagree by a factor that is too small to be refused."""
@@ -267,7 +264,7 @@ def quantum(values: FloatArray) -> float | None:
     within = change[moving[0] : moving[-1] + 1]
     size = np.abs(within[within != 0.0])
     step = float(np.median(size))
-    single: BoolArray = np.abs(size - step) <= ROUNDING * step
+    single: BoolArray = np.abs(size - step) <= FEW * step
     held = float(np.mean(within == 0.0))
     levels = (float(np.max(known)) - float(np.min(known))) / step
     if held < HELD or float(np.mean(single)) < NEARLY_ALL or levels < SEVERAL:

@@ -15,11 +15,14 @@ from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import in_si
 from trainlog.ingest.motion import (
+    ACTS,
+    ALIKE,
     DRIVES,
     EFFORTS,
     ENOUGH,
     GNSS_SPEED,
     LATITUDE,
+    LIKELY,
     LONGITUDE,
     POSITION,
     SPEED,
@@ -30,7 +33,6 @@ from trainlog.ingest.motion import (
 from trainlog.ingest.profile import Column, TripColumns
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.motion import (
-    ALIKE,
     AMBIGUOUS,
     FASTEST,
     TOLERANCE,
@@ -51,7 +53,7 @@ from trainlog.ingest.proposal.vocabulary import (
     role_of,
     split_unit,
 )
-from trainlog.ingest.recording import NO_TIME, field_of
+from trainlog.ingest.recording import NO_TIME, SELDOM, field_of
 from trainlog.railway.train import Train
 from trainlog.topics import RECORDED, Recorded
 from trainlog.units import KMH, NANOSECONDS, factor, si_unit
@@ -68,10 +70,6 @@ brake."""
 EITHER_BRAKE = "the friction brakes' or the sum of both brakes"
 """Open of a braking effort whose brake is not stated: it is taken as the dynamic one's."""
 
-STRONG = 0.05
-"""Share of the largest effort from which on its sign counts, and of the samples of the rarer sign
-from which on a column has both."""
-
 FOLLOWS = DRIVES
 """Correlation, or share of the trip, from which on a column goes with the train's motion."""
 
@@ -80,9 +78,6 @@ SLOWEST_STEP = 30.0
 
 MOST_UNNAMED = 12
 """Columns of unknown names that are compared two by two."""
-
-OTHER_FIXES = 5.0
-"""Cost up to which another reading of the fixes is tried with the units of the speed."""
 
 _TURNS = {"rpm": 60.0, "Hz": 1.0, "rad/s": 2.0 * np.pi}
 """Of one turn a second, in each unit."""
@@ -372,7 +367,7 @@ def _possible_fixes(work: Work, speed: FloatArray | None) -> list[Position]:
         places = positions_of(work.seconds, list(zip(names, fixed, strict=True)), speed)
     if not places:
         work.left |= dict.fromkeys(names, why)
-    return [place for place in places if place.cost <= places[0].cost + OTHER_FIXES]
+    return [place for place in places if place.cost <= places[0].cost + LIKELY]
 
 
 def _place_fixes(work: Work, place: Position, close: list[Position], answer: Answer) -> None:
@@ -504,11 +499,11 @@ def _place_position(work: Work, name: str, answer: Answer, stated: str) -> None:
 def _sign(values: FloatArray) -> Literal[1, -1, 0]:
     """The sign that the strong values of a column have; 0 if it has both."""
     known = values[np.isfinite(values)]
-    top = STRONG * float(np.percentile(np.abs(known), 99.5)) if known.size else 0.0
+    top = ACTS * float(np.percentile(np.abs(known), 99.5)) if known.size else 0.0
     if top == 0.0:
         return 1
     positive, negative = float(np.mean(known > top)), float(np.mean(known < -top))
-    if min(positive, negative) > STRONG:
+    if min(positive, negative) > SELDOM:
         return 0
     return -1 if negative > positive else 1
 

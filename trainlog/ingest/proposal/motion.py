@@ -18,11 +18,13 @@ from estimators.receiver import integral
 from trainlog.arrays import FloatArray
 from trainlog.ingest.mapping import in_si
 from trainlog.ingest.motion import (
+    ALIKE,
     CHORD,
     HOLDS,
     INLIER,
     LATITUDE,
     LONGITUDE,
+    SEVERAL,
     DrivenMass,
     driven_mass,
     rate_of,
@@ -32,11 +34,8 @@ from trainlog.ingest.recording import METRES_PER_DEGREE
 from trainlog.railway.train import Train
 from trainlog.units import factor
 
-WINDOWS, LEAST_WINDOWS = 40, 6
-"""Parts of a trip in which two measures of the distance are compared; with motion, at least."""
-
-ALIKE = 0.1
-"""Deviation from the median ratio, as a share of it, up to which two speeds are the same."""
+WINDOWS = 40
+"""Parts of a trip in which two measures of the distance are compared."""
 
 
 class Ratio(NamedTuple):
@@ -72,7 +71,7 @@ class Ratio(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether most of the trip has this factor."""
-        return self.windows >= LEAST_WINDOWS and self.agreement >= HOLDS
+        return self.windows >= SEVERAL and self.agreement >= HOLDS
 
     @property
     def exact(self) -> bool:
@@ -386,7 +385,7 @@ def positions_of(
             # Several devices in one file leap: that is refused, and shows no other scale.
             cost = charge + SWAPPED * swapped + too_slow(fixes.speed)
             ratio = Ratio() if speed is None else fixes.ratio(seconds, speed)
-            if ratio.windows >= LEAST_WINDOWS:
+            if ratio.windows >= SEVERAL:
                 cost += 15.0 * min(ratio.scatter, 1.0)
             found.append(Position(latitude, longitude, words, fixes, swapped, cost))
     return sorted(found, key=lambda each: each.cost)

@@ -18,10 +18,8 @@ from typing import Any
 from trainlog.topics import TOPICS, Field, Recorded
 
 SHORT = 3
-"""Letters up to which a stem must be a whole word of the name."""
-
-_JOINED = 3
-"""Words of a name that may make one stem together, as ``h Acc``."""
+"""Letters up to which a stem must be a whole word of the name; words of a name that may make one
+stem together, as ``h Acc``."""
 
 
 def plain(text: str) -> str:
@@ -263,7 +261,7 @@ def _matched(words: list[str]) -> tuple[list[tuple[str, str]], int]:
     found: list[str] = []
     at = 0
     while at < len(words):
-        joined = {size: "".join(words[at : at + size]) for size in range(_JOINED, 0, -1)}
+        joined = {size: "".join(words[at : at + size]) for size in range(SHORT, 0, -1)}
         size = next((size for size, text in joined.items() if text in stems), 0)
         found += [joined[size]] if size else _segments(words[at])
         at += max(1, min(size, len(words) - at))
