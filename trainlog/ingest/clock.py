@@ -15,11 +15,15 @@ from numba import njit
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import MOST, NEARLY_ALL, NO_TIME, SELDOM, Finding, Table
+from trainlog.ingest.recording import NEARLY_ALL, NO_TIME, SELDOM, Finding, Table
 from trainlog.units import NANOSECONDS
 
 NO_ACCURACY = 4_000_000.0
 """Horizontal accuracy [m] from which on a receiver means "none" (2^32 - 1 mm at u-blox)."""
+
+MAX_DROPPED = 0.25
+"""Share of the rows, or of a column's values, up to which what does not fit is left out: if it is
+more, the clock or the unit is another one."""
 
 Result = tuple[Table, list[Finding]]
 
@@ -80,7 +84,7 @@ def drop_clock_jumps(table: Table, limits: Limits) -> Result:
     )
     within = max(limits.sort_within, 5.0 * usual_step(time[kept]))
     far[group[~trusted & (nearest > within * NANOSECONDS)]] = True
-    if np.count_nonzero(far) > MOST * len(table):
+    if np.count_nonzero(far) > MAX_DROPPED * len(table):
         raise InputError(
             f"the clock jumps: {np.count_nonzero(far)} of {len(table)} rows do not fit into"
             " one trip",

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from trainlog.ingest.clock import Result, gap_threshold
+from trainlog.ingest.clock import MAX_DROPPED, Result, gap_threshold
 from trainlog.ingest.motion import (
     ACCURACY,
     ALIKE,
@@ -64,9 +64,6 @@ LONGEST_BETWEEN = 60.0
 
 UNSURE, UNSTEADY = 0.3, 2.0
 """By how much a step may differ from what was driven: as a share of it, and a second [m]."""
-
-LEAST_LOST = 100.0
-"""Distance [m] from which on a loss is one of a counter and not of a balise."""
 
 
 def blank_spikes(table: Table, limits: Limits) -> Result:
@@ -129,7 +126,7 @@ def spikes(
     last = np.concatenate((cuts, [present.size - 1]))
     kept = _best_sequence(first, last, at, known, fastest, tolerance)
     outside = np.repeat(~kept, last - first + 1)
-    if np.count_nonzero(outside) <= MOST * present.size:
+    if np.count_nonzero(outside) <= MAX_DROPPED * present.size:
         marked[present] = outside
     return marked
 
@@ -326,7 +323,7 @@ def _losses(counter: _Counter, gained: IntArray) -> IntArray:
     lost = [place for place in counter.lost if _stays(counter, int(place), gained)]
     at = np.array(lost, dtype=np.int64)
     loss = counter.expected[at] - counter.step[at]
-    at, loss = at[loss > LEAST_LOST], loss[loss > LEAST_LOST]
+    at, loss = at[loss > STAYED], loss[loss > STAYED]
     after, slack = counter.position[at + 1], counter.tolerance[at]
     alike = np.abs(loss[:, None] - loss[None, :]) <= np.minimum(slack[:, None], slack[None, :])
     lowest = after <= np.min(counter.position) + 2.0 * slack

@@ -17,7 +17,7 @@ import pandas as pd
 from estimators.receiver import integral, pairs_at, series_of
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.declaration import form_for
-from trainlog.ingest.recording import METRES_PER_DEGREE, MOST, Finding, Table
+from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
 from trainlog.railway.resistance import basis
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
@@ -74,7 +74,8 @@ INLIER, HOLDS = 0.3, 0.6
 ratio; share of the samples from which on the columns do."""
 
 STRAIGHT = 0.97
-"""Share of the way by the fix between two that their distance is where they show the distance driven."""
+"""Share of the way by the fix between two fixes that their distance is where they show the distance
+driven."""
 
 DRIVES = 0.5
 """Correlation with the acceleration from which on an effort shows the mass that it moves."""

@@ -79,9 +79,6 @@ LEAST_RETURN = 4.0
 LEAST_NOISE = 0.3
 """Usual change of a step [m] from which on even ones before an outage are suspicious."""
 
-LEAST_STD = 1.0
-"""Standard deviation [m] of distances between fixes that is not undercut."""
-
 WINDOWS = SPAN, CHORD, 80.0
 """Spans over which positions and the integral of the speed are compared [s]."""
 
@@ -447,7 +444,7 @@ def contradicted(
         # As well as they usually agree over so long: what lasts is the same at both ends.
         driving = by_speed > MOVING * window
         usual = robust_std((chord - by_speed)[driving]) if driving.any() else std
-        size = min(np.sqrt(2.0) * std, max(usual, LEAST_STD))
+        size = min(np.sqrt(2.0) * std, usual)
         noise = GATE * size + ALIKE * np.abs(by_speed)
         noise += LATEST * np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
         wrong = chord - by_speed > noise
