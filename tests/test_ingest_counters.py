@@ -108,6 +108,8 @@ def test_counters_that_start_anew_go_on(
     place = int(share * seconds.size)
     if at_rest and resting.size:
         place = int(resting[np.argmin(np.abs(resting - place))])
+    # The last samples of a file may be spikes.
+    assume(place + 5 < seconds.size)
     anew = distance + 700.0
     # Near where counters wrap, to start anew is to wrap.
     assume(np.abs(anew[place - 1] - np.array([6_553.6, 10_000.0])).min() > 100.0)

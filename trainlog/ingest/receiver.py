@@ -79,7 +79,7 @@ LEAST_RETURN = 4.0
 LEAST_NOISE = 0.3
 """Usual change of a step [m] from which on even ones before an outage are suspicious."""
 
-WINDOWS = SPAN, CHORD, 80.0
+WINDOWS = SPAN, RESTING, CHORD, 80.0
 """Spans over which positions and the integral of the speed are compared [s]."""
 
 LATEST = 3.0
