@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -390,6 +391,31 @@ def test_traction_without_braking_moves_the_mass_of_its_own_seconds(tmp_path: Pa
     path = written(tmp_path, {"t [s]": run.t, "Speed [m/s]": run.v, "Kraft [kN]": run.F / 1e3})
     check = field(propose_profile(path), "/train/controls.tractive_effort")["check"]
     assert "only seconds" not in check
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "thousands", "decimal", "digits"),
+    [(",", ",", ".", 1), (";", ".", ",", 1), (";", "'", ".", 0), ("\t", ".", ",", 0)],
+)
+def test_marks_between_thousands_are_read(
+    tmp_path: Path, delimiter: str, thousands: str, decimal: str, digits: int
+) -> None:
+    run = drive()
+    marks = str.maketrans({",": thousands, ".": decimal})
+    lines = [delimiter.join(["t [s]", "Speed [km/h]", "Distance [m]"])]
+    for second, speed, way in zip(run.t, 3.6 * run.v, run.s, strict=True):
+        cells = f"{speed:.1f}".translate(marks), f"{way:,.{digits}f}".translate(marks)
+        lines.append(delimiter.join([f"{second:.0f}", cells[0], f'"{cells[1]}"']))
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    profile = propose_profile(path).profile
+    position = ingest(path, profile)["/train/state"]["position"]
+    assert run.s.max() > 1_000.0
+    assert np.abs(position.to_numpy() - run.s.to_numpy()).max() < 0.51
+    wrong = profile.model_copy(update={"file": profile.file.model_copy(update={"thousands": ""})})
+    if (thousands, digits) != (".", 0):  # else they are read as decimals
+        with pytest.raises(InputError, match=f"thousands = .{re.escape(thousands)}. under"):
+            ingest(path, wrong)
 
 
 def test_a_unit_that_no_other_column_shows_is_unproven(tmp_path: Path) -> None:

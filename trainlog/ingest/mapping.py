@@ -179,7 +179,7 @@ def _field(
             values[f"{name}_{axle}"] = np.full(len(cells.table), np.nan)
             continue
         cell = cells.table[source]
-        raw, absent, garbled = numbers(cell, profile.file.decimal)
+        raw, absent, garbled = numbers(cell, profile.file.decimal, profile.file.thousands)
         _refuse_garbled(source, cells, raw, garbled, profile, file)
         target = f"{name}_{axle}" if column.columns else name
         scaled = column
@@ -211,14 +211,18 @@ def _refuse_garbled(
         return
     at = int(np.argmax(garbled))
     cell = str(cells.table[source][at].as_py())
-    comma = profile.file.decimal == "." and "," in cell
+    decimal = profile.file.decimal
+    marks = [mark for mark in THOUSANDS if re.match(grouped(decimal, mark), cell)]
+    one_comma = decimal == "." and cell.count(",") == 1 and "." not in cell
+    remedies = ['decimal = ","'] if one_comma else []
+    remedies += [f'thousands = "{marks[0]}"'] if marks and marks[0] != decimal else []
     raise InputError(
         f"{count} cells are no numbers, the first is {_short(cell)!r}",
         file=file,
         place=f"row {cells.rows[at]}, column {source}",
         remedy=(
-            'set decimal = "," under [file] of the profile'
-            if comma
+            f"set {' or '.join(remedies)} under [file] of the profile"
+            if remedies
             else f"check which column it is, and delimiter {profile.file.delimiter!r}"
         ),
     )
@@ -235,7 +239,18 @@ def _whole(column: pa.ChunkedArray, decimal: str) -> bool:
     return bool(pa.types.is_integer(column.type))
 
 
-def numbers(column: pa.ChunkedArray, decimal: str) -> tuple[FloatArray, BoolArray, BoolArray]:
+THOUSANDS = (",", ".", "'", "’", " ", "\u00a0", "\u202f")
+"""Marks between thousands."""
+
+
+def grouped(decimal: str, thousands: str) -> str:
+    """The pattern of numbers whose thousands are parted by a mark."""
+    return rf"^\s*[+-]?\d{{1,3}}([{thousands}]\d{{3}})+([{decimal}]\d*)?\s*$"
+
+
+def numbers(
+    column: pa.ChunkedArray, decimal: str, thousands: str = ""
+) -> tuple[FloatArray, BoolArray, BoolArray]:
     """A column as numbers.
 
     Returns
@@ -250,6 +265,9 @@ def numbers(column: pa.ChunkedArray, decimal: str) -> tuple[FloatArray, BoolArra
     if pa.types.is_dictionary(column.type):
         column = pc.cast(column, column.type.value_type)
     text = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
+    if text and thousands:
+        parted = pc.match_substring_regex(column, grouped(decimal, thousands))
+        column = pc.if_else(parted, pc.replace_substring(column, thousands, ""), column)
     if text and decimal == ",":
         column = pc.replace_substring(column, ",", ".")
     try:

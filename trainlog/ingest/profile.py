@@ -494,6 +494,8 @@ class FileOptions(Strict):
     format : str, optional
         Name of the registered format, such as ``"csv"``; detected if absent.
     delimiter, decimal, encoding : str
+    thousands : str
+        Mark between groups of three digits, as in 1,234.5; none if empty.
     header : int, optional
         Line that holds the names of the columns, counted from 1; 0 if there is none, the columns
         are then called "1", "2" ... Default: the first line that is neither empty nor a comment.
@@ -510,6 +512,7 @@ class FileOptions(Strict):
     format: str | None = None
     delimiter: str = Field(default=",", min_length=1, max_length=1)
     decimal: Literal[".", ","] = "."
+    thousands: str = Field(default="", max_length=1)
     encoding: str = "utf-8"
     header: int | None = Field(default=None, ge=0)
     skip_after_header: int = Field(default=0, ge=0)
@@ -521,6 +524,8 @@ class FileOptions(Strict):
         """Cells that cannot be parted, and an encoding that is not known."""
         if self.delimiter == self.decimal:
             yield f"delimiter and decimal are both '{self.decimal}'"
+        if self.thousands == self.decimal:
+            yield f"thousands and decimal are both '{self.decimal}'"
         try:
             "".encode(self.encoding)
         except LookupError:

@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.mapping import numbers
+from trainlog.ingest.mapping import THOUSANDS, grouped, numbers
 from trainlog.ingest.profile import MISSING, FileOptions
 from trainlog.ingest.proposal.vocabulary import unit_of
 from trainlog.ingest.tabular import is_parquet, open_text
@@ -45,7 +46,8 @@ _NUMBER = {
     ",": re.compile(r"^[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?$"),
 }
 _TIME = re.compile(
-    r"^\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([T ].*)?$|^\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp][Mm])?"
+    r"^\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([T ][^;|\t]*)?$"
+    r"|^\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp][Mm])?"
     r"(Z|[+-]\d\d:?\d\d)?$|^\d{8}T\d{6}.*$|^\d{1,2}[- .]\w{3,4}[-. ]+\d{2,4}.*$"
 )
 _SENTINEL = re.compile(
@@ -113,12 +115,15 @@ class Layout:
 
     def number(self, name: str) -> FloatArray:
         """A column as numbers, NaN where a cell is none."""
-        return numbers(self.table[name], self.options.decimal)[0]
+        return self._numbers(name)[0]
 
     def share_of_numbers(self, name: str) -> float:
         """Share of the cells with a value that are numbers; 0 where there is no value."""
-        values, empty, _ = numbers(self.table[name], self.options.decimal)
+        values, empty, _ = self._numbers(name)
         return float(np.isfinite(values).sum() / max(1, np.count_nonzero(~empty)))
+
+    def _numbers(self, name: str) -> tuple[FloatArray, BoolArray, BoolArray]:
+        return numbers(self.table[name], self.options.decimal, self.options.thousands)
 
 
 def layout_of(path: Path) -> Layout:
@@ -205,6 +210,10 @@ def _text_layout(path: Path, data: bytes) -> Layout:
         opened = open_text(path, options)
         readings.append(Reading("missing values", " ".join(map(repr, words)), seen))
     table = opened.cells(unique)
+    mark, seen = _thousands(table.table, decimal)
+    if mark:
+        options = options.model_copy(update={"thousands": mark})
+        readings.append(Reading("thousands mark", repr(mark), seen))
     spelt = dict(zip(opened.names, units, strict=False))
     where = f"line {header}" if header else "none: the columns are numbered"
     readings.append(Reading("header", where, f"{len(unique)} columns, {table.rows.size:,} rows"))
@@ -354,6 +363,27 @@ def _missing(table: pa.Table, decimal: str) -> tuple[tuple[str, ...], str]:
         counts.update(_sentinels(table[name], values))
     found = tuple(sorted(counts))
     return found, ", ".join(f"{word!r} {counts[word]} times" for word in found)
+
+
+def _thousands(table: pa.Table, decimal: str) -> tuple[str, str]:
+    """The mark between thousands that a column has in all its larger numbers, and how often.
+
+    A comma or a point could part decimals as well, of which there are three by chance: only beside
+    a decimal mark, a second group, or numbers of three digits without it does it part thousands.
+    """
+    for mark in (each for each in THOUSANDS if each != decimal):
+        for name in table.column_names:
+            column = pc.drop_null(table[name])
+            parted = pc.match_substring_regex(column, grouped(decimal, mark))
+            cells = column.filter(parted).to_pylist()
+            rest = column.filter(pc.invert(parted))
+            if not cells or pc.any(pc.match_substring(rest, mark)).as_py():
+                continue
+            hundreds = pc.match_substring_regex(rest, rf"^\s*[+-]?\d{{3}}([{decimal}]\d*)?\s*$")
+            sure = any(decimal in cell or cell.count(mark) > 1 for cell in cells)
+            if sure or pc.any(hundreds).as_py():
+                return mark, f"{len(cells)} cells of '{name}' such as {cells[-1]!r}"
+    return "", ""
 
 
 def _sentinels(column: pa.ChunkedArray, values: FloatArray) -> dict[str, int]:

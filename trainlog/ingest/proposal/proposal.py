@@ -375,6 +375,7 @@ def _toml(work: Work, found: dict[str, Reading]) -> Iterator[str]:
 
 _IN_FILE = {
     "format": "", "encoding": "encoding", "delimiter": "delimiter", "decimal": "decimal mark",
+    "thousands": "thousands mark",
     "header": "", "skip_after_header": "units", "missing": "missing values",
 }  # fmt: skip
 """Keys under [file], and what is read to know each."""
