@@ -53,12 +53,12 @@ if TYPE_CHECKING:
         fit_trip as fit_trip,
         parameter_set as parameter_set,
     )
-    from analysis.resistance.coast_down import coast_down as coast_down
-    from analysis.resistance.logs import fit as fit
-    from analysis.resistance.passport import passport as passport
-    from analysis.resistance.unknown_gradient import (
+    from analysis.resistance.coast_down import (
+        coast_down as coast_down,
         coast_down_without_gradient as coast_down_without_gradient,
     )
+    from analysis.resistance.logs import fit as fit
+    from analysis.resistance.passport import passport as passport
     from analysis.trajectory.advice import journey_advice as journey_advice
     from analysis.trajectory.instructions import phases_of as phases_of
     from analysis.trajectory.journey import optimise_journey as optimise_journey

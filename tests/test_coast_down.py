@@ -17,11 +17,12 @@ from analysis.resistance.coast_down import (
     Curve,
     MassRatio,
     coast_down,
+    coast_down_without_gradient,
     fit_segments,
+    lever_at_rest,
     with_ratio,
 )
 from analysis.resistance.coasting_detection import motion_of, smoothed_over
-from analysis.resistance.unknown_gradient import coast_down_without_gradient, lever_at_rest
 from analysis.truth import truth_of
 from tests.coasting_trips import (
     HILLY,
