@@ -310,6 +310,29 @@ def test_times_whose_parts_are_known_by_their_order(tmp_path: Path, pattern: str
     assert (trip["/train/state"].index == truth).all()
 
 
+@pytest.mark.parametrize(("zone", "hours"), [("Z", 0), ("z", 0), ("+02", 2), (" -0330", -3.5)])
+def test_a_zone_is_known_alike_in_tables_and_tracks(
+    tmp_path: Path, zone: str, hours: float
+) -> None:
+    run = drive(120)
+    times = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, "s")
+    stated = [f"{time:%Y-%m-%dT%H:%M:%S}{zone}" for time in times]
+    path = written(tmp_path, {"Zeit": stated, "Speed [m/s]": run.v})
+    proposal = propose_profile(path)
+    assert not any("zone" in question for question in proposal.open)
+    points = "".join(
+        f'<trkpt lat="{47.0 + 1e-5 * way}" lon="9.0"><time>{time}</time></trkpt>'
+        for time, way in zip(stated, run.s, strict=True)
+    )
+    track = tmp_path / "run.gpx"
+    track.write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>", "utf-8")
+    trips = ingest(path, proposal.profile), ingest(track)
+    assert {trip.start for trip in trips} == {
+        pd.Timestamp("2024-05-01T06:00:00Z") - pd.Timedelta(hours=hours)
+    }
+    assert trips[1].metadata["clock"] == "GNSS, UTC"
+
+
 @pytest.mark.parametrize("name", ["ENGINE_RUN_TINE ()", "Run time since engine start [s]"])
 @pytest.mark.parametrize("rows", [1, 3])
 def test_the_run_time_of_an_engine_is_a_time(tmp_path: Path, name: str, rows: int) -> None:

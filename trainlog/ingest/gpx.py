@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.mapping import recording_of
+from trainlog.ingest.mapping import recording_of, states_zone
 from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
     HORIZONTAL_PER_HDOP,
@@ -70,8 +70,8 @@ LAYOUT = Profile(
 )
 """What the elements mean, in the words of a profile."""
 
-ZONE, UNIX = re.compile(r"(Z|[+-]\d\d:?\d\d)$", re.IGNORECASE), re.compile(r"\d+(\.\d*)?")
-"""The end of a time that states its zone, and a count of Unix time."""
+UNIX = re.compile(r"\d+(\.\d*)?")
+"""A count of Unix time."""
 
 MILLISECONDS = 1e11
 """Counts of Unix time beyond this are of milliseconds."""
@@ -240,7 +240,7 @@ def _clock(track: _Track) -> tuple[str, Profile]:
     GPX asks for UTC. Where no time says so, a count of Unix time beside it is believed first.
     """
     times = [point.get("time", "") for point in track.points]
-    if any(ZONE.search(time) for time in times) or not any(times):
+    if any(map(states_zone, times)) or not any(times):
         return "GNSS, UTC", LAYOUT
     counts = [point.get("unix", "") for point in track.points]
     if not all(UNIX.fullmatch(count) for count in counts):

@@ -333,7 +333,21 @@ LATEST = pd.Timestamp("2100-01-01", tz="UTC").value
 
 NANOSECONDS_PER = {"s": NANOSECONDS, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
-_WITH_OFFSET = r":\d\d.*(Z|z|[+-]\d\d(:?\d\d)?)$"
+ZONE = r"(?:[Zz]|[+-]\d\d(?::?\d\d)?)"
+"""How a time states its zone."""
+
+_WITH_ZONE = rf"\d[Zz]$|:\d\d.*{ZONE}$"
+
+
+def states_zone(time: str) -> bool:
+    """Whether a time of any format states its zone.
+
+    Examples
+    --------
+    >>> [states_zone(each) for each in ("06:00:00+02", "20240501T060000Z", "2024-05-01 06:00")]
+    [True, True, False]
+    """
+    return re.search(_WITH_ZONE, time) is not None
 
 
 UNDATED_PARTS = (1980, 1, 6)
@@ -522,8 +536,9 @@ def _is_text(column: pa.ChunkedArray) -> bool:
 def _from_iso(text: pa.ChunkedArray, timezone: str, decimal: str, file: Path) -> IntArray:
     if decimal == ",":
         text = pc.replace_substring(text, ",", ".")
+    text = pc.replace_substring_regex(text, "z$", "Z")
     series = text.to_pandas()
-    aware = pc.fill_null(pc.match_substring_regex(text, _WITH_OFFSET), False).to_numpy()
+    aware = pc.fill_null(pc.match_substring_regex(text, _WITH_ZONE), False).to_numpy()
     if aware.all():
         return _nanoseconds(pd.to_datetime(series, format="ISO8601", utc=True, errors="coerce"))
     naive = pd.to_datetime(series.where(~aware), format="ISO8601", errors="coerce")

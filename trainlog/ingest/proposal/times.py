@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError
-from trainlog.ingest.mapping import NANOSECONDS_PER, read_time
+from trainlog.ingest.mapping import NANOSECONDS_PER, ZONE, read_time, states_zone
 from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.vocabulary import (
@@ -51,8 +51,7 @@ _CLOCK = re.compile(
     re.I,
 )
 _BOTH = re.compile(r"^(?P<date>\S+?)(?P<sep>T|\s+|;)(?P<clock>\d{1,2}:\d{2}.*)$")
-_ISO = re.compile(r"^\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?\s?(Z|[+-]\d{2}:?\d{2})?$")
-_OFFSET = re.compile(r"\dZ$|:\d\d.*[+-]\d\d:?\d\d$")
+_ISO = re.compile(rf"^\d{{4}}-\d{{2}}-\d{{2}}[T ]\d{{2}}:\d{{2}}(:\d{{2}}([.,]\d+)?)?\s?{ZONE}?$")
 _FURTHER = (
     "%Y%m%dT%H%M%SZ", "%Y%m%dT%H%M%S", "%Y%m%dT%H%M%S.%f", "%Y%m%d%H%M%S", "%Y%m%d_%H%M%S",
     "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f", "%d %b %Y %H:%M:%S", "%d %B %Y %H:%M:%S",
@@ -217,7 +216,7 @@ def _texts(layout: Layout, order: list[str]) -> _Candidates:
     for names in [*((name,) for name in order), *product(dates, clocks)]:
         cells = [" ".join(parts) for parts in zip(*(texts[name] for name in names), strict=False)]
         zone, zoned = _zone(layout, names)
-        if _OFFSET.search(cells[0]):
+        if states_zone(cells[0]):
             zone, zoned = "UTC", Reading("time zone", "as each cell states", f"'{cells[0]}'")
         for pattern, dated in _patterns(layout, cells):
             named = Reading("time", ", ".join((*names, pattern)), f"'{cells[0]}'")
