@@ -11,9 +11,9 @@ import pytest
 from trajectory_cases import FLIRT, drawn, hilly_line, slippery
 
 from analysis.trajectory import bound
-from analysis.trajectory.bound import Costate, Hamiltonian, Prices, Segments, reached
+from analysis.trajectory.bound import Costate, Hamiltonian, Prices, Segments, _Piece, reached
 from analysis.trajectory.convex import Multipliers
-from analysis.trajectory.discretisation import Plan, Taper, discretise, effort_limits
+from analysis.trajectory.discretisation import Curves, Plan, Taper, discretise, effort_limits
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
@@ -283,3 +283,19 @@ def test_what_a_cell_costs_at_any_speed_has_a_close_bound() -> None:
     found = bound._least(a, b, c, (low, high), rng.uniform(low, high))
     assert np.all(found <= least + 1e-9)
     np.testing.assert_allclose(found, least, atol=1e-4)
+
+
+@pytest.mark.parametrize("curve", [TRACTION, BRAKE], ids=["traction", "brake"])
+def test_an_effort_is_the_lowest_of_its_limits_at_each_speed(curve: EffortCurve) -> None:
+    """Beyond the curve's last point, too, where it goes on at the power of that."""
+    share = np.array([1.0, 0.8])
+    own = EffortCurve(curve.speeds, curve.efforts / 1e5)
+    curves = Curves.of(own, share, 100.0)
+    speed = np.tile(np.linspace(0.3, 1.6 * own.speeds[-1], 400)[:, None], (2, 1, 1))
+    speed = speed.reshape(2, 400, 1)
+    for effort, power in ((1.3, 18.0), (5.0, 1e3), (0.4, 1e3), (5.0, 12.0)):
+        limits = np.full(speed.shape, effort), np.full(speed.shape, power)
+        plain = _Piece.of(*limits, None, speed).at(speed)
+        np.testing.assert_allclose(plain, np.minimum(effort, power / speed))
+        expected = np.minimum(plain, own(speed / share[:, None, None]))
+        np.testing.assert_allclose(_Piece.of(*limits, curves, speed).at(speed), expected)
