@@ -13,17 +13,26 @@ from scipy.sparse import vstack
 from scipy.special import ndtri
 
 import analysis.resistance.regression as module
-from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.noise import (
+    FLOOR,
+    Expected,
+    Likelihood,
+    NoiseModel,
+    NoiseParts,
+    estimate_noise,
+)
 from analysis.resistance.regression import (
     BRAKE_SCALE_STD,
     DELAY_STD,
     LEAST_FORCE,
     STRETCHES,
+    White,
     _best_stretch,
     condition_number,
     fit_windows,
 )
 from analysis.resistance.windows import Windows, build_windows
+from estimators.regression import Free, regress
 from trainlog.arrays import FloatArray
 from trainlog.railway import RunningResistance
 from trainlog.railway.resistance import OVER_MASS_STD
@@ -495,3 +504,22 @@ def test_condition_number_of_columns_at_an_angle(alike: float) -> None:
     expected = np.sqrt((1.0 + abs(alike)) / (1.0 - abs(alike)))
     assert condition_number(x) == pytest.approx(expected)
     assert condition_number(x[:, [0, 1, 0]]) > 1e12
+
+
+def test_what_is_expected_may_as_well_be_taken_off_the_left_hand_side() -> None:
+    """Parameters about their means have the same likelihood, and so the same noise."""
+    windows = build_windows(recording(noise=0.03, duration=400.0))
+    means = np.append(1.0 / 120e3, RESISTANCE.coefficients / 120e3)
+    spread = np.array([1e-7, 1e-3, 1e-4, 1e-6])
+    found = []
+    for factor in (1.0, 0.0):
+        free = [
+            Free(str(k), column, std, factor * mean)
+            for k, (column, std, mean) in enumerate(zip(windows.x.T, spread, means, strict=True))
+        ]
+        left = windows.y - (1.0 - factor) * windows.x @ means
+        white = White(windows, 130e3, free, left, Expected())
+        estimate = regress(white, free).estimate + (1.0 - factor) * means
+        found.append((white.noise.sizes, estimate))
+    np.testing.assert_allclose(*(sizes for sizes, _ in found), rtol=1e-6)
+    np.testing.assert_allclose(*(estimate for _, estimate in found), rtol=1e-6)
