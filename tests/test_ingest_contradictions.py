@@ -285,6 +285,13 @@ def test_what_no_train_does_is_stated(tmp_path: Path) -> None:
     assert "accelerates by more than 4 m/s²" in shaken
 
 
+def test_fixes_without_a_speed_beside_them_are_not_judged(tmp_path: Path) -> None:
+    """One row has a speed: no way is known along which the fixes turn."""
+    second = np.arange(100.0)
+    trip = walked(tmp_path, 20.0 * second, np.where(second == 50.0, 20.0, np.nan), slice(None))
+    assert "motion_evidence" not in trip.metadata
+
+
 @pytest.mark.parametrize(("speed", "legs"), [(1.4, (15.0, 60.0)), (9.0, (8.0, 25.0))])
 def test_a_walk_and_a_car_in_a_town_are_no_trains_motion(
     tmp_path: Path, speed: float, legs: tuple[float, float]

@@ -210,9 +210,9 @@ def _not_of_rail(table: Table) -> Iterator[str]:
     path = integral(time, np.where(speed < MOVING, 0.0, speed))[0]
     fixed = series_of(path, np.where(np.isfinite(path), fixes, np.nan), 2.0)
     way, points = fixed.seconds, fixed.values
-    at = np.arange(way[0] + LEG, way[-1] - LEG, LEG / 3.0)
-    if at.size < ENOUGH:
+    if way.size < ENOUGH:
         return
+    at = np.arange(way[0] + LEG, way[-1] - LEG, LEG / 3.0)
     before, here, after = (np.interp(at + by, way, points) for by in (-LEG, 0.0, LEG))
     one, other = here - before, after - here
     shortest = np.minimum(np.abs(one), np.abs(other))
