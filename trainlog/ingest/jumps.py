@@ -24,6 +24,7 @@ from trainlog.ingest.motion import (
     FEW,
     FIX_STD,
     GNSS_SPEED,
+    HOLD,
     LATITUDE,
     LONGITUDE,
     POSITION,
@@ -44,23 +45,14 @@ from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import MOST, NEARLY_ALL, Finding, Table, base_name
 from trainlog.spans import runs_of
 
-REACH = 20
-"""Pieces between which the way back is looked for."""
-
 FIX_TOLERANCE = 20.0
 """By how much satellite positions of perfect accuracy may err from one to the next [m]."""
-
-FIX_STDS = 3.0
-"""Standard deviations, as receivers usually state them, that are added to that."""
 
 SPEED_MARGIN, FASTER = 1.2, 10.0
 """How much faster than the recorded speed positions may move, as a factor and beyond it [m/s]."""
 
 POOR = 3.0
 """Ratio to the usual accuracy from which on a fix is compared with those around it."""
-
-LONGEST_BETWEEN = 60.0
-"""Time [s] between two good fixes beyond which they do not say where one between them is."""
 
 UNSURE, UNSTEADY = 0.3, 2.0
 """By how much a step may differ from what was driven: as a share of it, and a second [m]."""
@@ -145,7 +137,7 @@ def _best_sequence(
     price = max(SEVERAL, round(SPAN / step)) if step > 0.0 else SEVERAL
     best, before = size.copy(), np.full(size.size, -1)
     for piece in range(1, size.size):
-        others = np.arange(max(0, piece - REACH), piece)
+        others = np.arange(max(0, piece - ENOUGH), piece)
         end, begin = last[others], first[piece]
         allowed = tolerance + np.maximum(rate[end], rate[begin]) * (at[begin] - at[end])
         fits = np.abs(known[begin] - known[end]) <= allowed
@@ -177,7 +169,7 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     stated = np.where(stated > 0.0, stated, np.nan)
     known = stated[np.isfinite(stated) & np.isfinite(places)]
     usual = min(float(np.median(known)), STAYED) if known.size else FIX_STD
-    tolerance = FIX_TOLERANCE + FIX_STDS * usual
+    tolerance = FIX_TOLERANCE + HOLD * usual
     fastest = limits.of(GNSS_SPEED).high
     leaps = spikes(seconds, places, _fastest(table, seconds, fastest), tolerance)
     poor = np.isfinite(places) & (stated > POOR * usual) & ~leaps
@@ -216,8 +208,7 @@ def _beside(
     since, until = seconds[asked] - seconds[a], seconds[b] - seconds[asked]
     there = (places[a] * until + places[b] * since) / (since + until)
     allowed = tolerance + 0.5 * STEEPEST * since * until
-    far = np.abs(places[asked] - there) > allowed
-    beside[asked] = far & (since + until <= LONGEST_BETWEEN)
+    beside[asked] = np.abs(places[asked] - there) > allowed
     return beside
 
 

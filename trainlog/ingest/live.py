@@ -24,6 +24,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.ingest.clock import same_as_previous
+from trainlog.ingest.motion import MANY
 from trainlog.ingest.pipeline import (
     PROFILE_ATTACHMENT,
     Given,
@@ -44,12 +45,6 @@ from trainlog.units import NANOSECONDS
 
 CONFIRMING = 3
 """Rows that must follow each other before a time is believed that does not follow those before."""
-
-STEPS = 100
-"""Intervals between rows of which the usual one is the median."""
-
-DOUBTED = STEPS
-"""Values of a column from which on most of them being impossible is reported."""
 
 RESTART = 1000
 """A number that falls by more than this is the first of a sender that was started again."""
@@ -184,7 +179,7 @@ class Sequence:
         time, first = table.time, self._highest
         steps = np.diff(time, prepend=first)
         follows = (steps >= 0) & (steps <= self._ahead())
-        self._steps = np.concatenate((self._steps, steps[follows & (steps > 0)]))[-STEPS:]
+        self._steps = np.concatenate((self._steps, steps[follows & (steps > 0)]))[-MANY:]
         kept, late = np.ones(len(table), dtype=np.bool_), np.zeros(len(table), dtype=np.bool_)
         if first == NO_TIME or not follows.all():
             time, kept, late, waiting = self._judged(time.copy(), table.rows, end=end)
@@ -280,7 +275,7 @@ class Sequence:
             table = table.without(name, out)
             counts, suspected = self._met.counts, ("unit_suspected", column)
             most = counts["out_of_limits", column] > self._present[column] / 2
-            if self._present[column] >= DOUBTED and most and suspected not in counts:
+            if self._present[column] >= MANY and most and suspected not in counts:
                 counts[suspected] += 1
                 self._met.say(
                     f"most values of {column} are impossible: check the unit of its column in the"

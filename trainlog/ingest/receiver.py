@@ -76,18 +76,15 @@ fixes rounded to 1e-7 degrees."""
 LEAST_RETURN = 4.0
 """Step [m] with which extrapolated fixes return to the track; a smaller one does no harm."""
 
-LEAST_NOISE = 0.3
-"""Usual change of a step [m] from which on even ones before an outage are suspicious."""
-
 WINDOWS = SPAN, RESTING, CHORD, 80.0
 """Spans over which positions and the integral of the speed are compared [s]."""
 
+LEAST_CHORD = 0.7
+"""Within `RESTING` no train, nor tram, turns so sharply that the distance between its fixes is less
+than this part of that along the track."""
+
 LATEST = 3.0
 """Delay of a speed [s] for which it is not yet set aside before its delay is known."""
-
-LEAST_CHORDS = ((0.7, 10.0), (0.3, 20.0))
-"""Within so long [s] no train, nor tram, turns so sharply that the distance between its fixes is
-less than this part of that along the track."""
 
 UNCHECKED_DENSITY = 5.0
 """Spectral density of the error of a speed that was not checked [m²/s]: 0.5 m/s for 10 s."""
@@ -340,8 +337,7 @@ def extrapolated(seconds: FloatArray, points: ComplexArray) -> BoolArray:
     for first, beyond in runs_of(even):
         begin, end = middle[first], middle[beyond - 1]
         following = slice(beyond, beyond + ahead + 1)
-        lost = bool(np.any(~near[following])) and usual > LEAST_NOISE
-        returns = lost or bool(np.any(change[following] > LEAST_RETURN))
+        returns = bool(np.any(~near[following] | (change[following] > LEAST_RETURN)))
         if returns and end > begin and time[end] - time[begin] + 2.0 * ahead * step >= least:
             flags[known[begin : end + ahead + 1]] = True
     return flags
@@ -448,9 +444,8 @@ def contradicted(
         noise = GATE * size + ALIKE * np.abs(by_speed)
         noise += LATEST * np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
         wrong = chord - by_speed > noise
-        for share, longest in LEAST_CHORDS:
-            if window <= longest:
-                wrong |= share * by_speed - chord > noise
+        if window <= RESTING:
+            wrong |= LEAST_CHORD * by_speed - chord > noise
         bad |= covered(first[wrong], second[wrong] + 1, time.size)
     if not bad.any():
         return flags
