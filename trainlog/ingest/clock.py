@@ -22,8 +22,8 @@ NO_ACCURACY = 4_000_000.0
 """Horizontal accuracy [m] from which on a receiver means "none" (2^32 - 1 mm at u-blox)."""
 
 MAX_DROPPED = 0.25
-"""Share of the rows, or of a column's values, up to which what does not fit is left out: if it is
-more, the clock or the unit is another one."""
+"""Share of rows, values, fixes or stops up to which those that do not fit are left out: if they are
+more, the clock, the unit or the network is another one."""
 
 Result = tuple[Table, list[Finding]]
 

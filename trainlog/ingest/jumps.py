@@ -25,6 +25,7 @@ from trainlog.ingest.motion import (
     FIX_STD,
     GNSS_SPEED,
     HOLD,
+    INLIER,
     LATITUDE,
     LONGITUDE,
     POSITION,
@@ -32,6 +33,7 @@ from trainlog.ingest.motion import (
     SEVERAL,
     SPAN,
     SPEED,
+    SPEED_MARGIN,
     STANDING,
     STAYED,
     STEEPEST,
@@ -48,14 +50,14 @@ from trainlog.spans import runs_of
 FIX_TOLERANCE = 20.0
 """By how much satellite positions of perfect accuracy may err from one to the next [m]."""
 
-SPEED_MARGIN, FASTER = 1.2, 10.0
-"""How much faster than the recorded speed positions may move, as a factor and beyond it [m/s]."""
+FASTER = 10.0
+"""How much faster than recorded positions may move [m/s], beyond `SPEED_MARGIN`."""
 
 POOR = 3.0
 """Ratio to the usual accuracy from which on a fix is compared with those around it."""
 
-UNSURE, UNSTEADY = 0.3, 2.0
-"""By how much a step may differ from what was driven: as a share of it, and a second [m]."""
+UNSTEADY = 2.0
+"""By how much a step may differ from what was driven [m/s], beside a share `INLIER` of it."""
 
 
 def blank_spikes(table: Table, limits: Limits) -> Result:
@@ -304,7 +306,7 @@ def _counter(table: Table, position: FloatArray, known: BoolArray, limits: Limit
     expected = np.where(late, 0.0, expected) if recorded is None else np.nan_to_num(driven)
     driven = np.where(late, np.nan, driven)
     reach = tolerance + rate * took
-    sure = tolerance + UNSURE * driven + UNSTEADY * took
+    sure = tolerance + INLIER * driven + UNSTEADY * took
     reach = np.where(np.isfinite(driven), np.minimum(sure, reach), reach)
     return _Counter(seconds, column, step, driven, expected, reach)
 

@@ -33,7 +33,16 @@ from trainlog.ingest.pipeline import (
     metadata_of,
 )
 from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
-from trainlog.ingest.recording import NO_TIME, Recording as Recorded, Table, base_name, frames
+from trainlog.ingest.recording import (
+    INFO,
+    NO_TIME,
+    WARNING,
+    Recording as Recorded,
+    Table,
+    base_name,
+    frames,
+)
+from trainlog.ingest.report import LONGEST_TEXT
 from trainlog.ingest.sources import POLL, Source
 from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed, as_it_came
 from trainlog.ingest.tabular import open_text
@@ -102,10 +111,6 @@ class Numbering:
         elif self._begun and last < near and size - near <= number < size:
             return self._begun - size + number  # late, from before the counter went round
         return self._begun + number
-
-
-INFO, WARNING = 2, 3
-"""Levels of events."""
 
 
 @dataclass
@@ -296,9 +301,6 @@ FLUSH = 0.5
 
 MOST_KEPT = 1000
 """Malformed lines that are kept in the log; more are counted."""
-
-MOST_TEXT = 200
-"""Characters of a malformed line that are kept."""
 
 
 class Progress:
@@ -628,7 +630,7 @@ class LiveIngest:
         """Count a malformed line, and keep it in the log."""
         self.malformed[each.reason.partition(":")[0]] += 1
         if sum(self.malformed.values()) <= MOST_KEPT:
-            text = each.text if len(each.text) <= MOST_TEXT else f"{each.text[:MOST_TEXT]} …"
+            text = each.text if len(each.text) <= LONGEST_TEXT else f"{each.text[:LONGEST_TEXT]} …"
             self._met.say(f"malformed line {each.row}: {each.reason}: {text}")
 
     def _note(self) -> None:

@@ -34,7 +34,7 @@ from estimators.matching import (
     distances,
 )
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
-from trainlog.ingest.motion import GATE, LIKELY, MOVING, SEVERAL
+from trainlog.ingest.motion import GATE, LIKELY, MOVING, SEVERAL, SHORTEST
 from trainlog.ingest.receiver import Driven, Fixes, distance_driven
 from trainlog.railway.geometry import SPACING as TRACK_SPACING, Track, beside, candidates, to_plane
 from trainlog.railway.line import Geometry
@@ -66,17 +66,14 @@ FURTHEST = 60.0
 APART = 3.0
 """Distance [m] from which on two ways run apart."""
 
-END = 100.0
-"""A route's first and last edge on which a train was for less than this [m] do not count."""
-
-LEAST_LENGTH = 300.0
-"""A shorter stretch [m] shows no route."""
-
 KNOWN_LENGTH = 0.01
 """Share by which the length of an edge without a course may be off."""
 
 ROUNDS = 4
 """How often a better route found among the others takes the place of the best."""
+
+END = 100.0
+"""A route's first and last edge on which a train was for less than this [m] do not count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +340,7 @@ def match_route(edges: EdgeTracks, fixes: Fixes) -> Passages:
     for part, after in _parts(chain):
         first, last = int(part.node[0]), int(part.node[-1])
         extent = float(np.ptp(_driven(part, nodes, edges.graph, between, None).position))
-        if part.node.size < SEVERAL or extent < LEAST_LENGTH:
+        if part.node.size < SEVERAL or extent < SHORTEST:
             dropped.append((float(nodes.seconds[first]), float(nodes.seconds[last])))
             continue
         inside += part.node.size

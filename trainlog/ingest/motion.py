@@ -17,7 +17,7 @@ import pandas as pd
 from estimators.receiver import integral, pairs_at, series_of
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.declaration import form_for
-from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
+from trainlog.ingest.recording import METRES_PER_DEGREE, MOST, Finding, Table
 from trainlog.railway.resistance import basis
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
@@ -48,15 +48,17 @@ SEVERAL, ENOUGH, MANY = 5, 10, 50
 """Samples in a row that are no accident; from which on their median, and how they spread, are
 known; from which on what they have in common is."""
 
-ELSEWHERE, STAYED, FAR = 30.0, 50.0, 500.0
+ELSEWHERE, STAYED, SHORTEST, FAR = 30.0, 50.0, 300.0, 500.0
 """Distance [m] from which on two places are not the same one; within which a train that never moves
-stays; which no error explains, so that line, unit or direction are wrong."""
+stays; of the shortest way that is a trip, or shows a route; which no error explains, so that line,
+unit or direction are wrong."""
 
 STEEPEST = 1.5
 """No train on wheels gains or loses speed faster than this [m/s²]; slipping wheels do."""
 
 FEW = 0.01
-"""Share of the steps up to which those that nothing explains are single ones."""
+"""Share of the steps up to which those that nothing explains are single ones; by which steps that
+are written down are off."""
 
 ALIKE, SUSPECT = 0.1, 1.15
 """Relative difference up to which two columns say the same; their ratio from which on a unit is
@@ -68,6 +70,9 @@ other, down to `HOLD`."""
 
 LIKELY, SURE = 6.0, 10.0
 """Differences of log-likelihoods from which on the likelier is taken, or is taken to be certain."""
+
+SPEED_MARGIN = 1.5
+"""How many times as fast as a speed that is recorded, or allowed, a train may move."""
 
 INLIER, HOLDS = 0.3, 0.6
 """Deviation from the median ratio of two columns, as a share of it, up to which a sample has this
@@ -104,9 +109,9 @@ known from turns."""
 HARSH = 4.0
 """Acceleration over a second [m/s²] that no train reaches."""
 
-OFTEN_TURNED, OFTEN_FOLDED, OFTEN_HARSH = 0.04, 0.5, 0.1
-"""Share of the places with such turns, with folds, and of the moving seconds with such
-accelerations, from which on a recording is not of a train's motion."""
+OFTEN_TURNED, OFTEN_HARSH = 0.04, 0.1
+"""Share of the places with such turns, and of the moving seconds with such accelerations, from
+which on a recording is not of a train's motion."""
 
 LEAST_SHOWN = 0.2
 """Share of the way on which turns must be shown: at its full speed a train shows none."""
@@ -227,7 +232,7 @@ def _not_of_rail(table: Table) -> Iterator[str]:
     places, turns, folds = (np.count_nonzero(each) for each in (shown, turned, folded))
     if places < max(LEAST_SHOWN * at.size, ENOUGH):
         return
-    if turns - folds > OFTEN_TURNED * places or folds > OFTEN_FOLDED * places:
+    if turns - folds > OFTEN_TURNED * places or folds > MOST * places:
         yield (
             f"turns by more than {np.degrees(TURN):.0f}° within {2.0 * LEG:.0f} m at"
             f" {(turns + folds) / places:.0%} of its way: bends of a few metres"

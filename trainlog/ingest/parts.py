@@ -17,18 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.ingest.motion import ENOUGH, POSITION, STANDING, speed_of
+from trainlog.ingest.motion import ENOUGH, POSITION, SHORTEST, STANDING, speed_of
 from trainlog.ingest.profile import Profile, TripColumns, problem_of
-from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table, base_name
+from trainlog.ingest.recording import NEARLY_ALL, NO_TIME, Finding, Recording, Table, base_name
 from trainlog.railway.weather import given_condition
 from trainlog.topics import RECORDED
 from trainlog.units import DAY, NANOSECONDS, to_si
-
-BACKWARDS = 0.75
-"""Share of the steps of time that fall where a table has its newest row first."""
-
-LEAST_WAY = 200.0
-"""A part in which the train moves by less [m] is no trip of its own."""
 
 LONGEST_PAUSE = 366 * DAY
 """A longer leap [ns] is that of a clock that was not set."""
@@ -82,7 +76,7 @@ def _oldest_first(recording: Recording) -> Recording:
     tables, about = list(recording.tables), recording.about
     for number, table in enumerate(tables):
         steps = np.diff(table.time[table.time != NO_TIME])
-        if np.count_nonzero(steps < 0) <= BACKWARDS * np.count_nonzero(steps):
+        if np.count_nonzero(steps < 0) <= NEARLY_ALL * np.count_nonzero(steps):
             continue
         turned = np.arange(len(table))[::-1]
         tables[number] = table.take(turned)
@@ -241,7 +235,7 @@ def _moves(table: Table, speed: FloatArray | None, first: int, last: int) -> boo
     if position is not None and np.isfinite(position[first:last]).any():
         inside = position[first:last]
         low, high = np.nanpercentile(inside, [1.0, 99.0])
-        if high - low >= LEAST_WAY:
+        if high - low >= SHORTEST:
             return True
     if speed is None:
         return position is None

@@ -22,7 +22,15 @@ from trainlog.ingest.chainage import (
     estimated_state,
     position_offset,
 )
-from trainlog.ingest.motion import FAR, GNSS_SPEED, POSITION, SPEED, suspect_efforts, unlike_a_train
+from trainlog.ingest.motion import (
+    FAR,
+    GNSS_SPEED,
+    POSITION,
+    SPEED,
+    SPEED_MARGIN,
+    suspect_efforts,
+    unlike_a_train,
+)
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import placed
 from trainlog.ingest.profile import (
@@ -60,9 +68,6 @@ PROFILE_ATTACHMENT = "profile.toml"
 
 PROFILE_OBJECT_ATTACHMENT = "profile.json"
 """The same, where the profile was no file but a `Profile`."""
-
-SPEED_MARGIN = 1.5
-"""Speeds beyond this multiple of what line and train allow are impossible."""
 
 Direction = Literal["forward", "reverse"]
 

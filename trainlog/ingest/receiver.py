@@ -33,6 +33,7 @@ from trainlog.ingest.motion import (
     ACCURACY,
     ALIKE,
     CHORD,
+    ELSEWHERE,
     ENOUGH,
     FIX_STD,
     GATE,
@@ -96,7 +97,7 @@ OLDEST, REPLAYED = 12.0, 3
 """Age [s] up to which fixes may be late throughout, and from which on they are old ones; age from
 which on a fix of a receiver that is not late throughout is an old one."""
 
-CORNER, CORNER_STDS = 30.0, 10.0
+CORNER_STDS = 10.0
 """Least distance [m], and in standard deviations of a fix, between the corners of the path of the
 fixes: closer ones follow its errors."""
 
@@ -574,7 +575,7 @@ def way_along(points: ComplexArray, std: float) -> FloatArray | None:
     """
     known = np.flatnonzero(np.isfinite(points))
     place, corners = points[known], [0]
-    least = max(CORNER, CORNER_STDS * std)
+    least = max(ELSEWHERE, CORNER_STDS * std)
     for number in range(1, known.size):
         if abs(place[number] - place[corners[-1]]) > least:
             corners.append(number)

@@ -28,6 +28,9 @@ TIME_CELL = "time"
 METRES_PER_DEGREE = 111_195.0
 """Length of a degree of latitude [m]."""
 
+INFO, WARNING = 2, 3
+"""Levels of events; the first of those whose column gives none."""
+
 SHOWN_ROWS = 5
 """How many of the rows concerned a finding names."""
 
@@ -378,10 +381,6 @@ class Messages:
         rows: Sequence[int] = self.damaged_rows
         text = np.array(self.damaged_text, dtype=np.object_)
         return (Raw("damaged_messages", "", np.array(rows, dtype=np.int64), text),)
-
-
-INFO = 2.0
-"""Level of an event whose column gives none."""
 
 
 def frames(

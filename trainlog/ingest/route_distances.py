@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from estimators.matching import EdgeGraph, EdgeNodes
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
+from trainlog.ingest.clock import MAX_DROPPED
 from trainlog.ingest.matching import (
     SPACING,
     WIDEST,
@@ -34,12 +35,8 @@ from trainlog.units import NANOSECONDS
 KILOMETRE_STD = 50.0
 """Standard deviation [m] of kilometres that a recorder writes."""
 
-LEAST_KNOWN = 0.7
-"""Share of the kilometres, or fixes, that the network must have."""
-
-SKIPPED, MOST_SKIPPED = 8.0, 0.25
-"""What it costs, in units of log-likelihood, to take a stop for one outside stations, and the share
-of stops that may be."""
+SKIPPED = 8.0
+"""What it costs, in units of log-likelihood, to take a stop for one outside stations."""
 
 USUAL_PACE = 10.0
 """Speed [m/s] that stands for the times of stops, of which only the order counts."""
@@ -99,7 +96,7 @@ def by_kilometres(
     chosen = _spaced(kilometre, words, known)
     nodes = _nodes(network, lines, table, chosen, kilometre, words)
     reached = np.diff(nodes.first) > 0
-    if reached.sum() < max(SEVERAL, LEAST_KNOWN * chosen.size):
+    if reached.sum() < max(SEVERAL, (1.0 - MAX_DROPPED) * chosen.size):
         at = chosen[np.flatnonzero(~reached)[:1]]
         where = (
             f", such as {kilometre[at[0]] / 1e3:.3f} of line '{words[at[0]]}'" if at.size else ""
@@ -116,7 +113,7 @@ def by_kilometres(
             "its kilometres turn back, or leave the network",
             remedy="cut the file where the train turned back: these are two trips",
         )
-    if best.chain.node.size < LEAST_KNOWN * reached.sum():
+    if best.chain.node.size < (1.0 - MAX_DROPPED) * reached.sum():
         raise InputError(
             f"only {best.chain.node.size} of {int(reached.sum())} kilometres follow a route that"
             " the turns of the network allow",
@@ -292,7 +289,7 @@ def by_stops(network: Network, graph: EdgeGraph, stops: FloatArray) -> Placed:
     node, gap = best.chain.node, np.diff(stops[best.chain.node])
     ends = node.size > 1 and node[0] == 0 and node[-1] == stops.size - 1
     off = np.abs(np.diff(best.position) - gap)
-    few = node.size < stops.size - int(MOST_SKIPPED * stops.size)
+    few = node.size < stops.size - int(MAX_DROPPED * stops.size)
     if not ends or few or np.any(off > 2.0 * NEAR + DRIFT * gap):
         raise InputError(
             f"no stations of network '{network.name}' lie as far apart as its {stops.size} stops",

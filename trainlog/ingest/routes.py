@@ -18,6 +18,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import sha256
+from trainlog.ingest.clock import MAX_DROPPED
 from trainlog.ingest.matching import (
     EdgeTracks,
     Passage,
@@ -32,7 +33,6 @@ from trainlog.ingest.placing import stops_of
 from trainlog.ingest.receiver import Fixes, fixes_of
 from trainlog.ingest.recording import Recording, Table
 from trainlog.ingest.route_distances import (
-    LEAST_KNOWN,
     Placed,
     by_kilometres,
     by_stops,
@@ -477,7 +477,7 @@ def _check(network: Network, found: Passages) -> None:
             " looked at lie near an edge",
             remedy="state the stations of the trip (--stations A,B)",
         )
-    if found.on_network < LEAST_KNOWN * found.near:
+    if found.on_network < (1.0 - MAX_DROPPED) * found.near:
         raise InputError(
             f"only {found.on_network / found.near:.0%} of the fixes near edges of {where} follow a"
             " route that its turns allow",

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError
+from trainlog.ingest.clock_steps import QUARTER
 from trainlog.ingest.mapping import NANOSECONDS_PER, ZONE, read_time, states_zone
 from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.proposal.layout import Layout, Reading
@@ -37,8 +38,8 @@ of the steps that must not go back."""
 EPOCHS = 1e9, 2.6e9
 """Seconds since 1970 that lie between 2001 and 2052."""
 
-QUARTER, NEAR = 900.0, 60.0
-"""Time zones differ by quarters of an hour [s]; two clocks of a recorder by less than the other."""
+NEAR = 60.0
+"""Two clocks of a recorder differ by less [s]."""
 
 STEPS = {"s": (0.0005, 20.0), "ms": (0.5, 2e4), "us": (500.0, 6e7)}
 """Usual steps of recorders in each unit of a count."""
@@ -137,8 +138,9 @@ def _zoned(layout: Layout, order: list[str], clock: Clock) -> Clock:
         return clock
     both = (clock.time != NO_TIME) & (unix.time != NO_TIME)
     ahead = (local.time - unix.time)[both] / NANOSECONDS
-    quarters = round(float(np.median(ahead)) / QUARTER) if both.any() else 0
-    if not both.any() or np.mean(np.abs(ahead - QUARTER * quarters) < NEAR) < MOST:
+    quarter = QUARTER / NANOSECONDS
+    quarters = round(float(np.median(ahead)) / quarter) if both.any() else 0
+    if not both.any() or np.mean(np.abs(ahead - quarter * quarters) < NEAR) < MOST:
         return clock
     hours, minutes = divmod(abs(quarters) * 15, 60)
     offset = f"{'-' if quarters < 0 else '+'}{hours:02d}:{minutes:02d}" if quarters else "UTC"
