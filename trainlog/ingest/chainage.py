@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from estimators.matching import EdgeGraph, LeftOut, best_chain, distances
+from estimators.matching import FASTEST, EdgeGraph, LeftOut, best_chain, distances
 from estimators.motion import (
     ACCELERATION_TIME,
     LASTING_TIME,
@@ -46,6 +46,7 @@ from trainlog.ingest.clock import Result
 from trainlog.ingest.matching import GEOMETRY_STD, EdgeTracks, edge_nodes, rough_noise
 from trainlog.ingest.motion import (
     ALIKE,
+    CHORD,
     ELSEWHERE,
     ENOUGH,
     FAR,
@@ -94,42 +95,30 @@ DRIFT = 0.1
 """Random walk [m/√s] of the chainage beyond the integral of the speed: curves cut short by the
 geometry."""
 
-FASTEST = 0.98
-"""Share of the speeds from fix to fix that are a train's."""
+AGE_STD = 3.0
+"""Standard deviation of the age of an old fix [s]."""
 
-LEAP = 150.0
-"""Speed [m/s] from fix to fix with which a receiver that kept its place is elsewhere."""
-
-AGE_STD, AGE_TIME = 3.0, 60.0
-"""Standard deviation of the age of an old fix [s], and for how long its error lasts [s]."""
-
-LATE_CHANGES = 120.0
-"""For how long a receiver that is late throughout stays equally late at least [s]."""
+LATE_TIME = 120.0
+"""For how long [s] a receiver whose fixes are late stays equally late."""
 
 TURNS = 5
-"""Times the fixes are projected and the motion is smoothed."""
+"""Times the fixes are projected and the motion is smoothed, unless it has settled."""
 
 WHEEL_TIME = 2.0
 """Time over which the errors of wheel speeds last [s]: creep goes with the effort."""
 
-UNSEEN_SPREAD, UNSEEN_DENSITY = 0.6, 6.0
-"""The least of both where no speed was measured."""
-
-LOST_AFTER = 15.0
-"""Steps between measurements further apart than this [s] are an outage."""
-
-OUTAGE_DENSITY = 3.0, 12.0
-"""Least and largest spectral density of the acceleration in an outage [m²/s³]."""
+OUTAGE_DENSITY = 8.0
+"""Spectral density of the acceleration in an outage [m²/s³]."""
 
 SPEED_SPREAD = 0.4, 1.2
 """Least and largest standard deviation of a train's acceleration [m/s²]: trains that rarely
 change speed, trams."""
 
+UNSEEN_SPREAD = 0.6
+"""The least where no speed was measured."""
+
 FOLDS = 4
 """Parts in which fixes are left out and predicted."""
-
-LATE_SHARE = 0.5
-"""Part of that noise that no averaging removes: fixes that come late err to one side."""
 
 LEAST_FREEDOM = 3.0
 """Least number of independent values that the size of errors is taken to rest on."""
@@ -359,7 +348,7 @@ class OnLine:
         seconds, known = self.fixes.seconds, np.flatnonzero(np.isfinite(self.points))
         pace = np.abs(np.diff(self.points[known])) / np.diff(seconds[known])
         leaps = np.zeros(doubted.size, dtype=np.bool_)
-        leaps[known[1:][pace > LEAP]] = True
+        leaps[known[1:][pace > FASTEST]] = True
         runs = repeats(self.fixes.speed)
         rests = runs.samples >= SEVERAL
         first, last = runs.known[runs.first[rests]], runs.known[runs.last[rests]]
@@ -467,28 +456,19 @@ class OnLine:
         seconds = self.fixes.seconds
         position, pace = course, np.gradient(course, seconds)
         motion = None
-        for turn in range(TURNS):
+        for _ in range(TURNS):
             chainage, aside = beside(self.track, self.points, position - self.caught_up)
             chainage += self.caught_up
-            before = self.chainage
             if motion is not None and self.gated:
                 fitting = self.known & ~self._departs(chainage, aside, motion)
                 self._judge_speeds(motion)
             self.chainage = np.where(fitting, chainage, np.nan)
             if np.count_nonzero(fitting) < 2:
                 break
-            if turn < 3:
-                self._size(np.where(fitting, aside, np.nan), pace, smoothed=motion is not None)
-            last = position
-            if turn < 3:
-                self._size_along(
-                    np.where(
-                        np.isfinite(self.points) & (np.abs(aside) < GATE * self._usual(aside)),
-                        chainage,
-                        np.nan,
-                    )
-                )
-            motion = self._smoothed()
+            self._size(np.where(fitting, aside, np.nan), pace, smoothed=motion is not None)
+            beside_line = np.abs(aside) < GATE * self._usual(aside)
+            self._size_along(np.where(np.isfinite(self.points) & beside_line, chainage, np.nan))
+            last, motion = position, self._smoothed()
             position, pace = motion.position, motion.speed
             if self.lateness:
                 age = self.lateness - LATE_STD * motion.lasting[:, 1]
@@ -497,12 +477,11 @@ class OnLine:
             self.slipping = (
                 slipping_wheels(self.fixes, motion.speed, motion.speed_std, ratio) & self.slip_aware
             )
-            settled = turn > 1 and np.abs(position - last).max() < 0.1
-            if settled and np.array_equal(np.isfinite(before), fitting):
+            if np.abs(position - last).max() < 0.1:
                 break
         found = self._smoothed() if motion is None else motion
         # Where they all are, only the places where the train stands count: few, and off for long.
-        late = self.position_noise.std if self.lateness else LATE_SHARE * self.along_std
+        late = self.position_noise.std if self.lateness else 0.0
         return replace(
             found,
             # No number of fixes that are late together shows by how much.
@@ -620,35 +599,23 @@ class OnLine:
         return np.hypot(max(size, SMALLEST_NOISE[0]) * self.relative, GEOMETRY_STD)
 
     def _size_agility(self, pace: FloatArray) -> None:
-        """Standard deviation of the acceleration, from the changes of speed over 10 s."""
+        """Standard deviation of the acceleration, from the changes of speed over `RESTING`."""
         seconds = self.fixes.seconds
-        even = np.arange(seconds[0], seconds[-1], 10.0)
-        values = np.interp(even, seconds, pace)
-        change = np.diff(values)
-        share = 10.0 / ACCELERATION_TIME
+        even = np.arange(seconds[0], seconds[-1], RESTING)
+        change = np.diff(np.interp(even, seconds, pace))
+        share = RESTING / ACCELERATION_TIME
         per_unit = 2.0 * ACCELERATION_TIME**2 * (share + np.expm1(-share))
         size = float(np.sqrt(np.mean(change**2) / per_unit)) if change.size else 0.0
         least, most = SPEED_SPREAD
-        densities = OUTAGE_DENSITY
         if np.count_nonzero(np.isfinite(self.fixes.speed)) < 20:
             # Smoothed positions hide how hard a train brakes: any train then.
-            least, densities = UNSEEN_SPREAD, (UNSEEN_DENSITY, OUTAGE_DENSITY[1])
+            least = UNSEEN_SPREAD
         self.acceleration_std = float(np.clip(size, least, most))
-        # Over an outage a train brakes, stands and starts: what counts is how much its speed
-        # changes over as long.
-        measured = np.isfinite(self.chainage) | np.isfinite(self.fixes.speed)
-        if self.fixes.wheel_speed is not None:
-            measured |= np.isfinite(self.fixes.wheel_speed)
-        apart = _apart(seconds, measured)
-        values[np.interp(even, seconds, apart) > LOST_AFTER] = np.nan
-        density = [1.0]
-        for lag in (1, 2, 4, 8):
-            square = (values[lag:] - values[:-lag]) ** 2
-            if np.count_nonzero(np.isfinite(square)) > lag:
-                density.append(float(np.nanmean(square)) / (10.0 * lag))
+        # Over an outage a train brakes, stands and starts.
+        measured = np.isfinite(self.chainage) | np.isfinite(self.fixes.any_speed)
         usual = 2.0 * self.acceleration_std**2 * ACCELERATION_TIME
-        outage = float(np.clip(max(density), *densities))
-        self.unmeasured = np.where(apart > LOST_AFTER, max(outage / usual, 1.0), 1.0)
+        outage = _apart(seconds, measured) > CHORD
+        self.unmeasured = np.where(outage, max(OUTAGE_DENSITY / usual, 1.0), 1.0)
 
     def _smoothed(
         self,
@@ -671,9 +638,9 @@ class OnLine:
         lasting = np.hypot(self.unsure * noise.lasting * self.relative, GEOMETRY_STD)
         errors = [LastingError(lasting[rows], noise.time)]
         if self.lateness:
-            errors.append(LastingError(self.late_prior[rows], LATE_CHANGES))
+            errors.append(LastingError(self.late_prior[rows], LATE_TIME))
         if self.aged_std.any():
-            errors.append(LastingError(self.aged_std[rows], AGE_TIME))
+            errors.append(LastingError(self.aged_std[rows], LATE_TIME))
         if speeds is not None:
             errors.append(LastingError(speeds.lasting, speeds.time, "speed"))
         return smooth_motion(
@@ -724,8 +691,8 @@ def _usual_speed(seconds: FloatArray, chainage: FloatArray) -> tuple[float, floa
     places = series_of(seconds, chainage, 10.0)
     step = np.diff(places.seconds)
     speed = np.diff(places.values) / step
-    # Leaps are no speeds; stands are.
-    speed = np.clip(speed, 0.0, np.quantile(speed, FASTEST))
+    # Stands are speeds, too.
+    speed = np.maximum(speed, 0.0)
     mean = float(np.mean(speed))
     spread = max(float(np.var(speed)), (0.5 * mean) ** 2)
     close = (step[1:] < 25.0) & (step[:-1] < 25.0)

@@ -87,9 +87,6 @@ than this part of that along the track."""
 LATEST = 3.0
 """Delay of a speed [s] for which it is not yet set aside before its delay is known."""
 
-UNCHECKED_DENSITY = 5.0
-"""Spectral density of the error of a speed that was not checked [m²/s]: 0.5 m/s for 10 s."""
-
 LOSS_DENSITY = 1.6
 """Spectral density of a train's acceleration [m²/s³]: how unsure an unmeasured speed becomes."""
 
@@ -104,11 +101,8 @@ fixes: closer ones follow its errors."""
 LONGEST_STEP = 3.0
 """Usual steps between fixes that are no outage."""
 
-LEAST_DELAY = 0.4
+LEAST_DELAY = 0.05
 """A smaller delay [s] is not corrected."""
-
-LEAST_COMMON = 0.05
-"""A smaller delay of fixes and speeds together [s] is not corrected."""
 
 SIGNIFICANT, NOTHING = 3.0, 2.0
 """A delay of fewer standard deviations is not corrected; a speed, or a difference, of fewer may be
@@ -362,7 +356,7 @@ def kept_on(seconds: FloatArray, points: ComplexArray, std: FloatArray) -> BoolA
     time, point, end = seconds[found.known], points[found.known], found.last[:-1]
     step = time[end + 1] - time[end]
     reach = 0.5 * STEEPEST * step**2 + GATE * np.sqrt(2.0) * std[found.known[end]]
-    far = np.abs(point[end + 1] - point[end]) > np.maximum(reach, LEAST_RETURN)
+    far = np.abs(point[end + 1] - point[end]) > reach
     flags[found.known] = covered(found.first[:-1][far] + 1, end[far] + 1, found.known.size)
     return flags
 
@@ -672,7 +666,7 @@ def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
         return unknown if row else none
     wheels = fixes.wheels
     late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
-    if late is not None and late.value > LEAST_COMMON:
+    if late is not None and late.value > LEAST_DELAY:
         # Late wheels are no slipping ones, so that slip is only seen now.
         on_time = fixes.with_late_wheels(late.value)
         slips = slipping_wheels(on_time, fixes.speed, fixes.speed_std, wheel_ratio(on_time))
@@ -681,7 +675,7 @@ def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
         late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
     if late is None:
         return unknown
-    if late.value < max(LEAST_COMMON, SIGNIFICANT * late.std):
+    if late.value < max(LEAST_DELAY, SIGNIFICANT * late.std):
         return none
     left = wheels.delay_left(fixes.seconds, chainage, late.value)
     alone = left is not None and left.value < -max(0.5 * late.value, NOTHING * left.std)
@@ -789,7 +783,7 @@ def distance_driven(fixes: Fixes, *, slip_aware: bool = True) -> Driven:
         return Driven(np.full(speed.size, np.nan), np.zeros(speed.size), slipping)
     time = fixes.seconds[known]
     steps = np.diff(time, prepend=time[0])
-    unsure = (std[known] * steps) ** 2 + UNCHECKED_DENSITY * steps + LOSS_DENSITY * steps**3 / 12.0
+    unsure = (std[known] * steps) ** 2 + LOSS_DENSITY * steps**3 / 12.0
     driven = cumulative_trapezoid(speed[known], time, initial=0.0)
     return Driven(
         np.interp(fixes.seconds, time, driven),
