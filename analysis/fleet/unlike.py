@@ -21,7 +21,7 @@ David, H. A., Nagaraja, H. N. (2003), Order Statistics, 3rd ed., eq. (2.1.3).
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,7 +40,7 @@ from analysis.fleet.channels import (
     series_of,
 )
 from analysis.fleet.resistance import KindResistance
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 
 PROBABLE = 0.05
@@ -421,13 +421,18 @@ class _Watched:
     std: FloatArray
     days: FloatArray
 
-    def until(self, seen: int, first: int) -> IntArray:
-        """Trips in which a change that was seen at a trip may have begun: those compared there.
+    def of(self, rows: BoolArray | slice) -> _Watched:
+        """Some of the trips."""
+        arrays = (each[rows] for each in (self.place, self.own, self.std, self.days))
+        return _Watched(self.series, *arrays)
 
-        In all the earlier ones its level may wander, which is no step.
-        """
-        used = np.flatnonzero((self.place >= first) & (self.place <= seen))
-        return used[-(BEFORE + WINDOWS[-1]) :]
+    def between(self, first: int, end: int) -> _Watched:
+        """The trips from one on, before another."""
+        return self.of((self.place >= first) & (self.place < end))
+
+
+Alarm = tuple[int, float, str]
+"""The trip that raised it, the probability that a healthy train does, and the channel."""
 
 
 def unlike_trains(
@@ -504,102 +509,78 @@ class _Watch:
     def findings(self) -> list[Finding]:
         """What was found, in order of time."""
         found: list[Finding] = []
-        first = -1
         places = np.flatnonzero(self.mine)
-        while True:
-            alarm = self._first_change(first)
-            if alarm is None:
-                break
-            p, name, since, seen = alarm
-            found.append(self._finding(name, p, since, seen, first, "own past"))
-            first = since
-        end = places[-1] + 1
-        if found:
-            end = int(
-                np.flatnonzero(self.mine & (self.trips["start"] >= found[0].since).to_numpy())[0]
-            )
-        constant = self._from_the_start(end) if self.kind.compared else None
-        if constant is not None:
-            p, name, seen = constant
-            found.insert(0, self._finding(name, p, int(places[0]), seen, -1, "kind", end))
+        start, end = -1, int(places[-1]) + 1
+        unchanged = end
+        while alarm := self._alarm(_changes, self.level, start, end):
+            came = self._came(alarm, start)
+            found.append(self._finding(alarm, came, (start, end), "own past"))
+            start, unchanged = came[1], min(unchanged, came[1])
+        if self.kind.compared:
+            alarm = self._alarm(_against_kind, self.once, -1, unchanged, lasting=True)
+            if alarm is not None:
+                came = (int(places[0]),) * 3
+                found.insert(0, self._finding(alarm, came, (-1, unchanged), "kind"))
         return found
 
-    def _first_change(self, first: int) -> tuple[float, str, int, int] | None:
-        """The alarm that comes first: p, channel, first trip of the change, trip of the alarm."""
-        best: tuple[int, float, str] | None = None
-        for name, one in self.watched.items():
-            if one.series.channel.name == "power":
-                continue
-            used = one.place >= first
-            place = one.place[used]
-            chance = _changes(one.series, one.own[used], one.std[used], one.days[used])
-            alarms = np.flatnonzero(chance < self.level)
-            if alarms.size == 0:
-                continue
-            at = int(alarms[0])
-            key = int(place[at]), float(chance[at]), name
-            if best is None or key < best:
-                best = key
-        if best is None:
-            return None
-        seen, p, name = best
-        return p, name, self._since(name, seen, first), seen
+    def _alarm(
+        self,
+        chance_of: Callable[[_Watched], FloatArray],
+        level: float,
+        start: int,
+        end: int,
+        *,
+        lasting: bool = False,
+    ) -> Alarm | None:
+        """The first alarm of any channel from one trip on, before another.
 
-    def _since(self, name: str, seen: int, first: int) -> int:
-        """The trip from which on the change explains the trips best."""
-        one = self.watched[name]
-        used = one.until(seen, first)
-        place, own, std = one.place[used], one.own[used], one.std[used]
-        likelihood, starts = _step_likelihood(own, std, one.series.tail)
-        best = starts[int(np.argmax(likelihood))] if starts.size else 0
-        return int(place[best])
-
-    def _from_the_start(self, end: int) -> tuple[float, str, int] | None:
-        """What is unlike the kind from the first trip on: p, channel, trip that shows it."""
-        found: list[tuple[int, float, str]] = []
+        A `lasting` one must stand at the last of these trips, too.
+        """
+        found: list[Alarm] = []
         for name, one in self.watched.items():
-            if not one.series.common or name == "power":
+            if name == "power":
                 continue
-            used = one.place < end
-            own, std, place = one.own[used], one.std[used], one.place[used]
-            chance = _against_kind(one.series, own, std)
-            alarms = np.flatnonzero(chance < self.once)
-            if alarms.size and chance[-1] < self.once:
-                found.append((int(place[alarms[0]]), float(chance[alarms[0]]), name))
-        if not found:
-            return None
-        seen, p, name = min(found)
-        return p, name, seen
+            part = one.between(start, end)
+            chance = chance_of(part)
+            alarms = np.flatnonzero(chance < level)
+            if alarms.size and not (lasting and chance[-1] >= level):
+                found.append((int(part.place[alarms[0]]), float(chance[alarms[0]]), name))
+        return min(found, default=None)
+
+    def _came(self, alarm: Alarm, start: int) -> tuple[int, int, int]:
+        """The trips at which a change came: not before the first, likeliest, not after the last.
+
+        With 95 %. It may have begun in trips that were compared at the alarm: in all the earlier
+        ones the level may wander, which is no step.
+        """
+        seen, _, name = alarm
+        part = self.watched[name].between(start, seen + 1).of(slice(-(BEFORE + WINDOWS[-1]), None))
+        likelihood, starts = _step_likelihood(part)
+        if starts.size == 0:
+            return (int(part.place[0]),) * 3
+        weight = np.exp(likelihood - likelihood.max())
+        shares = np.cumsum(weight) / weight.sum()
+        low, high = np.minimum(np.searchsorted(shares, (0.025, 0.975)), starts.size - 1)
+        earliest, likeliest, latest = part.place[
+            starts[[low, np.argmax(likelihood), high]]
+        ].tolist()
+        return earliest, likeliest, latest
 
     def _finding(
-        self,
-        name: str,
-        p: float,
-        since: int,
-        seen: int,
-        first: int,
-        against: str,
-        end: int | None = None,
+        self, alarm: Alarm, came: tuple[int, int, int], within: tuple[int, int], against: str
     ) -> Finding:
-        places = np.flatnonzero(self.mine)
-        if end is None:
-            end = int(places[-1]) + 1
-        shifts = [
-            shift
-            for one in self.watched.values()
-            if (shift := self._shift(one, since, end, first, against)) is not None
-        ]
-        start = self.trips["start"]
-        low, high = (
-            self._began(name, since, seen, first) if against == "own past" else (since, since)
-        )
+        """What an alarm is of, by the trips from one on, before another."""
+        (seen, p, name), (earliest, since, latest) = alarm, came
+        places, start = np.flatnonzero(self.mine), self.trips["start"]
+        shifts = [self._shift(one, since, within, against) for one in self.watched.values()]
+        known = [each for each in shifts if each is not None]
         return Finding(
             train=self.train,
             kind=self.kind.kind,
-            explanation=explained(shifts, self.kind, self.trips.iloc[places], name),
+            explanation=explained(known, self.kind, self.trips.iloc[places], name),
             since=start.iloc[since],
             trip=str(self.trips["trip"].iloc[since]),
-            between=(start.iloc[low], start.iloc[high]),
+            between=(start.iloc[earliest], start.iloc[latest]),
             noticed=start.iloc[seen],
             trips=int(np.count_nonzero((places >= since) & (places <= seen))),
             against=against,
@@ -607,36 +588,22 @@ class _Watch:
             p=p,
         )
 
-    def _began(self, name: str, since: int, seen: int, first: int) -> tuple[int, int]:
-        """First and last trip at which the change may have come, with 95 %."""
-        one = self.watched[name]
-        used = one.until(seen, first)
-        place = one.place[used]
-        likelihood, starts = _step_likelihood(one.own[used], one.std[used], one.series.tail)
-        if starts.size == 0:
-            return since, since
-        weight = np.exp(likelihood - likelihood.max())
-        shares = np.cumsum(weight) / weight.sum()
-        low, high = np.searchsorted(shares, (0.025, 0.975))
-        last = starts.size - 1
-        return int(place[starts[min(low, last)]]), int(place[starts[min(high, last)]])
-
-    def _shift(self, one: _Watched, since: int, end: int, first: int, against: str) -> Shift | None:
+    def _shift(
+        self, one: _Watched, since: int, within: tuple[int, int], against: str
+    ) -> Shift | None:
         """By how much a channel moved, with its standard deviation."""
-        after = (one.place >= since) & (one.place < end)
-        if not after.any() or (one.series.channel.name == "power" and after.sum() < 2):
+        before, after = one.between(within[0], since), one.between(since, within[1])
+        channel = one.series.channel
+        if after.own.size < (2 if channel.name == "power" else 1):
             return None
-        tail = one.series.tail
-        value, variance = _level(one.own[after], one.std[after], tail)
+        value, variance = _level(after)
         if against == "kind":
-            if not one.series.common:
-                return None
-            return Shift(one.series.channel, value, variance + one.series.between**2)
-        before = (one.place >= first) & (one.place < since)
-        if np.count_nonzero(before) < 3:
+            between = one.series.between**2
+            return Shift(channel, value, variance + between) if one.series.common else None
+        if before.own.size < FEWEST_BEFORE:
             return None
-        past, past_variance = _level(one.own[before][-BEFORE:], one.std[before][-BEFORE:], tail)
-        return Shift(one.series.channel, value - past, variance + past_variance)
+        past, past_variance = _level(before.of(slice(-BEFORE, None)))
+        return Shift(channel, value - past, variance + past_variance)
 
     def steps(self, findings: list[Finding]) -> list[Step]:
         """Steps that the trips show and no finding explains."""
@@ -697,12 +664,13 @@ def _missing(name: str) -> str:
     return reasons.get(name, "no trip shows it")
 
 
-def _level(own: FloatArray, std: FloatArray, tail: float) -> tuple[float, float]:
+def _level(one: _Watched) -> tuple[float, float]:
     """Level of trips by the likelihood of their Student distribution, and its variance.
 
     That of a few trips has wider tails than Fisher's information says: by 1.6 over tail and number,
     which holds to 5 % for three trips or more.
     """
+    own, std, tail = one.own, one.std, one.series.tail
     level = float(np.median(own))
     for _ in range(_STEPS):
         weight = (tail + 1.0) / (tail + ((own - level) / std) ** 2) / std**2
@@ -711,8 +679,9 @@ def _level(own: FloatArray, std: FloatArray, tail: float) -> tuple[float, float]
     return level, (1.0 + 1.6 / (tail * own.size)) ** 2 / information
 
 
-def _changes(series: Series, own: FloatArray, std: FloatArray, days: FloatArray) -> FloatArray:
+def _changes(one: _Watched) -> FloatArray:
     """Least probability over the windows that end at each trip."""
+    series, own, std, days = one.series, one.own, one.std, one.days
     best = np.ones(own.size)
     if own.size < WINDOWS[0] + FEWEST_BEFORE:
         return best
@@ -777,9 +746,10 @@ def _median_beyond(x: FloatArray, uncertain: FloatArray, window: int, tail: floa
     return found
 
 
-def _against_kind(series: Series, own: FloatArray, std: FloatArray) -> FloatArray:
+def _against_kind(one: _Watched) -> FloatArray:
     """Probability of a level as far from the kind's, by the trips up to each."""
-    if own.size < WINDOWS[0]:
+    series, own, std = one.series, one.own, one.std
+    if own.size < WINDOWS[0] or not series.common:
         return np.ones(own.size)
     level = pd.Series(own).expanding(WINDOWS[0]).median().to_numpy()
     count = np.arange(1, own.size + 1)
@@ -789,8 +759,9 @@ def _against_kind(series: Series, own: FloatArray, std: FloatArray) -> FloatArra
     return np.where(np.isfinite(p), p, 1.0)
 
 
-def _step_likelihood(own: FloatArray, std: FloatArray, tail: float) -> tuple[FloatArray, IntArray]:
+def _step_likelihood(one: _Watched) -> tuple[FloatArray, IntArray]:
     """Log likelihood of a step at each trip, and these trips."""
+    own, std, tail = one.own, one.std, one.series.tail
     if own.size < WINDOWS[0]:
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     starts = np.arange(min(WINDOWS[0], own.size - 2), own.size)
