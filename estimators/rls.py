@@ -79,39 +79,6 @@ def measure(
 
 
 @njit(inline="always")  # type: ignore[untyped-decorator]
-def update_parameter(
-    size: int,
-    upper: FloatArray,
-    diagonal: FloatArray,
-    gain: FloatArray,
-    which: int,
-    information: float,
-) -> None:
-    """Bierman's update by a sample of the one parameter `which` that confirms its estimate.
-
-    `information` is one over the variance of that sample, by which all is multiplied here.
-    """
-    tiny = np.finfo(diagonal.dtype).tiny
-    before = 1.0
-    inverse = 1.0
-    for i in range(which):
-        gain[i] = 0.0
-    for j in range(which, size):
-        f = information * upper[which, j]
-        weighted = diagonal[j] * upper[which, j]
-        alpha = before + f * weighted
-        slope = -f * inverse
-        inverse = 1.0 / alpha
-        diagonal[j] = max(diagonal[j] * (before * inverse), tiny)
-        for i in range(j):
-            old = upper[i, j]
-            upper[i, j] = old + slope * gain[i]
-            gain[i] += weighted * old
-        gain[j] = weighted
-        before = alpha
-
-
-@njit(inline="always")  # type: ignore[untyped-decorator]
 def add_variance(
     upper: FloatArray,
     diagonal: FloatArray,
@@ -202,6 +169,7 @@ def recursion(size: int) -> Callable[..., FloatArray]:
     ) -> FloatArray:
         innovations = np.empty_like(values)
         scratch, weights, leak = np.empty_like(prior), np.empty_like(prior), np.empty_like(prior)
+        only = np.zeros_like(prior)
         inverse = 1.0 / forgetting
         walks, forgets = False, forgetting < 1.0
         # Before the guard the covariance is at most (prior + walk) / forgetting: this information
@@ -219,7 +187,11 @@ def recursion(size: int) -> Callable[..., FloatArray]:
                     diagonal[i] *= inverse
             if (walks or forgets) and trace(size, upper, diagonal, weights) > 1.0:
                 for i in range(size):
-                    update_parameter(size, upper, diagonal, scratch, i, leak[i])
+                    if leak[i] > 0.0:
+                        # A sample of the one parameter that confirms its estimate.
+                        only[i] = 1.0
+                        measure(size, estimate, upper, diagonal, scratch, only, 0.0, 1.0 / leak[i])
+                        only[i] = 0.0
             # A variance that is the same for all samples comes once.
             variance = noise[k] if len(noise) > 1 else noise[0]
             innovation = values[k]
