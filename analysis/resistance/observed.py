@@ -28,6 +28,7 @@ methods, Journal of the American Statistical Association 79(386): estimates with
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -282,21 +283,17 @@ def _few(points: FloatArray, directions: FloatArray, share: float, most: int) ->
 
     Where so few cannot, those of the largest share that they can reach.
     """
-    count = len(points)
     along = points @ directions.T
     order = np.sort(along, axis=0)
-    rank = min(int(np.ceil(share * (count + 1))), count)
-    found = _greedy(along >= order[rank - 1])
-    low, high = 0, rank
-    while found.size > most and high - low > max(1, rank // 500):
-        middle = (low + high + 1) // 2
-        fewer = _greedy(along >= order[middle - 1])
-        if fewer.size <= most:
-            low = middle
-        else:
-            high = middle
-        if high - low <= max(1, rank // 500):
-            found = _greedy(along >= order[max(low, 1) - 1])[:most]
+
+    def reaching(rank: int) -> IntArray:
+        return _greedy(along >= order[rank - 1])
+
+    rank = min(int(np.ceil(share * (len(points) + 1))), len(points))
+    found = reaching(rank)
+    if found.size > most:
+        fewer = bisect_right(range(1, rank), most, key=lambda each: reaching(each).size)
+        found = reaching(max(fewer, 1))[:most]
     return np.sort(found)
 
 
