@@ -23,6 +23,7 @@ the delay less that lead, which is added, with all of its range in the band (`_M
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -124,6 +125,9 @@ OUTLIER = 5.0
 
 SHARPER = 0.6
 """Gain and load count as estimated where the trip leaves less of their standard deviation."""
+
+NO_TRAIN = Quantity(np.nan, np.nan, "assumed", "the trip carries no train")
+"""Load and mass of a trip of no train."""
 
 NO_LEAD = Quantity(0.0, 0.0, "recorded")
 """Lead by creep where the speeds of all powered wheels are recorded: their momentum is known."""
@@ -283,28 +287,28 @@ def _prior(trip: Trip, train: Train | None, fleet: tuple[Passport, ...]) -> _Pri
         gain = float(values @ weights / weights.sum())
         # One recorder errs alike on all trips; what the trips differ by may be its drift.
         gain_std = float(np.hypot(weights.sum() ** -0.5, np.sqrt(np.average((values - gain) ** 2))))
-    recorded = recorded_load(trip, train)
-    if train is None:
-        unknown = Quantity(np.nan, np.nan, "assumed", "the trip carries no train")
-        loads = np.zeros(1)
-        return _Prior(gain, gain_std, loads, np.ones(1), recorded or unknown)
-    largest = largest_load(train)
-    if recorded is not None:
-        std = max(recorded.std, 1.0)
-        loads = np.maximum(recorded.value + std * np.linspace(-5.0, 5.0, 201), 0.0)
-        weight = np.exp(-0.5 * np.linspace(-5.0, 5.0, 201) ** 2)
-        return _Prior(gain, gain_std, loads, weight / weight.sum(), recorded)
-    loads = np.linspace(0.0, largest, 201)
-    weight = np.ones(loads.size)
-    reason = "no load recorded: any up to the largest is taken for as probable"
-    if len(weighed) > 2:
-        known = np.array([each.load.value for each in weighed])
-        weight = np.exp(-0.5 * ((loads - known.mean()) / max(known.std(), 0.05 * largest)) ** 2)
-        reason = f"no load recorded: that of {len(weighed)} other trips is taken"
-    weight = weight / weight.sum()
-    mean = float(loads @ weight)
-    spread = float(np.sqrt((loads - mean) ** 2 @ weight))
-    return _Prior(gain, gain_std, loads, weight, Quantity(mean, spread, "assumed", reason))
+    recorded, steps = recorded_load(trip, train), np.linspace(-5.0, 5.0, 201)
+    load, loads, weight = recorded or NO_TRAIN, np.zeros(1), np.ones(1)
+    if train is not None and recorded is not None:
+        loads = np.maximum(recorded.value + max(recorded.std, 1.0) * steps, 0.0)
+        weight = np.exp(-0.5 * steps**2)
+    elif train is not None:
+        largest = largest_load(train)
+        loads, weight = np.linspace(0.0, largest, steps.size), np.ones(steps.size)
+        reason = "no load recorded: any up to the largest is taken for as probable"
+        if len(weighed) > 2:
+            known = np.array([each.load.value for each in weighed])
+            away = (loads - known.mean()) / max(known.std(), 0.05 * largest)
+            weight = np.exp(-0.5 * away**2)
+            reason = f"no load recorded: that of {len(weighed)} other trips is taken"
+        load = Quantity(*_moments(loads, weight), "assumed", reason)
+    return _Prior(gain, gain_std, loads, weight / weight.sum(), load)
+
+
+def _moments(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    """Mean and standard deviation of values, by how probable each is."""
+    mean = float(np.average(values, weights=weight))
+    return mean, float(np.sqrt(np.average((values - mean) ** 2, weights=weight)))
 
 
 def _gain_and_load(
@@ -315,14 +319,12 @@ def _gain_and_load(
     With ``g = k m0 / (m0 + load)`` and g normal beforehand, every load has its probability; the
     moments of gain and load are sums over the loads.
     """
-    if train is None:
-        unknown = Quantity(np.nan, np.nan, "assumed", "the trip carries no train")
+    empty = np.nan if train is None else train.mass
+    if train is None or ratio.source != "estimated":
         assumed = Quantity(prior.gain, prior.gain_std, "assumed", ratio.reason)
-        return assumed, prior.load, unknown
-    if ratio.source != "estimated":
-        assumed = Quantity(prior.gain, prior.gain_std, "assumed", ratio.reason)
-        return assumed, prior.load, replace(prior.load, value=train.mass + prior.load.value)
-    share = train.mass / (train.mass + prior.loads)
+        mass = NO_TRAIN if train is None else replace(prior.load, value=empty + prior.load.value)
+        return assumed, prior.load, mass
+    share = empty / (empty + prior.loads)
     shown, shown_std = ratio.value * share, ratio.std * share
     spread = np.hypot(prior.gain_std, shown_std)
     log_weight = np.log(prior.weight) - 0.5 * ((shown - prior.gain) / spread) ** 2 - np.log(spread)
@@ -330,9 +332,8 @@ def _gain_and_load(
     weight /= weight.sum()
     variance = (prior.gain_std * shown_std / spread) ** 2
     gains = (prior.gain * shown_std**2 + shown * prior.gain_std**2) / spread**2
-    gain, load_mean = float(gains @ weight), float(prior.loads @ weight)
-    gain_std = float(np.sqrt((variance + (gains - gain) ** 2) @ weight))
-    load_std = float(np.sqrt((prior.loads - load_mean) ** 2 @ weight))
+    (gain, apart), (load, load_std) = _moments(gains, weight), _moments(prior.loads, weight)
+    gain_std = float(np.hypot(apart, np.sqrt(variance @ weight)))
     if gain_std < SHARPER * prior.gain_std:
         of_gain = Quantity(gain, gain_std, "estimated")
     else:
@@ -341,15 +342,11 @@ def _gain_and_load(
         reason = "effort gain and load cannot be separated: no load recorded"
         of_gain = Quantity(prior.gain, gain_std, "assumed", reason)
     loaded = prior.load
-    if prior.load.source == "assumed":
-        narrow = load_std < SHARPER * prior.load.std
-        loaded = Quantity(
-            load_mean,
-            load_std,
-            "estimated" if narrow else "assumed",
-            "" if narrow else prior.load.reason,
-        )
-    return of_gain, loaded, replace(loaded, value=train.mass + loaded.value)
+    if loaded.source == "assumed":
+        narrow = load_std < SHARPER * loaded.std
+        loaded = replace(loaded, value=load, std=load_std)
+        loaded = replace(loaded, source="estimated", reason="") if narrow else loaded
+    return of_gain, loaded, replace(loaded, value=empty + loaded.value)
 
 
 def _delay_and_ratio(
@@ -584,20 +581,13 @@ def _sample_times(trip: Trip) -> dict[str, float]:
 
 def _speed_noise(trip: Trip) -> dict[str, Quantity]:
     """Noise of each recorded speed, by its column."""
-    found = {}
-    for topic, prefix in (
-        ("/train/state", "speed"),
-        ("/gnss/motion", "speed"),
-        ("/train/axles", "wheel_speed_"),
-    ):
-        if topic not in trip:
-            continue
-        frame = trip[topic]
-        for name in frame.columns:
-            if name == prefix or (prefix.endswith("_") and name.startswith(prefix)):
-                speed = frame[name].to_numpy(np.float64)
-                found[f"{topic}.{name}"] = _noise_of(seconds(frame), speed)
-    return found
+    return {
+        f"{topic}.{name}": _noise_of(seconds(trip[topic]), trip[topic][name].to_numpy(np.float64))
+        for topic in ("/train/state", "/gnss/motion", "/train/axles")
+        if topic in trip
+        for name in trip[topic].columns
+        if re.fullmatch(r"speed|wheel_speed_\d+", name)
+    }
 
 
 def _noise_of(time: FloatArray, speed: FloatArray) -> Quantity:
