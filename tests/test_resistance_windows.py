@@ -442,7 +442,7 @@ def test_of_two_parts_the_shorter_one_is_unlike_the_other(
 
 
 def test_a_force_that_is_known_to_be_none_changes_no_odds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a prior that leaves no room for it both likelihoods are the same."""
+    """With a prior that pins it both likelihoods are the same."""
     windows = build_windows(recording(noise=0.02, seed=4))
     inside = (windows.start >= 300.0) & (windows.end <= 420.0)
     dragged = replace(windows, y=windows.y - 0.02 * windows.duration * inside)
@@ -491,6 +491,8 @@ def test_points_scatter_around_the_curve_as_they_state() -> None:
     found = fit_windows(windows, 120e3, 20e3)
     for kept in (found.kept, np.arange(windows.count) % 2 == 0):
         points = replace(found, kept=kept).points(windows, 130e3)
+        over_mass = replace(found, kept=kept).points(windows)
+        np.testing.assert_allclose(130e3 * over_mass.value, points.value)
         for used in np.unique(points.used):
             there = points.used == used
             z = (points.value - RESISTANCE(points.speed))[there] / points.std[there]

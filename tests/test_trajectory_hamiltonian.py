@@ -285,6 +285,33 @@ def test_what_a_cell_costs_at_any_speed_has_a_close_bound() -> None:
     np.testing.assert_allclose(found, least, atol=1e-4)
 
 
+@pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0)])
+def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(
+    signs: tuple[int, int],
+) -> None:
+    rng = np.random.default_rng(5)
+    a, b, c = 10.0 ** rng.uniform(-2.0, 1.5, (3, 400)) * [[signs[0]], [1.0], [signs[1] * 0.01]]
+    b *= rng.choice([-1.0, 1.0], 400)
+    low = rng.uniform(0.3, 10.0, 400)
+    high = low + rng.uniform(0.1, 30.0, 400)
+    v = low + (high - low) * np.linspace(0.0, 1.0, 4_001)[:, None]
+    least = (a / v + b * v + c * v**2).min(axis=0)
+    found = bound._least(a, b, c, (low, high), rng.uniform(low, high))
+    assert np.all(found <= least + 1e-9 * np.maximum(np.abs(least), 1.0))
+    assert np.median(least - found) < 1e-6
+
+
+def test_what_is_reached_does_not_depend_on_the_unit_of_length() -> None:
+    fastest = fastest_run(of("line")[0].problem.run)
+    s = fastest.positions
+    places = np.sort(np.random.default_rng(2).uniform(s[0], s[-1], 500))
+    found = reached(fastest, places)
+    for unit in (1e-3, 7.0):
+        np.testing.assert_allclose(
+            reached(replace(fastest, positions=unit * s), unit * places), found, rtol=1e-6
+        )
+
+
 @pytest.mark.parametrize("curve", [TRACTION, BRAKE], ids=["traction", "brake"])
 def test_an_effort_is_the_lowest_of_its_limits_at_each_speed(curve: EffortCurve) -> None:
     """Beyond the curve's last point, too, where it goes on at the power of that."""
