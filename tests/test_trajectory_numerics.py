@@ -11,10 +11,12 @@ from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, opt
 
 from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.active_set import Answer
-from analysis.trajectory.convex import NoSolutionError
+from analysis.trajectory.convex import NoSolutionError, power_cells
+from analysis.trajectory.discretisation import discretise
+from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import Solution
 from trainlog.errors import TrainlogError
-from trainlog.railway import Trajectory
+from trainlog.railway import CurvatureProfile, Trajectory
 
 OPTIONS: dict[str, Any] = {"reserve": 0.1, "cells": 120}
 
@@ -122,3 +124,13 @@ def test_a_run_on_next_to_no_energy_is_certified_all_the_same() -> None:
     assert certificate["certified"]
     assert len(certificate["solver"]["statuses"]) <= 15
     assert np.all(found.speeds[:, 1:-1] > 0.0)
+
+
+def test_cells_too_long_to_be_passed_within_their_limit_have_no_power() -> None:
+    """At 5 km/h through a transition of 1.5 km in one cell: the train is faster inside."""
+    bends = CurvatureProfile([0.0, 1_000.0, 2_500.0], [0.0, 0.0, 5e-3], [0.0, 5e-3, 5e-3])
+    line = replace(level_line(3_000.0, (0.0, 5.0)), curvatures=bends)
+    problem = TrajectoryProblem(line, FLIRT, observed(FLIRT, 1.0))
+    cells = discretise(problem, np.array([0.0, 500.0, 1_000.0, 2_500.0, 2_750.0, 3_000.0]))
+    assert np.flatnonzero(cells.ceiling < 0.0).tolist() == [2, 3]
+    assert power_cells(cells, 0.5, np.ones(5)).tolist() == [0, 1, 3, 4]

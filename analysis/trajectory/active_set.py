@@ -577,7 +577,7 @@ def _stricter(problem: DiscreteProblem, found: Audit) -> DiscreteProblem:
         1.0 - _MORE * max(float(each.max()) - 1.0, 0.0) for each in _used(found)
     )
     over = _MORE * max(float(found.overspeed.max()), 0.0)
-    ceiling = problem.ceiling - over * np.sqrt(2.0 * problem.ceiling)
+    ceiling = problem.ceiling - over * np.sqrt(2.0 * np.maximum(problem.ceiling, 0.0))
     ceiling[0] = max(ceiling[0], problem.initial)
     pull, brake = min(effort, adhesion), min(braking, adhesion)
     return replace(

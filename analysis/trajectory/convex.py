@@ -378,8 +378,9 @@ def separates_dynamic_brake(problem: DiscreteProblem) -> bool:
 
 def power_cells(problem: DiscreteProblem, power: float, most: FloatArray) -> IntArray:
     """Cells in which a power limit can be stricter than the effort limit `most`."""
-    fastest = np.sqrt(2.0 * np.maximum(problem.ceiling[:-1], problem.ceiling[1:]))
-    return np.flatnonzero(power / fastest < most)
+    ceiling = np.maximum(problem.ceiling[:-1], problem.ceiling[1:])
+    # Cells so long that nothing can pass them have a ceiling below 0.
+    return np.flatnonzero(power < most * np.sqrt(2.0 * np.maximum(ceiling, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,14 @@
 """Random problems, each solved in a process of its own and judged by an independent integrator.
 
     python benchmarks/trajectory/benchmark_random.py [--problems 60] [--first 0] [--limit 60]
-        [--jobs 1] [--library LIBRARY [--sample 40]] [-o runs.csv]
+        [--jobs 1] [--kinds] [--library LIBRARY [--sample 40]] [-o runs.csv]
 
 Lines of 0.3 to 200 km, limits down to 5 km/h, gradients to 60 per mille, heavy weak trains,
 reserves of 0 to 200 per cent, 1 to 50 configurations, energy at the wheel, at the line and
 expected, both kinds of braking.
+
+With --kinds each is one of twelve (`KINDS`) in turn: effort curves over speed, curve resistance,
+passing times, sections of 5 km/h, slack runs, a common brake near the least time and others.
 
 With LIBRARY, the folder of TTOBench that holds ``tracks`` and ``trains``, its runs instead, with
 reserves of 0, 2, 10, 50 and 200 per cent and energy at the wheel and at the line; `--sample` of
@@ -30,6 +33,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -37,17 +41,22 @@ from typing import Any
 import numpy as np
 from independent import CannotRunError, driven, least_time
 
+from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import atomic_write
+from trainlog.formats.imports import with_curves
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import (
     Configuration,
+    CurvatureProfile,
+    EffortCurve,
     Line,
     RunningResistance,
     Station,
     StepProfile,
+    TimingPoint,
     Train,
 )
 from trainlog.units import KMH
@@ -84,6 +93,107 @@ def random_problem(number: int) -> TrajectoryProblem:
         objective=str(random.choice(("wheel", "line", "expected"), p=(0.45, 0.4, 0.15))),  # type: ignore[arg-type]
         final_speed=float(random.uniform(3.0, 15.0)) if slow else 0.0,
     )
+
+
+def problem_of_kind(number: int) -> TrajectoryProblem:
+    """The random problem of a number, as one of the twelve kinds; the same on every machine."""
+    random = np.random.default_rng([SEED, 12, number])
+    return KINDS[list(KINDS)[number % len(KINDS)]](random, random_problem(number))
+
+
+Drawn = Callable[[np.random.Generator, TrajectoryProblem], TrajectoryProblem]
+
+
+def _given(**changes: Any) -> Drawn:
+    """The problem with these parts in place of its own."""
+    return lambda _, problem: replace(problem, **changes)
+
+
+def _near_least(random: np.random.Generator, problem: TrajectoryProblem) -> TrajectoryProblem:
+    ends = float(random.uniform(3.0, 15.0))
+    reserve = float(random.uniform(0.001, 0.01))
+    return replace(problem, braking="common", reserve=reserve, final_speed=ends)
+
+
+def _curve(random: np.random.Generator, effort: float, power: float, top: float) -> EffortCurve:
+    """Points on or below what effort and power give, falling."""
+    speeds = top * np.array([0.0, *np.sort(random.uniform(0.05, 0.95, 5)), 1.0])
+    most = np.minimum(effort, power / np.maximum(speeds, 0.1))
+    return EffortCurve(speeds, np.minimum.accumulate(most * random.uniform(0.8, 1.0, speeds.size)))
+
+
+def _with_curves(random: np.random.Generator, problem: TrajectoryProblem) -> TrajectoryProblem:
+    train = problem.train
+    top = train.max_speed
+    traction = _curve(random, train.max_tractive_effort, train.max_traction_power, top)
+    braking = None
+    if train.max_dynamic_braking_effort and random.random() < 0.5:
+        most = train.max_dynamic_braking_effort, train.max_dynamic_braking_power
+        braking = _curve(random, *most, top)
+    changed = with_curves(train, traction, braking)
+    share = changed.max_traction_power / train.max_traction_power
+    which = [replace(each, max_power=share * each.max_power) for each in problem.configurations]
+    return replace(problem, train=changed, configurations=which)
+
+
+def _with_bends(random: np.random.Generator, problem: TrajectoryProblem) -> TrajectoryProblem:
+    line = problem.line
+    places = np.array([0.0, *_places(random, line.length, 400.0, 300)])
+    bends = np.where(random.random(places.size) < 0.5, 0.0, 1.0 / random.uniform(250.0, 2e3))
+    bends *= random.choice((-1.0, 1.0), places.size)
+    curves = CurvatureProfile(places, bends, np.append(bends[1:], bends[-1]))
+    return replace(problem, line=replace(line, curvatures=curves))
+
+
+def _with_windows(random: np.random.Generator, problem: TrajectoryProblem) -> TrajectoryProblem:
+    """One to three passing times that the fastest runs keep, with some of the reserve."""
+    reserve = max(problem.reserve, 0.02)
+    length = problem.line.length
+    at = np.sort(random.uniform(0.1, 0.9, int(random.integers(1, 4)))) * length
+    at = np.unique(np.round(at, 1))
+    fastest = fastest_run(problem)
+    points = []
+    for place in at.tolist():
+        least = max(np.interp(place, fastest.positions, row) for row in fastest.elapsed)
+        latest = least * (1.0 + reserve * random.uniform(0.3, 1.5)) + 1.0
+        earliest = max(latest - random.uniform(30.0, 300.0), 0.0) if random.random() < 0.5 else None
+        points.append(TimingPoint(place, earliest, latest))
+    return replace(problem, reserve=reserve, windows=points)
+
+
+def _crawling(random: np.random.Generator, problem: TrajectoryProblem) -> TrajectoryProblem:
+    limits = problem.line.speed_limits
+    slow = random.random(limits.values.size) < 0.3
+    slow[random.integers(slow.size)] = True
+    speeds = np.where(slow, 5.0 / KMH, limits.values)
+    return replace(
+        problem, line=replace(problem.line, speed_limits=StepProfile(limits.positions, speeds))
+    )
+
+
+def _many(random: np.random.Generator, problem: TrajectoryProblem) -> TrajectoryProblem:
+    return replace(problem, configurations=_configurations(random, problem.train, 0.9))
+
+
+KINDS: dict[str, Drawn] = {
+    "wheel": _given(objective="wheel", braking="recourse"),
+    "line": _given(objective="line", braking="recourse"),
+    "expected": _given(objective="expected", braking="recourse"),
+    "common brake": lambda random, problem: replace(
+        problem, braking="common", final_speed=float(random.uniform(3.0, 15.0))
+    ),
+    "common brake, least time": _near_least,
+    "effort curves": _with_curves,
+    "effort curves, line": lambda random, problem: replace(
+        _with_curves(random, problem), objective="line"
+    ),
+    "bends": _with_bends,
+    "passing times": _with_windows,
+    "5 km/h": _crawling,
+    "slack": lambda random, problem: replace(problem, reserve=float(random.uniform(1.5, 3.5))),
+    "many configurations": _many,
+}
+"""What is drawn besides, by the name of the kind."""
 
 
 def _line(random: np.random.Generator, steepest: float) -> Line:
@@ -139,8 +249,10 @@ def _train(random: np.random.Generator, steepest: float) -> Train:
     )
 
 
-def _configurations(random: np.random.Generator, train: Train) -> tuple[Configuration, ...]:
-    kind = random.random()
+def _configurations(
+    random: np.random.Generator, train: Train, kind: float | None = None
+) -> tuple[Configuration, ...]:
+    kind = random.random() if kind is None else kind
     count = (
         1 if kind < 0.4 else int(random.integers(2, 13) if kind < 0.8 else random.integers(13, 51))
     )
@@ -296,12 +408,15 @@ def main() -> None:
     parser.add_argument("--only", type=int, nargs="*", default=[], help="of these numbers")
     parser.add_argument("--limit", type=float, default=60.0, help="processor time of one [s]")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--kinds", action="store_true", help="twelve kinds in turn")
     parser.add_argument("--library", type=Path)
     parser.add_argument("--sample", type=int, default=40, help="runs of the library; 0: all")
     parser.add_argument("-o", "--output", type=Path, help="every run, as CSV")
     arguments = parser.parse_args()
     numbers = arguments.only or range(arguments.first, arguments.first + arguments.problems)
-    make: Callable[[int], TrajectoryProblem] = random_problem
+    make: Callable[[int], TrajectoryProblem] = (
+        problem_of_kind if arguments.kinds else random_problem
+    )
     if arguments.library:
         runs = library_problems(arguments.library, 0 if arguments.only else arguments.sample)
         numbers, make = arguments.only or range(len(runs)), runs.__getitem__
@@ -322,6 +437,16 @@ def main() -> None:
     counts = Counter(row["outcome"] for row in rows)
     print(f"{len(rows)} problems: " + ", ".join(f"{counts[each]} {each}" for each in OUTCOMES))
     print(counted(rows))
+    seconds = np.array([row["seconds"] for row in rows])
+    print(f"processor time: median {np.median(seconds):.2f} s, most {seconds.max():.1f} s")
+    if arguments.kinds:
+        for place, kind in enumerate(KINDS):
+            own = [row for row in rows if row["number"] % len(KINDS) == place]
+            if own:
+                listed = Counter(row["outcome"] for row in own)
+                words = ", ".join(f"{listed[each]} {each}" for each in OUTCOMES if listed[each])
+                slowest = max(row["seconds"] for row in own)
+                print(f"  {kind:26s} {words}; {slowest:.1f} s at most")
     if arguments.output:
         names = list(dict.fromkeys(name for row in rows for name in row))
         with atomic_write(arguments.output) as path, path.open("w", newline="") as file:

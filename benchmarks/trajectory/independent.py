@@ -157,7 +157,8 @@ class Driven:
 
     `arrival` [s], `shortfall` [m] before the end at which one stood, `end_speed` [m/s],
     `overspeed` [m/s] above the permitted speed, `excess` of traction or brake over what power and
-    machine give (relative), `wheel` and `line` energy [J].
+    machine give (relative), `wheel` and `line` energy [J], `passing` (points, q) [s] times at the
+    passing points.
     """
 
     arrival: FloatArray
@@ -167,6 +168,7 @@ class Driven:
     excess: FloatArray
     wheel: FloatArray
     line: FloatArray
+    passing: FloatArray
 
     def faults(self, run: TrajectoryProblem, found: Trajectory) -> list[str]:
         """Everything that does not hold, in words; empty if all does."""
@@ -180,7 +182,15 @@ class Driven:
         # What little speed is left at the end, as the way that it still takes to brake.
         past = float((self.end_speed**2).max() - run.final_speed**2) / 2.0
         past /= min(run.train.max_deceleration, 0.5)
+        early, tardy = 0.0, 0.0
+        for point, times in zip(run.windows, self.passing, strict=True):
+            if point.earliest is not None:
+                early = max(early, point.earliest - float(times.min()))
+            if point.latest is not None:
+                tardy = max(tardy, float(times.max()) - point.latest)
         checks = (
+            ("early at a passing point [s]", early, 1e-2),
+            ("late at a passing point [s]", tardy, 1e-2),
             ("late [s]", float((self.arrival - found.running_time).max()), 1e-3),
             ("short of the end [m]", float(self.shortfall.max()), 2e-3),
             ("past the end [m]", past, 2e-3),
@@ -201,7 +211,7 @@ def driven(run: TrajectoryProblem, found: Trajectory) -> Driven:
     state = np.zeros((3, q))  # speed, time, regained energy
     state[0] = run.initial_speed
     shortfall, over, excess = np.zeros(q), np.full(q, -np.inf), np.zeros(q)
-    moving = np.ones(q, dtype=bool)
+    moving, passed = np.ones(q, dtype=bool), dict[float, FloatArray]()
     for piece, k in zip(pieces, cells.tolist(), strict=True):
         traction, braking = _efforts(found, k)
         slow = (found.speeds[:, k] < _SLOW) | (found.speeds[:, k + 1] < _SLOW)
@@ -223,11 +233,15 @@ def driven(run: TrajectoryProblem, found: Trajectory) -> Driven:
                 piece, part, state[:, rows], traction, braking[rows]
             )
             over[rows], excess[rows] = np.maximum((over[rows], excess[rows]), extremes)
+        passed[piece.end] = state[1].copy()
     step = np.diff(found.positions)
     wheel = np.full(q, float(found.tractive_effort @ step))
     train = run.train
     line = wheel / train.efficiency_traction - train.efficiency_regeneration * state[2]
-    return Driven(state[1], shortfall, state[0], over, excess, wheel, line)
+    ends = np.array(list(passed))
+    nearest = [ends[np.argmin(np.abs(ends - point.position))] for point in run.windows]
+    passing = np.array([passed[float(at)] for at in nearest]).reshape(-1, q)
+    return Driven(state[1], shortfall, state[0], over, excess, wheel, line, passing)
 
 
 def _efforts(found: Trajectory, k: int) -> tuple[Callable[[Any], Any], FloatArray]:
