@@ -423,8 +423,9 @@ class _Watched:
 
     def of(self, rows: BoolArray | slice) -> _Watched:
         """Some of the trips."""
-        arrays = (each[rows] for each in (self.place, self.own, self.std, self.days))
-        return _Watched(self.series, *arrays)
+        return _Watched(
+            self.series, self.place[rows], self.own[rows], self.std[rows], self.days[rows]
+        )
 
     def between(self, first: int, end: int) -> _Watched:
         """The trips from one on, before another."""
