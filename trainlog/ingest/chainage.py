@@ -51,6 +51,7 @@ from trainlog.ingest.motion import (
     ENOUGH,
     FAR,
     GATE,
+    MANY,
     MOVING,
     POSITION,
     RESTING,
@@ -107,15 +108,15 @@ TURNS = 5
 WHEEL_TIME = 2.0
 """Time over which the errors of wheel speeds last [s]: creep goes with the effort."""
 
-OUTAGE_DENSITY = 8.0
-"""Spectral density of the acceleration in an outage [m²/s³]."""
-
 SPEED_SPREAD = 0.4, 1.2
 """Least and largest standard deviation of a train's acceleration [m/s²]: trains that rarely
 change speed, trams."""
 
 UNSEEN_SPREAD = 0.6
 """The least where no speed was measured."""
+
+OUTAGE_DENSITY = 8.0
+"""Spectral density of the acceleration in an outage [m²/s³]: a train brakes, stands and starts."""
 
 FOLDS = 4
 """Parts in which fixes are left out and predicted."""
@@ -480,11 +481,13 @@ class OnLine:
             if np.abs(position - last).max() < 0.1:
                 break
         found = self._smoothed() if motion is None else motion
-        # Where they all are, only the places where the train stands count: few, and off for long.
-        late = self.position_noise.std if self.lateness else 0.0
+        if not self.lateness:
+            return found
+        # Only the places where the train stands count: few, and off for long. No number of fixes
+        # that are late together shows by how much.
+        late = self.position_noise.std
         return replace(
             found,
-            # No number of fixes that are late together shows by how much.
             position_std=np.hypot(found.position_std, late),
             speed_std=np.hypot(found.speed_std, late / LASTING_TIME),
         )
@@ -494,7 +497,7 @@ class OnLine:
         seconds, fixes = self.fixes.seconds, self.fixes
         self.relative = _relative_accuracy(fixes.std, aside)
         moving = pace > MOVING
-        enough = np.count_nonzero(np.isfinite(aside) & moving) > 60
+        enough = np.count_nonzero(np.isfinite(aside) & moving) > MANY
         values = np.where(moving, aside, np.nan) if enough else aside
         series = series_of(seconds, values / self.relative)
         self.position_noise = position_noise(series.seconds, series.values)
@@ -611,7 +614,6 @@ class OnLine:
             # Smoothed positions hide how hard a train brakes: any train then.
             least = UNSEEN_SPREAD
         self.acceleration_std = float(np.clip(size, least, most))
-        # Over an outage a train brakes, stands and starts.
         measured = np.isfinite(self.chainage) | np.isfinite(self.fixes.any_speed)
         usual = 2.0 * self.acceleration_std**2 * ACCELERATION_TIME
         outage = _apart(seconds, measured) > CHORD

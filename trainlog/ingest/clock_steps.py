@@ -45,6 +45,7 @@ from trainlog.ingest.motion import (
     SEVERAL,
     SPAN,
     SPEED,
+    STEEPEST,
     SURE,
     agreement,
     plane,
@@ -77,7 +78,7 @@ LARGEST = 60.0
 """Longer steps forward [s] are pauses, after which a recorder may begin where it left off: they are
 reported where the train cannot have come so little; longer ones back are of zones and dates."""
 
-HARDEST = 0.3, 1.2
+HARDEST = 0.3, STEEPEST
 """Acceleration and braking [m/s²] of which every train, and of which some train, is capable."""
 
 UNSEEN = 1.5

@@ -17,6 +17,7 @@ import pandas as pd
 from numba import njit
 from scipy.integrate import cumulative_trapezoid
 
+from estimators.matching import LONGEST_LINK
 from estimators.receiver import (
     DELAY_TURNS,
     Delay,
@@ -66,9 +67,6 @@ SMALLEST_NOISE = 0.3, 0.02
 
 ODOMETER_STD = 0.1
 """Standard deviation of the speed from the wheels [m/s]."""
-
-LONGEST_OUTAGE = 600.0
-"""Through longer gaps [s] nothing is estimated: the train may have been anywhere."""
 
 EVEN, ROUNDING = 0.02, 0.03
 """Part of the usual change of a step that is still the same step, and the change [m] that comes of
@@ -235,7 +233,7 @@ def _with_outages(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
     time = index.as_unit("ns").asi8
     steps = np.diff(time)
     usual = min(int(np.median(steps)), NANOSECONDS)
-    lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_OUTAGE * NANOSECONDS))
+    lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_LINK * NANOSECONDS))
     count = -(-steps[lost] // usual)
     start, width = np.repeat(time[lost], count), np.repeat(steps[lost] / count, count)
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
