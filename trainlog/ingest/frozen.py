@@ -375,7 +375,7 @@ class _Motion:
         runs, own = self.runs[name], self.paces()[name]
         first, beyond = self.windows(name)
         resting = self._covered(name, np.ones(runs.value.size, dtype=np.bool_), own.size)
-        stds, known, against, often = [], [], [], []
+        stds, judged = list[float](), list[BoolArray]()
         for pace in self._others(name):
             moving = ~resting & (own > MOVING) & (pace > MOVING)
             ratio, std, _ = agreement(own, pace, moving) or Agreement(1.0, SPEED_STD)
@@ -385,17 +385,12 @@ class _Motion:
             mostly = _sums(off > allowed, first, beyond) >= MOST * windows
             large = _sums(np.nan_to_num(off) ** 2, first, beyond) > allowed**2 * windows
             stds.append(std)
-            known.append(windows > 0)
-            against.append(mostly | large)
-            often.append(mostly & (windows >= 3))
-        there, against, often = (
-            np.array(each, dtype=np.bool_).reshape(-1, runs.value.size)
-            for each in (known, against, often)
-        )
-        std = np.where(there, np.reshape(stds, (-1, 1)), np.inf)
-        sharp = there & (std <= 2.0 * np.min(std, axis=0, initial=np.inf))
-        against &= sharp
-        often = (often & against).any(axis=0)
+            judged.append(np.array([windows > 0, mostly | large, mostly & (windows >= 3)]))
+        each = np.array(judged, dtype=np.bool_).reshape(-1, 3, runs.value.size)
+        size = np.where(each[:, 0], np.reshape(stds, (-1, 1)), np.inf)
+        sharp = each[:, 0] & (size <= 2.0 * np.min(size, axis=0, initial=np.inf))
+        against = each[:, 1] & sharp
+        often = (each[:, 2] & sharp).any(axis=0)
         asked = sharp.any(axis=0)
         most = against.sum(axis=0) >= MOST * sharp.sum(axis=0)
         contradicted = asked & most & (runs.broken | often)
