@@ -348,6 +348,7 @@ def test_fixes_that_are_late_throughout_are_stated_without_a_line(
         return
     ((rule, count, note),) = found
     assert (rule, count) == ("contradicted", 1_200)
+    assert trip["/gnss/motion"]["speed"].count() == 1_200
     assert float(note.split()[2]) == pytest.approx(age, abs=0.8)
 
 
@@ -363,6 +364,8 @@ def test_replayed_fixes_are_stated_without_a_line(tmp_path: Path, fast: float) -
     assert count == pytest.approx(np.count_nonzero(age > 2.5), abs=3)
     assert int(note.split()[6]) == pytest.approx(40, abs=1)
     assert trip["/gnss/fix"]["latitude"].count() == 1_160
+    # The speeds are right.
+    assert trip["/gnss/motion"]["speed"].count() == 1_160
     # Nor was the clock set in the tunnel, although the fixes after it go on where it begins.
     assert report_of(trip).count("clock_step") == 0
     assert trip["/gnss/fix"].index[-1] == pd.Timestamp("2024-05-01T06:19:59Z")

@@ -32,7 +32,7 @@ from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.chainage import estimated_state
 from trainlog.ingest.frozen import without_frozen
 from trainlog.ingest.profile import Limits, Profile, Repair
-from trainlog.ingest.receiver import without_contradicted
+from trainlog.ingest.receiver import judged_alone
 from trainlog.ingest.recording import Table
 from trainlog.ingest.rules import repaired
 from trainlog.railway import Geometry, Line, Station, StepProfile
@@ -233,7 +233,7 @@ def kept_speeds(field: Field, seeds: int) -> str:
                 for name in ("latitude", "longitude", "horizontal_accuracy", "speed")
             }
             table = Table(time, np.arange(time.size), signals)
-            kept = without_contradicted(repaired(table, Limits(), Repair())[0])[0]
+            kept = judged_alone(repaired(table, Limits(), Repair())[0])[0]
             speed = np.full(time.size, np.nan)
             speed[kept.samples] = kept.signals["/gnss/motion.speed"]
             seconds = (truth.index.as_unit("ns").asi8 - time[0]) / 1e9

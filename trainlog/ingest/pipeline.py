@@ -43,7 +43,7 @@ from trainlog.ingest.profile import (
     own_topics,
     parse_profile,
 )
-from trainlog.ingest.receiver import old_fixes, without_contradicted
+from trainlog.ingest.receiver import judged_alone
 from trainlog.ingest.recording import Finding, Recording, Table, field_of, frames
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
@@ -544,9 +544,9 @@ def _trip(
     for number, table in enumerate(recording.tables):
         kept, found, changed = repaired(table, limits, profile.repair, least)
         if (line is None or line.geometry is None) and profile.repair.contradicted:
-            judged, contradicted = without_contradicted(kept)
+            judged, beside = judged_alone(kept)
             changed += changes("contradicted", kept, judged)
-            kept, found = judged, found + contradicted + old_fixes(judged)
+            kept, found = judged, found + beside
         repairs.add(number, changed)
         tables.append(_from_start(kept, profile.trip.start_position))
         findings += found

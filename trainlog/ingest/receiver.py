@@ -39,6 +39,8 @@ from trainlog.ingest.motion import (
     FIX_STD,
     GATE,
     GNSS_SPEED,
+    LATITUDE,
+    LONGITUDE,
     MANY,
     MOVING,
     RESTING,
@@ -460,8 +462,20 @@ def _breaks(time: FloatArray, places: ComplexArray, along: FloatArray, std: floa
     return covered(first[once], beyond[once], time.size)
 
 
-def without_contradicted(table: Table) -> Result:
-    """Take away satellite speeds that the fixes contradict, where no line is known.
+def judged_alone(table: Table) -> Result:
+    """What fixes and a speed say of each other where no line is known.
+
+    Old fixes are counted and stay; satellite speeds that the others contradict are taken away.
+    """
+    old, findings = old_fixes(table)
+    others = table.without(LATITUDE, old).without(LONGITUDE, old) if old.any() else table
+    wrong, contradictions = contradicted_speeds(others)
+    kept = table.without(GNSS_SPEED, wrong) if wrong.any() else table
+    return kept, [*contradictions, *findings]
+
+
+def contradicted_speeds(table: Table) -> tuple[BoolArray, list[Finding]]:
+    """Satellite speeds that the fixes contradict, where no line is known.
 
     Where they contradict each other, the way along the fixes, from the last one before to the first
     one after, decides: if it is as long as the speeds say, the receiver held or replayed its place,
@@ -479,21 +493,22 @@ def without_contradicted(table: Table) -> Result:
     ...     "/gnss/motion.speed": speed,
     ... }
     >>> table = Table((1e9 * time).astype(np.int64), np.arange(400), signals)
-    >>> kept, found = without_contradicted(table)
-    >>> bool(abs(np.isnan(kept.signals["/gnss/motion.speed"]).sum() - 100) < 15)
+    >>> wrong, found = contradicted_speeds(table)
+    >>> bool(abs(wrong.sum() - 100) < 15)
     True
     """
+    none = np.zeros(len(table), dtype=np.bool_)
     points, speed = plane(table), table.signals.get(GNSS_SPEED)
     if points is None or speed is None:
-        return table, []
+        return none, []
     known = np.isfinite(points)
     if np.count_nonzero(known) < MANY or np.count_nonzero(np.isfinite(speed)) < 2:
-        return table, []
+        return none, []
     seconds = seconds_of(table)
     std = np.sqrt(2.0) * _fix_std(table, points)
     doubtful = contradicted(seconds, points, speed, std)
     if not doubtful.any():
-        return table, []
+        return none, []
     driven, _ = integral(seconds, speed)
     fixes = series_of(seconds, points)
     way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(fixes.values)))))
@@ -506,8 +521,7 @@ def without_contradicted(table: Table) -> Result:
         if abs(by_fixes - by_speed) > ALIKE * max(by_fixes, by_speed) + GATE * std:
             wrong[first:beyond] = True
     wrong &= doubtful
-    found = table.found("contradicted", wrong, GNSS_SPEED, "by the way along the fixes")
-    return (table.without(GNSS_SPEED, wrong) if wrong.any() else table), found
+    return wrong, table.found("contradicted", wrong, GNSS_SPEED, "by the way along the fixes")
 
 
 class Unmeasured(NamedTuple):
@@ -584,11 +598,11 @@ def way_along(points: ComplexArray, std: float) -> FloatArray | None:
     return found
 
 
-def old_fixes(table: Table) -> list[Finding]:
+def old_fixes(table: Table) -> tuple[BoolArray, list[Finding]]:
     """Fixes that show where the train was earlier, by a speed and the way along the fixes alone.
 
-    Where no line is known they are counted, and stay: replayed ones after an outage, until the
-    receiver is at once where the train is, and those of a receiver that is late throughout.
+    Replayed ones after an outage, until the receiver is at once where the train is; or all, of a
+    receiver that is late throughout. Where no line is known they are counted, and stay.
 
     Examples
     --------
@@ -602,18 +616,22 @@ def old_fixes(table: Table) -> list[Finding]:
     ...     "/gnss/motion.speed": speed,
     ... }
     >>> table = Table((1e9 * time).astype(np.int64), np.arange(900), signals)
-    >>> [each.note for each in old_fixes(table)]
+    >>> [each.note for each in old_fixes(table)[1]]
     ['late by 5.2 s in the mean, by the speeds']
     """
     points, speed = plane(table), speed_of(table, GNSS_SPEED, SPEED)
+    none = np.zeros(len(table), dtype=np.bool_)
     if points is None or speed is None:
-        return []
+        return none, []
     seconds, std = seconds_of(table), _fix_std(table, points)
     along = way_along(points, std)
-    driven = integral(seconds, speed)[0]
+    driven, missing = integral(seconds, speed)
     fixed = np.flatnonzero(np.isfinite(points))
     if along is None or fixed.size < MANY or not np.isfinite(driven).all():
-        return []
+        return none, []
+    if 2.0 * missing[-1] > seconds[-1]:
+        # Where most of the speed is missing it says nothing of the fixes.
+        return none, []
     measured, stds = unmeasured(seconds, speed), np.full(seconds.size, std)
     # The way through an outage is not known: it bends.
     apart, way = np.diff(seconds[fixed]), np.diff(driven[fixed])
@@ -623,14 +641,15 @@ def old_fixes(table: Table) -> list[Finding]:
     found = receiver_states(seconds, along, stds, driven, measured.unsure)
     late = late_throughout(seconds, along, driven, found.age, stds, measured)
     if late is not None:
-        moving = np.isfinite(points) & (measured.pace > MOVING)
-        note = f"late by {np.mean(late.value[moving]):.1f} s in the mean, by the speeds"
-        return table.found("contradicted", np.isfinite(points), "/gnss/fix", note)
+        known = np.isfinite(points)
+        mean = np.mean(late.value[known & (measured.pace > MOVING)])
+        note = f"late by {mean:.1f} s in the mean, by the speeds"
+        return known, table.found("contradicted", known, "/gnss/fix", note)
     age = np.where(np.isfinite(points), found.age, np.nan)
     behind = driven - np.interp(seconds - found.age, seconds, driven)
     old = held(age, seconds, OLDEST, REPLAYED - 0.5) & (behind > GATE * std)
     note = f"replayed by the receiver, up to {found.age[old].max(initial=0)} s old by the speeds"
-    return table.found("off_line", old, "/gnss/fix", note)
+    return old, table.found("off_line", old, "/gnss/fix", note)
 
 
 def _fix_std(table: Table, points: ComplexArray) -> float:
