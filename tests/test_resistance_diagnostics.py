@@ -113,3 +113,10 @@ def test_refusals_say_why_in_a_word_and_show_where() -> None:
             assert timeline.masks[reason].mean() > 0.9
     caught = refused(TripRefusedError, "", fit_trip, trip(noise=1.0, seed=1), speeds=(0.5, 44.0))
     assert caught.reason == "excitation"
+
+
+def test_residuals_at_one_speed_do_not_change_with_it() -> None:
+    noise = np.random.default_rng(1).standard_normal(100)
+    assert diagnosed(residuals(noise, np.full(100, 20.0))).flatness == 1.0
+    alike = diagnosed(residuals(np.ones(100)))
+    assert (alike.normality, alike.flatness) == (1.0, 1.0)
