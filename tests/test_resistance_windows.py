@@ -525,3 +525,24 @@ def test_what_is_expected_may_as_well_be_taken_off_the_left_hand_side() -> None:
         found.append((white.noise.sizes, estimate))
     np.testing.assert_allclose(*(sizes for sizes, _ in found), rtol=1e-6)
     np.testing.assert_allclose(*(estimate for _, estimate in found), rtol=1e-6)
+
+
+def test_points_scatter_by_the_noise_of_efforts_as_they_state() -> None:
+    """Of a tenth of each sample, beside which that of the speed is nothing."""
+    made = recording(noise=0.01, seed=3)
+    fit = fit_windows(build_windows(made), 130e3, 20e3)
+    wrong = 1.0 + 0.1 * np.random.default_rng(1).standard_normal(made.time.size)
+    windows = build_windows(replace(made, effort=made.effort * wrong))
+    every = np.ones(windows.count, dtype=np.bool_)
+    noise = replace(fit.noise, effort=0.1)
+    points = replace(fit, kept=every, noise=noise).points(windows, 130e3)
+    z = (points.value - RESISTANCE(points.speed)) / points.std
+    # Samples are averaged at the ends of windows, which leaves less of their noise.
+    assert 0.75 < np.std(z) < 1.1
+
+
+def test_a_mass_that_is_known_beforehand_is_kept() -> None:
+    windows = build_windows(recording(noise=0.3, duration=300.0, mass=131e3))
+    found = fit_windows(windows, 130e3, 50.0)
+    assert found.beta[3] == pytest.approx(130e3, abs=25.0)
+    assert np.sqrt(found.covariance[3, 3]) == pytest.approx(50.0, rel=0.05)
