@@ -326,3 +326,15 @@ def test_an_effort_is_the_lowest_of_its_limits_at_each_speed(curve: EffortCurve)
         np.testing.assert_allclose(plain, np.minimum(effort, power / speed))
         expected = np.minimum(plain, own(speed / share[:, None, None]))
         np.testing.assert_allclose(_Piece.of(*limits, curves, speed).at(speed), expected)
+
+
+def test_between_two_nodes_a_run_may_turn_from_one_slope_to_the_other() -> None:
+    """By hand: slopes of 6, 4, 1, -2 and -5 of half the square of the speed, over 1 m each."""
+    z = np.array([1.0, 7.0, 11.0, 12.0, 10.0, 5.0])
+    run = replace(
+        fastest_run(of("line")[0].problem.run),
+        positions=np.arange(6.0),
+        speeds=np.sqrt(2.0 * z)[None],
+    )
+    found = reached(run, np.arange(5) + 0.5)[0]
+    np.testing.assert_allclose(0.5 * found**2, [4.5, 10.25, 13.0, 12.5, 8.25], rtol=1e-3)
