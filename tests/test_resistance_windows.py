@@ -506,6 +506,7 @@ def test_condition_number_of_columns_at_an_angle(alike: float) -> None:
     expected = np.sqrt((1.0 + abs(alike)) / (1.0 - abs(alike)))
     assert condition_number(x) == pytest.approx(expected)
     assert condition_number(x[:, [0, 1, 0]]) > 1e12
+    assert condition_number(x * [1.0, 0.0, 1.0]) == np.inf
 
 
 def test_what_is_expected_may_as_well_be_taken_off_the_left_hand_side() -> None:

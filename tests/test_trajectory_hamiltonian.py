@@ -298,7 +298,7 @@ def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(
     least = (a / v + b * v + c * v**2).min(axis=0)
     found = bound._least(a, b, c, (low, high), rng.uniform(low, high))
     assert np.all(found <= least + 1e-9 * np.maximum(np.abs(least), 1.0))
-    assert np.median(least - found) < 1e-6
+    assert np.max(least - found) < 1e-4
 
 
 def test_what_is_reached_does_not_depend_on_the_unit_of_length() -> None:
