@@ -398,11 +398,11 @@ class TestCommand:
             return analysed(*given)
 
         monkeypatch.setattr(condition_map.FileUpdate, "analysed", seen)
-        assert len(update_map(log, path).refused_before) == 1
+        assert len(update_map(log, path).of("refused before")) == 1
         assert not tried
         monkeypatch.setattr(condition_map, "code_version", lambda: "another")
-        assert len(update_map(log, path).refused_before) == 1
-        assert len(update_map(log, path).refused_before) == 1
+        assert len(update_map(log, path).of("refused before")) == 1
+        assert len(update_map(log, path).of("refused before")) == 1
         assert len(tried) == 1, "by the other version once"
         assert len(update_map(log, path, "dry").added) == 1
 

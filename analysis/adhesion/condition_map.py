@@ -135,6 +135,17 @@ _SETTLED = 2_000_000_000
 
 Outcome = Literal["added", "held", "same drive", "not recorded", "refused", "refused before"]
 
+OUTCOMES: dict[Outcome, str] = {
+    "added": "",
+    "held": "held already",
+    "same drive": "of a drive that counts already",
+    "not recorded": "without axle speeds",
+    "refused": "refused",
+    "refused before": "refused before (--retry states why)",
+}
+"""Of logs that are given to a map, with the words for their number; those that are added come
+first."""
+
 
 # ----------------------------------------------------------------------------- a map at hand
 
@@ -434,14 +445,7 @@ class MapUpdate(Presented):
 
     def facts(self) -> dict[str, Any]:
         """How many logs were added, held and refused."""
-        numbers = {
-            "added": len(self.added),
-            "held": len(self.of("held")),
-            "same_drive": len(self.of("same drive")),
-            "not_recorded": len(self.not_recorded),
-            "refused": len(self.refused),
-            "refused_before": len(self.refused_before),
-        }
+        numbers = {each.replace(" ", "_"): len(self.of(each)) for each in OUTCOMES}
         of_map = {"trips": self.trips, "days": self.days, "made": self.made}
         return {"map": str(self.path), **numbers, **of_map}
 
@@ -459,11 +463,13 @@ class MapUpdate(Presented):
     def notes(self) -> list[str]:
         """What to do about logs without axle speeds."""
         remedy = "record wheel speeds, or name their columns in the profile and ingest again"
-        return [f"a map needs the speed of a powered axle: {remedy}"] * bool(self.not_recorded)
+        return [f"a map needs the speed of a powered axle: {remedy}"] * bool(
+            self.of("not recorded")
+        )
 
-    def of(self, outcome: Outcome) -> tuple[LogOutcome, ...]:
-        """The logs with an outcome."""
-        return tuple(each for each in self.logs if each.outcome == outcome)
+    def of(self, *outcomes: Outcome) -> tuple[LogOutcome, ...]:
+        """The logs with one of some outcomes; see `LogOutcome`."""
+        return tuple(each for each in self.logs if each.outcome in outcomes)
 
     @property
     def added(self) -> tuple[LogOutcome, ...]:
@@ -476,16 +482,6 @@ class MapUpdate(Presented):
         return self.of("refused")
 
     @property
-    def not_recorded(self) -> tuple[LogOutcome, ...]:
-        """The logs in which nothing is wrong, but that never recorded what the map is made of."""
-        return self.of("not recorded")
-
-    @property
-    def refused_before(self) -> tuple[LogOutcome, ...]:
-        """The logs that are not used for a reason that an earlier update reported."""
-        return self.of("refused before")
-
-    @property
     def elsewhere(self) -> tuple[LogOutcome, ...]:
         """The logs that the map holds under another rail condition than the one given."""
         return tuple(each for each in self.of("held") if each.reason)
@@ -494,14 +490,8 @@ class MapUpdate(Presented):
     def sentence(self) -> str:
         """The update in one sentence."""
         parts = [f"{counted(len(self.added), 'trip')} added"]
-        for outcome, words in (
-            ("held", "held already"),
-            ("same drive", "of a drive that counts already"),
-            ("not recorded", "without axle speeds"),
-            ("refused", "refused"),
-            ("refused before", "refused before (--retry states why)"),
-        ):
-            number = len(self.of(outcome))  # type: ignore[arg-type]
+        for outcome, words in OUTCOMES.items():
+            number = len(self.of(outcome)) if words else 0
             parts += [f"{number} {words}"] if number else []
             if outcome == "held" and self.elsewhere:
                 parts[-1] += f" ({len(self.elsewhere)} under another rail condition)"

@@ -132,7 +132,7 @@ def map_update(
     with task("mapping", len(found), "log") as step:
         result = adding(found, map_, layer=layer, weather=stated, retry=retry, report=report)
     show(result)
-    unusable = result.refused + result.not_recorded + result.refused_before
+    unusable = result.of("refused", "not recorded", "refused before")
     if len(unusable) == len(result.logs) and (result.refused or not result.made):
         raise typer.Exit(2)
     if result.refused or result.elsewhere:
