@@ -53,6 +53,21 @@ def read(tmp_path: Path, rows: list[str], **sections: object) -> Trip:
 # ------------------------------------------------------------------ damaged at random
 
 
+def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path: Path) -> None:
+    """Each time is written once, so that no row is of a clock that was a second ahead."""
+    swapped = 5, 45, 49, 53, 57
+    rows = [
+        f"2024-05-01T06:{second // 60:02d}:{second % 60:02d}.050Z,{10.0 + second / 9.0:.3f},"
+        for second in range(61)
+    ]
+    for place in swapped:
+        rows[place], rows[place + 1] = rows[place + 1], rows[place]
+    del rows[25]
+    report = report_of(read(tmp_path, rows))
+    assert report.counts.get("clock_step", 0) == 0
+    assert report.count("time_backwards") == len(swapped)
+
+
 @FILES
 @given(damaged_runs())
 def test_damage_is_undone_and_counted(tmp_path: Path, damaged: Damaged) -> None:

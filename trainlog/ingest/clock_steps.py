@@ -415,7 +415,9 @@ def _mixed(rows: _Rows, steps: IntArray) -> tuple[float, IntArray] | None:
     size = rows.size(float(rows.time[after] - by_count[-1]), unsure)
     shown = np.floor(rows.time[inner]) + 0.5 if rows.whole else rows.time[inner]
     slack = 0.5 + 2.0 * rows.period if rows.whole else max(0.5 * rows.period, 0.25)
-    if abs(size) < LEAST_STEP:
+    # By one row: of two clocks some times are given twice, else rows were swapped and one lost.
+    swapped = np.unique(rows.time[before : after + 1]).size == after + 1 - before
+    if abs(size) < LEAST_STEP or (swapped and abs(size) < 1.5 * rows.period):
         return None
     ahead = ((shown - by_count[:-1]) / size > 0.5).astype(np.int64)
     fits = np.abs(shown - by_count[:-1] - size * ahead) <= slack
