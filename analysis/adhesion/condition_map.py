@@ -41,6 +41,7 @@ from trainlog.version import __version__, code_version
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
     from analysis.adhesion.map_state import LayerSummary
+    from analysis.network.maps import LogOnEdges
     from analysis.view import Given
     from trainlog.railway.weather import Weather
 
@@ -615,10 +616,20 @@ class FileUpdate:
     path : Path
     layer, weather, retry
         As of `update_map`.
+    edge : str
+        Of a network, that the map is of; its logs are given with their edges.
     """
 
-    def __init__(self, path: Path, layer: str | None, weather: Weather | None, retry: bool) -> None:
+    def __init__(
+        self,
+        path: Path,
+        layer: str | None,
+        weather: Weather | None,
+        retry: bool,
+        edge: str = "",
+    ) -> None:
         self.path, self.layer, self.weather, self.retry = path, layer, weather, retry
+        self.edge = edge
         self.file = MapFile(path) if path.exists() else None
         self._refusals: dict[str, Refusal] = {}
         """Not in the file yet, by SHA-256."""
@@ -633,7 +644,9 @@ class FileUpdate:
         finally:
             self.file.close()
 
-    def outcome(self, log: Path, digest: str = "") -> LogOutcome:
+    def outcome(
+        self, log: Path, digest: str = "", on_edges: LogOnEdges | None = None
+    ) -> LogOutcome:
         """Add a log's trip, if it is usable and new; `digest`: its SHA-256, if it is known."""
         try:
             state = _state(log)
@@ -642,16 +655,18 @@ class FileUpdate:
         except TrainlogError as error:
             return LogOutcome(str(log), "refused", reason=str(error))
         found = _held(self.file, log, digest, self.layer) or self._refused_before(log, digest)
-        found = found or self._tried(log, state, digest)
+        found = found or self._tried(log, state, digest, on_edges)
         remembered = found.outcome != "refused" or digest in self._refusals
         if self.file and not known and remembered and _is_settled(state):
             self.file.remember(log, state, digest)
         return found
 
-    def _tried(self, log: Path, state: stat_result, digest: str) -> LogOutcome:
+    def _tried(
+        self, log: Path, state: stat_result, digest: str, on_edges: LogOnEdges | None
+    ) -> LogOutcome:
         """The outcome of a log that the map does not hold."""
         try:
-            piece, track, damage = self.analysed(log, digest)
+            piece, track, damage = self.analysed(log, digest, on_edges)
         except TrainlogError as error:
             if _has_changed(log, state) or isinstance(error.__cause__, OSError):
                 # Not because of what the log holds.
@@ -660,17 +675,20 @@ class FileUpdate:
         if _has_changed(log, state):
             return _changed(log, piece)
         self.file = self.file or MapFile(self.path, track)
-        recorded = self.stated(log) if self.layer is not None else ""
+        recorded = self._stated(log, on_edges) if self.layer is not None else ""
         found = _added(self.file, log, piece, damage)
         return found if recorded in ("", self.layer) else replace(found, recorded=recorded)
 
-    def stated(self, log: Path) -> str:
+    def _stated(self, log: Path, on_edges: LogOnEdges | None) -> str:
         """The rail condition that the trip of a log states itself; empty if it states none."""
         from trainlog.mcap import read_log
 
-        return stated_condition(read_log(log, topics=[]).metadata)
+        trip = read_log(log, topics=[]) if on_edges is None else on_edges.trip
+        return stated_condition(trip.metadata, self.edge)
 
-    def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
+    def analysed(
+        self, log: Path, digest: str, on_edges: LogOnEdges | None = None
+    ) -> tuple[Evidence, TrackConditionMap, str]:
         """The evidence of a log, the map that it is for, without trips, and what of it is lost.
 
         Raises
@@ -682,11 +700,15 @@ class FileUpdate:
         from trainlog.mcap import read_log
 
         with naming_log(log) as losses:
-            if self.file:
-                track = self.file.without_evidence
+            known = self.file.without_evidence if self.file else None
+            given = (self.layer, self.weather)
+            if on_edges is None:
+                track = known or empty_map(own_line(read_log(log, topics=[])))
+                piece = evidence_of_log(log, track, *given, sha256=digest)
             else:
-                track = empty_map(own_line(read_log(log, topics=[])))
-            piece = evidence_of_log(log, track, self.layer, self.weather, sha256=digest)
+                edge = next(each for each in on_edges.edges if each.name == self.edge)
+                track = known or empty_map_of(edge.name, edge.length)
+                piece = on_edges.evidence_on(edge, track, *given, digest)
         return piece, track, losses[-1] if losses else ""
 
     def _refused_before(self, log: Path, digest: str) -> LogOutcome | None:

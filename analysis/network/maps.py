@@ -22,9 +22,7 @@ from analysis.adhesion.condition_map import (
     FileUpdate,
     LogOutcome,
     MapUpdate,
-    empty_map_of,
     known_layers,
-    naming_log,
     outcomes_of,
     refusal_of,
 )
@@ -59,7 +57,7 @@ from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Leg, Line
 from trainlog.railway.network import Network
-from trainlog.railway.weather import given_condition, stated_condition
+from trainlog.railway.weather import given_condition
 
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
@@ -435,7 +433,7 @@ def update_network_map(
         layers = (each for path in map_files(place) for each in known_layers(path))
         layer = given_condition(layer, layers)
     known = _kept_network(place, network)
-    edges: dict[str, _EdgeUpdate] = {}
+    edges: dict[str, FileUpdate] = {}
     try:
         options = (layer, weather, retry)
         outcomes = outcomes_of(
@@ -539,39 +537,11 @@ class LogOnEdges:
                             recorded=self.recorded)  # fmt: skip
 
 
-class _EdgeUpdate(FileUpdate):
-    """An update of the map of an edge."""
-
-    def __init__(
-        self, path: Path, edge: str, layer: str | None, weather: Weather | None, retry: bool
-    ) -> None:
-        super().__init__(path, layer, weather, retry)
-        self.edge = edge
-        self.log: LogOnEdges | None = None
-
-    def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
-        """The evidence of the log on the edge, the map that it is for, and what is lost of it."""
-        assert self.log is not None
-        edge = next(each for each in self.log.edges if each.name == self.edge)
-        with naming_log(log) as losses:
-            track = (
-                self.file.without_evidence if self.file else empty_map_of(edge.name, edge.length)
-            )
-            found = self.log.evidence_on(edge, track, self.layer, self.weather, digest)
-        return found, track, "; ".join(losses)
-
-    def stated(self, log: Path) -> str:
-        """The rail condition that the trip of a log states itself for the edge."""
-        assert self.log is not None
-        assert self.log.path == log
-        return stated_condition(self.log.trip.metadata, self.edge)
-
-
 def _outcome(
     log: Path,
     folder: Path,
     network: Network | None,
-    edges: dict[str, _EdgeUpdate],
+    edges: dict[str, FileUpdate],
     options: tuple[str | None, Weather | None, bool],
 ) -> LogOutcome:
     """What became of a log on all its edges."""
@@ -584,11 +554,9 @@ def _outcome(
     for edge in given.edges:
         update = edges.get(edge.name)
         if update is None:
-            update = _EdgeUpdate(edge_map_path(folder, edge.name), edge.name, *options)
+            update = FileUpdate(edge_map_path(folder, edge.name), *options, edge.name)
             edges[edge.name] = update
-        update.log = given
-        found.append(update.outcome(log, digest))
-        update.log = None
+        found.append(update.outcome(log, digest, given))
     return _of_all(found)
 
 
