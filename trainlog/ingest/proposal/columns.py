@@ -273,7 +273,8 @@ def _content(layout: Layout, name: str) -> tuple[FloatArray | None, str]:
         return layout.number(name), ""
     texts = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
     if texts and pc.any(pc.match_substring_regex(column, r"^-?\d{1,3}[ ',.]\d{3}\b")).as_py():
-        return None, f"{1.0 - share:.0%} of its cells are no numbers: marks between thousands?"
+        why = f"{1.0 - share:.0%} of its cells are no numbers: marks between thousands?"
+        return None, f"{why} Then state thousands under [file]"
     return None, "holds words" if texts else "holds no numbers"
 
 
