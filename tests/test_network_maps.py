@@ -13,7 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 import trainlog
-from analysis.adhesion.condition_map import update_map
+from analysis import view
+from analysis.adhesion.condition_map import empty_map_of, update_map
 from analysis.adhesion.evidence import Evidence
 from analysis.network.edges import EdgeOfLine
 from analysis.network.maps import (
@@ -235,6 +236,20 @@ def test_maps_are_scored_on_later_trips_edge_by_edge(maps: Path, logs: Path) -> 
     assert any("has no map" in words for words in partial.limits)
     with pytest.raises(InputError, match="no later trip on an edge with a map"):
         score_network_on(found, every[:1])
+
+
+def test_a_log_too_long_for_the_memory_is_one_trip_on_each_of_its_edges(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("ROWS", 1_000), ("PAUSE", 20.0)):
+        monkeypatch.setattr(view, name, value)
+    given = LogOnEdges(logs / "day-0.mcap", network())
+    assert len(given.pieces) > 2
+    found = [
+        given.evidence_on(edge, empty_map_of(edge.name, edge.length), None, None, "")
+        for edge in given.edges
+    ]
+    assert [each.trip for each in found] == ["day-0@east", "day-0@west/old"]
 
 
 def test_a_trip_refused_on_one_edge_is_scored_on_the_others(

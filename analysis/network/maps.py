@@ -533,8 +533,10 @@ class LogOnEdges:
                 f"trip '{self.trip.name}' was not recorded on edge '{edge.name}' of its route",
                 remedy="give trips that were recorded on it",
             )
-        return with_details(parts, self.trip, track, condition, weather, sha256=digest,
-                            recorded=self.recorded)  # fmt: skip
+        found = with_details(parts, self.trip, track, condition, weather, sha256=digest,
+                             recorded=self.recorded)  # fmt: skip
+        name = self.trip.name if edge.whole else f"{self.trip.name}@{edge.name}"
+        return replace(found, trip=name)
 
 
 def _outcome(
