@@ -15,13 +15,15 @@ from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.control import prediction as prediction
 from analysis.control.follow import (
+    MARGIN,
     Follower,
+    Observer,
+    Odometry,
     Tuning,
     effort_reversals,
     follow,
     following_line,
 )
-from analysis.control.odometry import MARGIN, Observer, Odometry
 from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from analysis.control.route import (

@@ -7,7 +7,7 @@ positive, braking negative [m/s²]. The motion it expects is
 
 with `q` what acts at once, traction and dynamic brake, and `f` the friction brake, which follows
 its demand after a dead time and a lag. `gain`, `drag` and `drift` are what the train was found to
-be on its way (`analysis.control.odometry`).
+be on its way (`analysis.control.follow`).
 
 The reference of the next seconds spreads the remaining time over the remaining way: the speeds of
 the trajectory, all times one factor, are run ahead with what the train can do (`rollout`). The

@@ -20,8 +20,7 @@ from benchmark_tracking import own, peer_cvxpy, peer_ipopt, timed
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.follow import Follower, run_of
-from analysis.control.odometry import MARGIN, Odometry
+from analysis.control.follow import MARGIN, Follower, Odometry, run_of
 from analysis.control.prediction import QPSubproblem
 from analysis.control.route import Margin
 from analysis.trajectory.envelope import fastest_run
