@@ -25,6 +25,7 @@ from scipy.integrate import cumulative_trapezoid
 from estimators.motion import reach
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import (
+    MAX_DROPPED,
     Result,
     has_fix,
     longest_nondecreasing,
@@ -40,6 +41,7 @@ from trainlog.ingest.motion import (
     GNSS_SPEED,
     LIKELY,
     MANY,
+    MARGIN,
     MOVING,
     POSITION,
     SEVERAL,
@@ -68,8 +70,8 @@ EARLY = np.datetime64("2007-01-01").astype("datetime64[ns]").astype(np.int64)
 MOST_ZONE = 14 * 3600 * NANOSECONDS
 """Time zones span 26 hours, but nobody sets a clock by more than so much [ns]."""
 
-MAJORITY = 2.0 / 3.0
-"""Share of the rows that a date must have to be the right one."""
+SMALLEST_STD = 0.2
+"""Standard deviation [m] that no distance undercuts."""
 
 LEAST_STEP = 0.6
 """Smaller steps [s] are left: receivers themselves are late by as much."""
@@ -81,18 +83,12 @@ reported where the train cannot have come so little; longer ones back are of zon
 HARDEST = 0.3, STEEPEST
 """Acceleration and braking [m/s²] of which every train, and of which some train, is capable."""
 
-UNSEEN = 1.5
-"""How much harder than elsewhere in the recording a train may accelerate and brake unseen."""
-
 WINDOWS = 2.0, CHORD
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
 after a gap has caught up within the longer one."""
 
 REPLAYING = 300.0
 """For how long receivers replay after a gap [s]."""
-
-SMALLEST_STD = 0.2
-"""Standard deviation [m] that no distance undercuts."""
 
 
 def undo_clock_steps(table: Table, limits: Limits) -> Result:
@@ -209,14 +205,14 @@ def _undated(time: IntArray) -> BoolArray:
 def _to_dated(time: IntArray, levels: IntArray) -> IntArray:
     """What puts every row on the date of most rows whose receiver knew one.
 
-    Nothing where no date is that of two thirds of them, and nothing for a few rows with another.
+    Nothing where no date is that of three quarters of them, nor for a few rows with another.
     """
     none = np.zeros(levels.size, dtype=np.int64)
     undated = _undated(time)
     if undated.all() or not levels.any():
         return none
     values, counts = np.unique(levels[~undated], return_counts=True)
-    if counts.max() < MAJORITY * counts.sum():
+    if counts.max() < (1.0 - MAX_DROPPED) * counts.sum():
         return none
     right = values[np.argmax(counts)]
     few = values[counts < ENOUGH]
@@ -526,7 +522,7 @@ class _Motion:
         rest, speed = along - found.ratio * driven, found.ratio * speed[known]
         later = np.minimum(np.searchsorted(time, time + SPAN), last)
         rate = (speed[later] - speed) / np.maximum(time[later] - time, SPAN)
-        hardest = np.clip(UNSEEN * np.abs(np.quantile(rate, (0.99, 0.01))), *HARDEST)
+        hardest = np.clip(MARGIN * np.abs(np.quantile(rate, (0.99, 0.01))), *HARDEST)
         usual = []
         for window in WINDOWS:
             left, right = _around(time, np.flatnonzero(speed > MOVING), window)

@@ -28,12 +28,12 @@ from trainlog.ingest.motion import (
     INLIER,
     LATITUDE,
     LONGITUDE,
+    MARGIN,
     POSITION,
     RESTING,
     SEVERAL,
     SPAN,
     SPEED,
-    SPEED_MARGIN,
     STANDING,
     STAYED,
     STEEPEST,
@@ -51,7 +51,7 @@ FIX_TOLERANCE = 20.0
 """By how much satellite positions of perfect accuracy may err from one to the next [m]."""
 
 FASTER = 10.0
-"""How much faster than recorded positions may move [m/s], beyond `SPEED_MARGIN`."""
+"""How much faster than recorded positions may move [m/s], beyond `MARGIN`."""
 
 POOR = 3.0
 """Ratio to the usual accuracy from which on a fix is compared with those around it."""
@@ -187,7 +187,7 @@ def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
     at, column = seconds[found.known], speed[found.known]
     # A speed that repeats itself may be frozen: it bounds nothing.
     rests = np.repeat(at[found.last] - at[found.first] >= RESTING, found.samples)
-    bound = np.where(rests, most, SPEED_MARGIN * column + FASTER)
+    bound = np.where(rests, most, MARGIN * column + FASTER)
     return np.minimum(np.interp(seconds, at, bound), most)
 
 

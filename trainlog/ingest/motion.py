@@ -71,8 +71,9 @@ other, down to `HOLD`."""
 LIKELY, SURE = 6.0, 10.0
 """Differences of log-likelihoods from which on the likelier is taken, or is taken to be certain."""
 
-SPEED_MARGIN = 1.5
-"""How many times as fast as a speed that is recorded, or allowed, a train may move."""
+MARGIN = 1.5
+"""How many times as fast, or as hard, as is recorded or allowed a train may move, or start and
+brake."""
 
 INLIER, HOLDS = 0.3, 0.6
 """Deviation from the median ratio of two columns, as a share of it, up to which a sample has this
@@ -95,6 +96,10 @@ WRONG_UNIT = 1000.0**0.5
 FIX_STD, SPEED_STD = 5.0, 0.5
 """Standard deviation of a fix in each direction [m], and of a satellite speed [m/s], where the
 receiver states none."""
+
+SMALLEST_NOISE = 0.3, 0.02
+"""Standard deviations that nothing undercuts, whatever it states: of a position [m], of a speed
+[m/s]."""
 
 
 LEG, TURN = 15.0, np.radians(60.0)

@@ -25,9 +25,9 @@ from trainlog.ingest.chainage import (
 from trainlog.ingest.motion import (
     FAR,
     GNSS_SPEED,
+    MARGIN,
     POSITION,
     SPEED,
-    SPEED_MARGIN,
     suspect_efforts,
     unlike_a_train,
 )
@@ -678,7 +678,7 @@ def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Li
     allowed += [train.max_speed] if train is not None else []
     if not allowed:
         return limits
-    fastest = SPEED_MARGIN * min(allowed)
+    fastest = MARGIN * min(allowed)
     bounded = {}
     for name in (SPEED, GNSS_SPEED):
         item = field_of(name)[2]

@@ -45,6 +45,7 @@ from trainlog.ingest.motion import (
     MOVING,
     RESTING,
     SEVERAL,
+    SMALLEST_NOISE,
     SPAN,
     SPEED,
     SPEED_STD,
@@ -63,10 +64,6 @@ from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
-SMALLEST_NOISE = 0.3, 0.02
-"""Standard deviations that no receiver undercuts, whatever it states: of a position [m], of a speed
-[m/s]."""
-
 ODOMETER_STD = 0.1
 """Standard deviation of the speed from the wheels [m/s]."""
 
@@ -83,9 +80,6 @@ WINDOWS = SPAN, RESTING, CHORD, 80.0
 LEAST_CHORD = 0.7
 """Within `RESTING` no train, nor tram, turns so sharply that the distance between its fixes is less
 than this part of that along the track."""
-
-LATEST = 3.0
-"""Delay of a speed [s] for which it is not yet set aside before its delay is known."""
 
 LOSS_DENSITY = 1.6
 """Spectral density of a train's acceleration [m²/s³]: how unsure an unmeasured speed becomes."""
@@ -437,7 +431,8 @@ def contradicted(
         usual = robust_std((chord - by_speed)[driving]) if driving.any() else std
         size = min(np.sqrt(2.0) * std, usual)
         noise = GATE * size + ALIKE * np.abs(by_speed)
-        noise += LATEST * np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
+        # Speeds may be a second late.
+        noise += np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
         wrong = chord - by_speed > noise
         if window <= RESTING:
             wrong |= LEAST_CHORD * by_speed - chord > noise

@@ -20,6 +20,7 @@ from trainlog.ingest.clock_steps import suspect_clock_steps, undo_clock_steps
 from trainlog.ingest.frozen import blank_frozen
 from trainlog.ingest.jumps import blank_spikes, report_steps, unwrap_counters
 from trainlog.ingest.motion import (
+    ACTS,
     EFFORTS,
     ENOUGH,
     FAR,
@@ -42,6 +43,7 @@ from trainlog.ingest.recording import (
     MOST,
     NEARLY_ALL,
     NO_TIME,
+    SELDOM,
     Finding,
     Raw,
     Table,
@@ -101,9 +103,6 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
 
 FACTOR = 2.0
 """Ratio of two columns beyond which they cannot be of the units that the profile gives."""
-
-LEAST_EFFORT = 0.2
-"""Share of the largest effort from which on acceleration is expected to follow it."""
 
 LEVER = "/train/controls.lever"
 
@@ -197,7 +196,7 @@ def _refuse_sign(table: Table) -> None:
 
 
 def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
-    strong = np.abs(push) >= LEAST_EFFORT * np.max(np.abs(push))
+    strong = np.abs(push) >= ACTS * np.max(np.abs(push))
     driven = driven_mass(seconds_of(table), np.where(strong, push, np.nan), speed)
     if driven.decides and driven.correlation < 0.0:
         raise InputError(
@@ -215,9 +214,6 @@ CONFUSIONS = {
     1.152: "knots taken for miles an hour",
 }
 """Ratios that units of speed have."""
-
-HELD = 0.3
-"""Share of its samples that must repeat the one before."""
 
 
 def suspect_units(table: Table, limits: Limits) -> Result:
@@ -267,7 +263,7 @@ def quantum(values: FloatArray) -> float | None:
     single: BoolArray = np.abs(size - step) <= FEW * step
     held = float(np.mean(within == 0.0))
     levels = (float(np.max(known)) - float(np.min(known))) / step
-    if held < HELD or float(np.mean(single)) < NEARLY_ALL or levels < SEVERAL:
+    if held < SELDOM or float(np.mean(single)) < NEARLY_ALL or levels < SEVERAL:
         return None
     return step
 
