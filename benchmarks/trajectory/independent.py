@@ -25,6 +25,9 @@ _ACCURACY = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-9}
 _SLOW = 1.0
 """Speed below which a cell is integrated in time, not in position [m/s]."""
 
+_TRANSITION = 20.0
+"""Length of the pieces of a line with bends [m]."""
+
 _LONGEST = 1e5
 """Time beyond which a cell counts as never left [s]."""
 
@@ -55,7 +58,9 @@ def pieces_of(run: TrajectoryProblem, points: FloatArray | None = None) -> list[
     """The run between all places where something changes, and further `points`."""
     line, curves = run.line, run.line.curvatures
     edges = [line.speed_limits.positions, line.gradients.positions, [run.start, run.end]]
-    edges += [] if curves is None else [curves.positions]
+    if curves is not None:
+        # What a train at a limit can pull against changes through a transition.
+        edges += [curves.positions, np.arange(run.start, run.end, _TRANSITION)]
     edges += [[t.position, t.position + t.length] for t in line.tunnels]
     edges += [] if points is None else [points]
     places = np.unique(np.concatenate(edges))
