@@ -547,3 +547,12 @@ def test_a_mass_that_is_known_beforehand_is_kept() -> None:
     found = fit_windows(windows, 130e3, 50.0)
     assert found.beta[3] == pytest.approx(130e3, abs=25.0)
     assert np.sqrt(found.covariance[3, 3]) == pytest.approx(50.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("duration", "count"), [(242.0, 0), (246.0, 1)])
+def test_a_trip_of_four_minutes_is_looked_through(duration: float, count: int) -> None:
+    """A shorter one is not: its parts are too few."""
+    windows = build_windows(recording(noise=0.01, seed=4, duration=duration))
+    inside = (windows.start >= 100.0) & (windows.end <= 150.0)
+    dragged = replace(windows, y=windows.y - 0.03 * windows.duration * inside)
+    assert len(fit_windows(dragged, 130e3, 20e3, search=True).stretches) == count
