@@ -58,12 +58,15 @@ def pieces_of(run: TrajectoryProblem, points: FloatArray | None = None) -> list[
     """The run between all places where something changes, and further `points`."""
     line, curves = run.line, run.line.curvatures
     edges = [line.speed_limits.positions, line.gradients.positions, [run.start, run.end]]
-    if curves is not None:
-        # What a train at a limit can pull against changes through a transition.
-        edges += [curves.positions, np.arange(run.start, run.end, _TRANSITION)]
+    edges += [] if curves is None else [curves.positions]
     edges += [[t.position, t.position + t.length] for t in line.tunnels]
     edges += [] if points is None else [points]
     places = np.unique(np.concatenate(edges))
+    if curves is not None:
+        # What a train at a limit can pull against changes through a transition.
+        parts = np.arange(run.start, run.end, _TRANSITION)
+        apart = np.abs(parts[:, None] - places).min(axis=1) > 0.1
+        places = np.union1d(places, parts[apart])
     places = places[(places >= run.start) & (places <= run.end)]
     found = []
     for a, b in pairwise(places.tolist()):
