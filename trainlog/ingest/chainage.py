@@ -86,7 +86,7 @@ from trainlog.ingest.receiver import (
 )
 from trainlog.ingest.recording import MOST, NEARLY_ALL, Finding, Table
 from trainlog.ingest.rules import quantum
-from trainlog.railway.geometry import beside, candidates, nearest_on, track_of
+from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
 from trainlog.railway.line import Geometry, Line
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of, seconds as seconds_of
@@ -495,10 +495,11 @@ class OnLine:
     def _size(self, aside: FloatArray, pace: FloatArray, *, smoothed: bool) -> None:
         """Estimate the noise of positions and speeds, and the train's agility, on this trip."""
         seconds, fixes = self.fixes.seconds, self.fixes
+        self.relative = _relative_accuracy(fixes.std, aside)
         moving = pace > MOVING
         enough = np.count_nonzero(np.isfinite(aside) & moving) > MANY
         values = np.where(moving, aside, np.nan) if enough else aside
-        series = series_of(seconds, values)
+        series = series_of(seconds, values / self.relative)
         self.position_noise = position_noise(series.seconds, series.values)
         self._size_misfit(series.values, series.seconds)
         of_fix = series_of(seconds, self.chainage)
@@ -593,12 +594,12 @@ class OnLine:
         """Standard deviation of each fix [m]."""
         noise = self.position_noise
         white = np.hypot(noise.white, SMALLEST_NOISE[0]) * np.sqrt(self.position_count)
-        return np.asarray(np.hypot(white, noise.lasting))
+        return np.asarray(np.hypot(white, noise.lasting) * self.relative)
 
-    def _usual(self, aside: FloatArray) -> float:
-        """Usual distance of the fixes beside the line, as a standard deviation [m]."""
-        size = robust_std(aside[self.known])
-        return float(np.hypot(max(size, SMALLEST_NOISE[0]), GEOMETRY_STD))
+    def _usual(self, aside: FloatArray) -> FloatArray:
+        """Usual distance of each fix beside the line, as a standard deviation [m]."""
+        size = robust_std((aside / self.relative)[self.known])
+        return np.hypot(max(size, SMALLEST_NOISE[0]) * self.relative, GEOMETRY_STD)
 
     def _size_agility(self, pace: FloatArray) -> None:
         """Standard deviation of the acceleration, from the changes of speed over `RESTING`."""
@@ -636,8 +637,8 @@ class OnLine:
             wheels = np.where(self.slipping, np.nan, wheels)[rows]
             # White noise of this size carries as much, taken together, as errors that last.
             wheel_std = (wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step)))[rows]
-        lasting = float(np.hypot(self.unsure * noise.lasting, GEOMETRY_STD))
-        errors = [LastingError(lasting, noise.time)]
+        lasting = np.hypot(self.unsure * noise.lasting * self.relative, GEOMETRY_STD)
+        errors = [LastingError(lasting[rows], noise.time)]
         if self.lateness:
             errors.append(LastingError(self.late_prior[rows], LATE_TIME))
         if self.aged_std.any():
@@ -649,7 +650,7 @@ class OnLine:
             speed[rows],
             speed_white[rows],
             (self.chainage[rows] if along is None else along) - self.late_rest[rows],
-            np.hypot(white, self.along_std)[rows],
+            np.hypot(white * self.relative, self.along_std)[rows],
             errors=errors,
             wheel_speed=wheels,
             wheel_speed_std=wheel_std,
@@ -670,8 +671,7 @@ class OnLine:
         departure = np.hypot(along, aside / std)
         # Where most depart it is the motion that is away: those depart that do so most.
         departure /= max(float(np.median(departure[self.known])), 1.0)
-        beyond = chainage - np.clip(chainage, *self.track.positions[[0, -1]])
-        departure[np.abs(beyond) > GATE * std] = np.inf
+        departure[_ends(self.track, chainage, std)] = np.inf
         return held(departure, self.fixes.seconds)
 
     def _judge_speeds(self, motion: SmoothedMotion) -> None:
@@ -743,6 +743,32 @@ def _apart(seconds: FloatArray, measured: BoolArray) -> FloatArray:
     after = np.searchsorted(at, np.arange(seconds.size))
     later = seconds[at[np.minimum(after, at.size - 1)]]
     return np.asarray(later - seconds[at[np.maximum(after - 1, 0)]])
+
+
+def _relative_accuracy(stated: FloatArray, aside: FloatArray) -> FloatArray:
+    """What the stated accuracies say of the fixes beside each other, with a median of 1.
+
+    A power of them, 0, 1/2 or 1: that under which the distances beside the track are likeliest.
+    """
+    used = np.isfinite(aside)
+    unit = stated / float(np.median(stated[used]))
+    best, chosen = np.inf, 0.0
+    for power in (0.0, 0.5, 1.0):
+        scaled = np.abs(aside[used]) / unit[used] ** power
+        size = max(robust_std(scaled), 1e-6)
+        # Negative log-likelihood of Laplace's distribution, whose tails are heavy.
+        value = np.log(size) + float(np.mean(power * np.log(unit[used]) + scaled / size))
+        if value < best - 0.01:
+            best, chosen = value, power
+    return np.asarray(unit**chosen)
+
+
+def _ends(track: Track, chainage: FloatArray, std: FloatArray) -> BoolArray:
+    """Fixes beyond the ends of the track, by more than their own error."""
+    margin = GATE * std
+    return np.asarray(
+        (chainage < track.positions[0] - margin) | (chainage > track.positions[-1] + margin)
+    )
 
 
 # ------------------------------------------------------------------ the estimated state
