@@ -92,12 +92,13 @@ class Contents:
 
     def repairs(self, *, every: bool = True) -> list[WordTable | str]:
         """Of a log that ingest made: its report and, if `every`, the raw value of each repair."""
-        from trainlog.ingest import repairs_of, report_of
         from trainlog.mcap import read_log
 
         trip = read_log(self.path, []) if every else None
         if trip is None or all(each.get("step") != "ingest" for each in trip.provenance):
             return []
+        from trainlog.ingest import repairs_of, report_of
+
         frame = repairs_of(trip).drop(columns="table")
         for name in ("raw_time", "new_time"):
             frame[name] = frame[name].dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")

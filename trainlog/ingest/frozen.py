@@ -20,6 +20,7 @@ from scipy.integrate import cumulative_trapezoid
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import Result, gap_threshold
 from trainlog.ingest.motion import (
+    EFFORTS,
     ELSEWHERE,
     GATE,
     GNSS_SPEED,
@@ -54,6 +55,12 @@ MEASURED = ("/train/state", "/train/controls", "/train/axles", "/gnss/fix", "/gn
 
 UNUSUAL = 10.0
 """Ratio to the usual number of repeats beyond which a run of them is unusual."""
+
+USUAL_FIX_STD = 3.0
+"""Standard deviation of that difference [m/s] where it is not known, of the speed by fixes."""
+
+BEYOND = 1.5
+"""Ratio to the largest unexplained acceleration elsewhere that speaks against an effort."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +176,9 @@ def blank_frozen(table: Table, limits: Limits) -> Result:
         if is_speed(name):
             motion.exclude(frozen)
             frozen[name] |= motion.contradicted(name)
+    motion.exclude(frozen)
+    for name, unexplained in motion.unexplained(frozen).items():
+        frozen[name] |= unexplained
     return _without(table, motion, frozen)
 
 
@@ -244,7 +254,7 @@ class _Motion:
         Of the columns that have any.
     pace : dict of str to (w,) array [m/s]
         Mean speed in each window by each speed, the position and the fixes; NaN where unknown.
-    excluded : dict of str to (w,) bool array
+    frozen : dict of str to (w,) bool array
         Windows in which a column is known to be frozen.
     """
 
@@ -347,8 +357,8 @@ class _Motion:
         first, beyond = self.windows(name)
         for other, pace in self.paces().items():
             if is_speed(other):
-                way = _sums(np.nan_to_num(pace), first, beyond)
-                moving |= way > STANDING * (beyond - first)
+                total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(pace))))
+                moving |= total[beyond] - total[first] > STANDING * (beyond - first)
         return moving
 
     def stayed(self, name: str) -> BoolArray:
@@ -363,37 +373,21 @@ class _Motion:
                 if other in self.runs:
                     resting = self._covered(other, self.runs[other].value != 0.0, pace.size)
                 usable = (pace > MOVING) & ~self.excluded[other] & ~resting
-                way = _sums(np.where(usable, pace * SPAN, 0.0), first, beyond)
-                driven = np.maximum(driven, way)
+                total = np.concatenate(([0.0], np.cumsum(np.where(usable, pace * SPAN, 0.0))))
+                driven = np.maximum(driven, total[beyond] - total[first])
         return driven > least
 
     def contradicted(self, name: str) -> BoolArray:
-        """Which runs of a speed the other columns contradict, or nothing confirms.
-
-        Of several columns those that agree best elsewhere count.
-        """
-        runs, own = self.runs[name], self.paces()[name]
-        first, beyond = self.windows(name)
+        """Which runs of a speed the other columns contradict, or nothing confirms."""
+        runs = self.runs[name]
+        own = self.paces()[name]
         resting = self._covered(name, np.ones(runs.value.size, dtype=np.bool_), own.size)
-        stds, judged = list[float](), list[BoolArray]()
-        for pace in self._others(name):
-            moving = ~resting & (own > MOVING) & (pace > MOVING)
-            ratio, std, _ = agreement(own, pace, moving) or Agreement(1.0, SPEED_STD)
-            off = np.abs(own - ratio * pace)
+        compared = []
+        for other, pace in self._others(name).items():
+            ratio, std, _ = _agreement(own, pace, ~resting, name, other)
             allowed = runs.step + STANDING + GATE * std
-            windows = _sums(np.isfinite(off), first, beyond)
-            mostly = _sums(off > allowed, first, beyond) >= MOST * windows
-            large = _sums(np.nan_to_num(off) ** 2, first, beyond) > allowed**2 * windows
-            stds.append(std)
-            judged.append(np.array([windows > 0, mostly | large, mostly & (windows >= 3)]))
-        each = np.array(judged, dtype=np.bool_).reshape(-1, 3, runs.value.size)
-        size = np.where(each[:, 0], np.reshape(stds, (-1, 1)), np.inf)
-        sharp = each[:, 0] & (size <= 2.0 * np.min(size, axis=0, initial=np.inf))
-        against = each[:, 1] & sharp
-        often = (each[:, 2] & sharp).any(axis=0)
-        asked = sharp.any(axis=0)
-        most = against.sum(axis=0) >= MOST * sharp.sum(axis=0)
-        contradicted = asked & most & (runs.broken | often)
+            compared.append(self._compared(name, own - ratio * pace, std, allowed))
+        contradicted, asked = _verdict(compared, runs)
         # No train changes its speed so at once: the receiver had held it, and wheels do not slip.
         if name == GNSS_SPEED:
             contradicted |= (runs.value != 0.0) & runs.leaps(self.seconds, self.values[name])
@@ -402,26 +396,127 @@ class _Motion:
         unusual = (runs.samples >= UNUSUAL * runs.usual_repeats) & (runs.value != 0.0)
         return np.asarray(contradicted | (~asked & unusual & jumps))
 
-    def _others(self, name: str) -> list[FloatArray]:
+    def _compared(self, name: str, off: FloatArray, std: float, allowed: float) -> Compared:
+        """How far the windows within each run of a column are off what another says."""
+        first, beyond = self.windows(name)
+        known = np.isfinite(off)
+        parts = (known, np.where(known, off, 0.0) ** 2, np.abs(off) > allowed)
+        count, square, beside = (
+            np.concatenate(([0.0], np.cumsum(part, dtype=np.float64))) for part in parts
+        )
+        number = count[beyond] - count[first]
+        size = np.sqrt((square[beyond] - square[first]) / np.maximum(number, 1.0))
+        mostly = beside[beyond] - beside[first] >= 0.5 * number
+        return Compared(std, number, (number > 0) & ((size > allowed) | mostly), mostly)
+
+    def unexplained(self, frozen: dict[str, BoolArray]) -> dict[str, BoolArray]:
+        """During which runs of an effort the train accelerates in another way than it explains.
+
+        Acceleration is a linear function of all efforts, and of speed and its square, whose
+        coefficients are those of the other windows.
+        """
+        speed = next((self.paces()[s] for s in (SPEED, GNSS_SPEED) if s in self.paces()), None)
+        names = [name for name in self.runs if name.startswith(EFFORTS)]
+        none = {name: np.zeros(self.runs[name].value.size, dtype=np.bool_) for name in names}
+        if not names or speed is None or speed.size < MANY:
+            return none
+        source = SPEED if SPEED in self.paces() else GNSS_SPEED
+        speed = np.where(self.excluded[source], np.nan, speed)
+        # Efforts are averaged over the two windows whose mean speeds are compared.
+        acceleration = np.append(np.diff(speed), np.nan) / SPAN
+        efforts = {name: self.values[name] for name in self.values if name.startswith(EFFORTS)}
+        mean = [self._pace(values, is_rate=True) for values in efforts.values()]
+        mean = [0.5 * (each + np.append(each[1:], np.nan)) for each in mean]
+        columns = np.column_stack([*mean, np.ones(speed.size), speed, speed**2])
+        known = np.isfinite(columns).all(axis=1) & np.isfinite(acceleration) & (speed > STANDING)
+        live = known.copy()
+        for name in names:
+            # What another effort does while one is known to be frozen is not known.
+            known &= ~self._covered(name, frozen[name], speed.size)
+            live &= ~self._covered(name, self.runs[name].value != 0.0, speed.size)
+        if np.count_nonzero(live) < MANY:
+            return none
+        scale = np.maximum(np.max(np.abs(columns[live]), axis=0), 1e-9)
+        found = np.linalg.lstsq(columns[live] / scale, acceleration[live], rcond=None)[0]
+        off = np.where(known, acceleration - columns @ (found / scale), np.nan)
+        size = np.abs(off[live])
+        if np.sqrt(np.mean(size**2)) > MOST * np.std(acceleration[live]):
+            return none
+        allowed = max(GATE * robust_std(size), BEYOND * float(np.max(size)))
+        # Of two efforts that rest at the same time the one that does so longer is doubted first.
+        took = {n: np.max(self.runs[n].last - self.runs[n].first) for n in names}
+        for name in sorted(names, key=lambda n: -took[n]):
+            column = columns[:, list(efforts).index(name)]
+            if np.count_nonzero(live & (column != 0.0)) < MANY:
+                off[self._covered(name, self.runs[name].value != 0.0, off.size)] = np.nan
+                continue
+            compared = self._compared(name, off, 1.0, allowed)
+            none[name] = _verdict([compared], self.runs[name])[0] & (self.runs[name].value != 0.0)
+            off[self._covered(name, none[name], off.size)] = np.nan
+        return none
+
+    def _others(self, name: str) -> dict[str, FloatArray]:
         """What says how fast the train moves, but for the column itself; all wheels are one."""
-        found: list[FloatArray] = []
+        found: dict[str, FloatArray] = {}
         wheels: list[FloatArray] = []
         for other, pace in self.paces().items():
-            if other != name:
-                live = np.where(self.excluded[other], np.nan, pace)
-                if is_speed(other) and other in self.runs:
-                    resting = self.runs[other].value != 0.0
-                    live[self._covered(other, resting, live.size)] = np.nan
-                (wheels if other.startswith(WHEEL_SPEED) else found).append(live)
+            if other == name:
+                continue
+            live = np.where(self.excluded[other], np.nan, pace)
+            if is_speed(other) and other in self.runs:
+                runs = self.runs[other]
+                live[self._covered(other, runs.value != 0.0, live.size)] = np.nan
+            if other.startswith(WHEEL_SPEED):
+                wheels.append(live)
+            else:
+                found[other] = live
         if wheels:
-            found.append(pd.DataFrame(wheels).median().to_numpy())
+            stacked = np.array(wheels)
+            some = np.isfinite(stacked).any(axis=0)
+            median = np.full(some.size, np.nan)
+            median[some] = np.nanmedian(stacked[:, some], axis=0)
+            found[WHEEL_SPEED] = median
         return found
 
 
-def _sums(values: FloatArray | BoolArray, first: IntArray, beyond: IntArray) -> FloatArray:
-    """Sums of some stretches, each from `first` to before `beyond`."""
-    total = np.concatenate(([0.0], np.cumsum(values)))
-    return total[beyond] - total[first]
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """The runs of a column beside another.
+
+    Attributes
+    ----------
+    std : float
+        Of their usual difference.
+    number : (k,) array
+        Windows of each run in which both are known.
+    against : (k,) bool array
+        Whether the other contradicts the run.
+    mostly : (k,) bool array
+        Whether it does in most windows.
+    """
+
+    std: float
+    number: FloatArray
+    against: BoolArray
+    mostly: BoolArray
+
+
+def _verdict(compared: list[Compared], runs: Runs) -> tuple[BoolArray, BoolArray]:
+    """Which runs are contradicted, and which are compared with anything.
+
+    Of several columns those that agree best elsewhere count.
+    """
+    if not compared:
+        none = np.zeros(runs.value.size, dtype=np.bool_)
+        return none, none
+    std = np.array([[each.std] for each in compared])
+    there = np.array([each.number > 0 for each in compared])
+    sharp = there & (std <= 2.0 * np.min(np.where(there, std, np.inf), axis=0))
+    against = np.array([each.against for each in compared]) & sharp
+    often = np.array([each.mostly & (each.number >= 3) for each in compared]) & against
+    asked = sharp.any(axis=0)
+    most = 2 * against.sum(axis=0) >= sharp.sum(axis=0)
+    return asked & most & (runs.broken | often.any(axis=0)), asked
 
 
 def _trembles(column: Column, size: float, step: float) -> bool:
@@ -434,3 +529,11 @@ def _trembles(column: Column, size: float, step: float) -> bool:
     signs = np.sign(bend)
     alternating = bool(np.mean(signs[1:] * signs[:-1]) < 0.0)
     return alternating and bool(robust_std(bend) / np.sqrt(6.0) >= step)
+
+
+def _agreement(
+    own: FloatArray, pace: FloatArray, live: BoolArray, name: str, other: str
+) -> Agreement:
+    """Ratio of a column to another where neither rests, and the noise of their difference."""
+    found = agreement(own, pace, live & (own > MOVING) & (pace > MOVING))
+    return found or Agreement(1.0, USUAL_FIX_STD if LATITUDE in (name, other) else SPEED_STD)
