@@ -357,8 +357,8 @@ class _Motion:
         first, beyond = self.windows(name)
         for other, pace in self.paces().items():
             if is_speed(other):
-                total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(pace))))
-                moving |= total[beyond] - total[first] > STANDING * (beyond - first)
+                way = _sums(np.nan_to_num(pace), first, beyond)
+                moving |= way > STANDING * (beyond - first)
         return moving
 
     def stayed(self, name: str) -> BoolArray:
@@ -373,8 +373,8 @@ class _Motion:
                 if other in self.runs:
                     resting = self._covered(other, self.runs[other].value != 0.0, pace.size)
                 usable = (pace > MOVING) & ~self.excluded[other] & ~resting
-                total = np.concatenate(([0.0], np.cumsum(np.where(usable, pace * SPAN, 0.0))))
-                driven = np.maximum(driven, total[beyond] - total[first])
+                way = _sums(np.where(usable, pace * SPAN, 0.0), first, beyond)
+                driven = np.maximum(driven, way)
         return driven > least
 
     def contradicted(self, name: str) -> BoolArray:
@@ -400,13 +400,12 @@ class _Motion:
         """How far the windows within each run of a column are off what another says."""
         first, beyond = self.windows(name)
         known = np.isfinite(off)
-        parts = (known, np.where(known, off, 0.0) ** 2, np.abs(off) > allowed)
-        count, square, beside = (
-            np.concatenate(([0.0], np.cumsum(part, dtype=np.float64))) for part in parts
+        number, square, beside = (
+            _sums(part, first, beyond)
+            for part in (known, np.where(known, off, 0.0) ** 2, np.abs(off) > allowed)
         )
-        number = count[beyond] - count[first]
-        size = np.sqrt((square[beyond] - square[first]) / np.maximum(number, 1.0))
-        mostly = beside[beyond] - beside[first] >= 0.5 * number
+        size = np.sqrt(square / np.maximum(number, 1.0))
+        mostly = beside >= 0.5 * number
         return Compared(std, number, (number > 0) & ((size > allowed) | mostly), mostly)
 
     def unexplained(self, frozen: dict[str, BoolArray]) -> dict[str, BoolArray]:
@@ -517,6 +516,12 @@ def _verdict(compared: list[Compared], runs: Runs) -> tuple[BoolArray, BoolArray
     asked = sharp.any(axis=0)
     most = 2 * against.sum(axis=0) >= sharp.sum(axis=0)
     return asked & most & (runs.broken | often.any(axis=0)), asked
+
+
+def _sums(values: FloatArray | BoolArray, first: IntArray, beyond: IntArray) -> FloatArray:
+    """Sums of some stretches, each from `first` to before `beyond`."""
+    total = np.concatenate(([0.0], np.cumsum(values, dtype=np.float64)))
+    return np.asarray(total[beyond] - total[first])
 
 
 def _trembles(column: Column, size: float, step: float) -> bool:
