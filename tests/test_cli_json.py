@@ -28,7 +28,7 @@ SCHEMAS = CHECKOUT / "docs" / "command-line.schemas.json"
 COMMANDS = """
 new samples -o sample_logs
 new line -o my.line.toml
-import sample_logs/CH_Stadler_FLIRT_TPF.train.json --mass-model homogeneous_strip -o imported
+import sample_logs/CH_Stadler_FLIRT_TPF.train.json --set mass-model=homogeneous_strip -o imported
 ingest sample_logs/gnss.csv -o recorded
 show recorded/gnss.mcap --all
 show sample_logs --check

@@ -291,8 +291,9 @@ def test_a_formation_of_several_files_is_planned_for_from_the_keyboard(tmp_path:
     files = [str(tmp_path / name) for name in ("v90.yaml", "facs.yaml", "path.yaml")]
     out = ["-o", str(tmp_path)]
     made = ["--formation", "ore: V90, 10 Facs", "--loaded", "50"]
-    assert cli.run(["import", *files[:2], *made, "--mass-model", "homogeneous_strip", *out]) == 0
-    assert cli.run(["import", files[2], "--curve-resistance", "roeckl", *out]) == 0
+    strip = ["--set", "mass-model=homogeneous_strip"]
+    assert cli.run(["import", *files[:2], *made, *strip, *out]) == 0
+    assert cli.run(["import", files[2], "--set", "curve-resistance=roeckl", *out]) == 0
     train = read_train(tmp_path / "ore.train.json")
     assert (train.length, train.mass, train.max_load) == (204.0, 625e3, 295e3)
     assert train.strip_length == 204.0
@@ -313,8 +314,8 @@ def test_a_formation_of_several_files_is_planned_for_from_the_keyboard(tmp_path:
     [
         (("v90.yaml", "--formation", "V90, 3 Fals"), "no vehicle 'Fals' in the files given"),
         (("v90.yaml", "--formation", "V90, 0 V90"), "no vehicle 'V90' in the files"),
-        (("v90.yaml", "--curve-resistance", "roeckl"), "is not a line: curve resistance cannot"),
-        (("path.yaml", "--mass-model", "mass_point"), "is not a train: mass model cannot go"),
+        (("v90.yaml", "--set", "curve-resistance=roeckl"), "is not a line: curve resistance"),
+        (("path.yaml", "--set", "mass-model=mass_point"), "is not a train: mass model cannot go"),
         (("train.yaml",), "the vehicles of train 'ore' are not in the file.*--formation 'V90, F'"),
     ],
     ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",

@@ -56,6 +56,7 @@ PANELS = {
     "Plan and drive": {
         "plan": "plan",
         "advice": "plan",
+        "sfera": "plan",
         "simulate": "simulate",
         "study": "study",
     },
@@ -148,7 +149,7 @@ def _common_options() -> tuple[list[Any], list[Any]]:
 DEFAULT = {"fit": "efforts", "compare": "trips"}
 """Of a word with several commands the one that is meant where none of them is named."""
 
-INPUTS = ("line", "train", "profile", "network", "trajectory", "onto", "with_")
+INPUTS = ("line", "train", "profile", "network", "trajectory", "onto", "with_", "journey")
 """Options that name a file to be read."""
 
 

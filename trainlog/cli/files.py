@@ -20,6 +20,7 @@ import analysis
 import trainlog
 from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import (
+    Choices,
     ChosenTrips,
     Logs,
     Picture,
@@ -30,6 +31,8 @@ from trainlog.cli.options import (
     logs_in,
     refuse_rivals,
     sections_in,
+    set_option,
+    settings_of,
     stretch,
     times,
 )
@@ -53,6 +56,23 @@ if TYPE_CHECKING:
     from trainlog.mcap import Account
 
 
+PHYSICS: Choices = {
+    "mass-model": (
+        ("mass_point", "homogeneous_strip"),
+        "of a train: gradients at its front, or averaged over its length",
+    ),
+    "acceleration-limits": (
+        ("gross", "net"),
+        "of a train: limits of effort over inertia, or of its own acceleration",
+    ),
+    "curve-resistance": (
+        ("proportional", "roeckl", "roeckl_small_radius"),
+        "of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30)",
+    ),
+}
+"""What ``--set KEY=VALUE`` sets of what is imported."""
+
+
 def import_(
     files: list[Path],
     /,
@@ -63,17 +83,17 @@ def import_(
     braking_curve: Path | None = None,
     formation: str | None = None,
     loaded: Annotated[float | None, PERCENT.between(0.0, 1.0)] = None,
-    mass_model: Literal["mass_point", "homogeneous_strip"] | None = None,
-    acceleration_limits: Literal["gross", "net"] | None = None,
-    curve_resistance: Literal["proportional", "roeckl", "roeckl_small_radius"] | None = None,
     category: str | None = None,
     limit: Annotated[float | None, SPEED.between(1.0 / KMH, 600.0 / KMH)] = None,
     gradients_known: bool = False,
+    line: Path | None = None,
+    set_: Annotated[list[str] | None, set_option(PHYSICS)] = None,
 ) -> None:
     """Turn lines, trains, journeys and networks of other programs into trainlog's files.
 
     Tracks, trains and journeys of TTOBench; rolling stock and infrastructure of OSRD; rolling stock
-    and running paths of railtoolkit; infrastructure of railML 2 and 3.
+    and running paths of railtoolkit; infrastructure of railML 2 and 3; journeys of SFERA with their
+    segments and train, as a folder or a zip archive.
 
     Of infrastructure it lists what the network holds in part or not at all, and what was assumed;
     tracks that nothing connects to the others become networks of their own. Line and train files of
@@ -86,7 +106,8 @@ def import_(
     Parameters
     ----------
     files : FILES
-        Of TTOBench or OSRD (JSON), railtoolkit (YAML), railML (XML); or a train file, with a curve.
+        Of TTOBench or OSRD (JSON), railtoolkit (YAML), railML or SFERA (XML, or a folder or zip);
+        or a train file, with a curve.
     output : FOLDER
         Folder for the files.
     electrification : NAME
@@ -100,12 +121,6 @@ def import_(
         Facs124', or with a name of the train, 'ore: DB_V90, 10 Facs124'.
     loaded : SHARE
         Of a railtoolkit train: share of its load on board.
-    mass_model : NAME
-        Of a train: gradients at its front, or averaged over its length.
-    acceleration_limits : NAME
-        Of a train: limits of effort over inertia, or of its own acceleration.
-    curve_resistance : NAME
-        Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30).
     category : NAME
         Of trains, whose speed limits a network gets; 'none': those for all trains. Default: the
         lowest of all categories.
@@ -114,18 +129,25 @@ def import_(
     gradients_known
         Of a line or network: it is level where the file states no gradient. Without, that is an
         assumption, and running resistance is not fitted on such track.
+    line : FILE
+        Whose gradients, curves and tunnels a journey of SFERA gets where it states none: the same
+        line by the operator's kilometre, or by the names of stations.
     """
     from trainlog.formats.csv_tables import read_effort_curve
     from trainlog.formats.files import output_folder
     from trainlog.formats.imports import ImportOptions, import_file, import_formation
+    from trainlog.formats.railway import read_line
 
     traction, braking = (
         None if path is None else read_effort_curve(path)
         for path in (traction_curve, braking_curve)
     )
+    physics = {
+        key.replace("-", "_"): value for key, value in settings_of(set_ or [], PHYSICS).items()
+    }
     options = ImportOptions(
-        electrification, traction, braking, mass_model, acceleration_limits, curve_resistance,
-        loaded, category, limit, gradients_known,
+        electrification, traction, braking, loaded=loaded, category=category, limit=limit,
+        gradients_known=gradients_known, line=None if line is None else read_line(line), **physics,
     )  # fmt: skip
     name, _, vehicles = (formation or "").rpartition(":")
     with output_folder(output):

@@ -476,6 +476,45 @@ def sections_in(paths: list[Path]) -> list[Path]:
     return found
 
 
+Choices = dict[str, tuple["Measure | tuple[str, ...]", str]]
+"""What ``--set KEY=VALUE`` sets of a command: how a key's value is read, and what it is."""
+
+
+def settings_of(words: Sequence[str], choices: Choices) -> dict[str, Any]:
+    """The settings of words ``KEY=VALUE``.
+
+    Raises
+    ------
+    InputError
+        If a key is unknown or given twice, or its value cannot be read.
+
+    Examples
+    --------
+    >>> from trainlog.units import SPEED
+    >>> settings_of(["speed=72", "side=left"], {"speed": (SPEED, ""), "side": (("left",), "")})
+    {'speed': 20.0, 'side': 'left'}
+    """
+    found: dict[str, Any] = {}
+    for key, value in keyed(words, choices, "--set", "write KEY=VALUE").items():
+        of = choices[key][0]
+        if isinstance(of, tuple) and value not in of:
+            raise InputError(
+                f"--set {key}: '{value}' is not one of {', '.join(of)}",
+                remedy="give one of these",
+            )
+        found[key] = value if isinstance(of, tuple) else of.read(value, f"--set {key}")
+    return found
+
+
+def set_option(choices: Choices) -> Any:
+    """The option ``--set KEY=VALUE``, with its keys in the help."""
+    keys = "; ".join(
+        f"{name}{'=' + ' | '.join(of) if isinstance(of, tuple) else ''} ({help})"
+        for name, (of, help) in choices.items()
+    )
+    return typer.Option("--set", metavar="KEY=VALUE", help=f"May be given several times: {keys}.")
+
+
 def chosen_logs(where: str, catalogue: str | None) -> list[Path]:
     """The logs of the trips that an expression chooses in a catalogue; ``all`` chooses all.
 

@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Annotated
 
 import analysis
 import trainlog
 from trainlog.cli.options import (
+    Choices,
     destination,
     line_and_train,
     logs_in,
     map_of_run,
     refuse_rivals,
     sections_in,
+    set_option,
+    settings_of,
     stretch,
 )
-from trainlog.cli.terminal import console, show, wrote
+from trainlog.cli.terminal import console, say, show, state, wrote
 from trainlog.errors import InputError, meant, similar
 from trainlog.progress import task
-from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure, keyed
+from trainlog.units import (
+    COUNT,
+    DISTANCE,
+    MASS,
+    NUMBER,
+    PERCENT,
+    SHARE,
+    SPEED,
+    TIME,
+)
 
 if TYPE_CHECKING:
     from analysis.trajectory.journey import JourneyPlan
     from trainlog.railway import Line, Train, Trajectory
 
 
-SETTINGS: dict[str, tuple[Measure | tuple[str, ...], str]] = {
+SETTINGS: Choices = {
     "load": (MASS.between(0.0), "payload, without a parameter set; 0"),
     "objective": (
         ("wheel", "line", "expected"),
@@ -76,40 +86,7 @@ SETTINGS: dict[str, tuple[Measure | tuple[str, ...], str]] = {
 """What ``--set KEY=VALUE`` sets of a plan: how its value is read, and what it is."""
 
 
-def settings_of(words: Sequence[str]) -> dict[str, Any]:
-    """The settings of words ``KEY=VALUE``.
-
-    Raises
-    ------
-    InputError
-        If a key is unknown or given twice, or its value cannot be read.
-
-    Examples
-    --------
-    >>> settings_of(["load=12t", "final-speed=72"])
-    {'load': 12000.0, 'final-speed': 20.0}
-    """
-    found: dict[str, Any] = {}
-    for key, value in keyed(words, SETTINGS, "--set", "write KEY=VALUE").items():
-        of = SETTINGS[key][0]
-        if isinstance(of, tuple) and value not in of:
-            raise InputError(
-                f"--set {key}: '{value}' is not one of {', '.join(of)}",
-                remedy="give one of these",
-            )
-        found[key] = value if isinstance(of, tuple) else of.read(value, f"--set {key}")
-    return found
-
-
-_HELP = "; ".join(
-    f"{name}{f'={chr(124).join(of)}' if isinstance(of, tuple) else ''} ({help})"
-    for name, (of, help) in SETTINGS.items()
-)
-
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help=f"May be given several times: {_HELP}."),
-]
+Settings = Annotated[list[str] | None, set_option(SETTINGS)]
 
 
 def plan(
@@ -175,7 +152,7 @@ def plan(
     """
     if output.suffix or stops is None:
         destination(output, ".csv" if output.suffix == ".csv" else ".json")
-    chosen = settings_of(set_ or [])
+    chosen = settings_of(set_ or [], SETTINGS)
     reserves = _reserves(reserve)
     ends = {"--km": km} | {
         f"--set {name}": chosen.get(name) for name in ("initial-speed", "final-speed")
@@ -428,3 +405,72 @@ def advice(
         )
     show(found)
     wrote(output, table)
+
+
+def sfera(
+    sources: list[Path],
+    /,
+    *,
+    journey: Path,
+    output: Path,
+    line: Path | None = None,
+    layer: str | None = None,
+    probability: Annotated[float, SHARE] = 0.05,
+    changes_apart: Annotated[float, TIME.between(0.0, 600.0)] = 10.0,
+    passed: Annotated[float | None, DISTANCE.between(0.0)] = None,
+    every: Annotated[float, TIME.between(1.0, 600.0)] = 5.0,
+) -> None:
+    """Write advice, rail condition, resistance or reports into a journey of SFERA 4.00.
+
+    Trajectories, planned on the line that 'trainlog import' makes of the journey, become its next
+    version with advised speeds: never above a limit, and with --passed a message for what lies
+    ahead of the train. A forecast (.csv) becomes the next version with low adhesion by stretch and
+    time; a parameter set the next version of the train's characteristics; a trip (.mcap) an archive
+    of its journey and status reports, which 'trainlog ingest' reads.
+
+    Example: trainlog sfera trajectory.json --journey in -o advised.xml
+
+    Example: trainlog sfera forecast.csv --journey in --line A-B.line.json --layer wet -o low.xml
+
+    Example: trainlog sfera trip.mcap --journey in -o reports.zip
+
+    Parameters
+    ----------
+    sources : SOURCES
+        Trajectory file, those of a journey's sections or their folder; or a forecast (.csv), a
+        parameter set (.json), a trip (.mcap).
+    journey : JOURNEY
+        The journey with its segments and its train: a file of one journey and those beside it, a
+        folder, or a zip archive.
+    output : FILE
+        Ends in .xml; of a trip in .zip.
+    line : FILE
+        Line file of the forecast or the trip, where it is not the journey's: places are the same by
+        the operator's kilometre, or by the names of stations. Default: the line in the log.
+    layer : CONDITION
+        Rail condition that is expected, of a forecast by conditions.
+    probability : SHARE
+        With which the rail is worse than the category that is stated of it: a quantile of the
+        forecast.
+    changes_apart : TIME
+        Changes of the advised speed follow each other by no less.
+    passed : DISTANCE
+        How far the train has come on its journey.
+    every : TIME
+        Between two reports.
+    """
+    from analysis.sfera import SferaOptions, write_sfera
+
+    files = [
+        file for each in sources for file in (sections_in([each]) if each.is_dir() else [each])
+    ]
+    options = SferaOptions(
+        None if line is None else trainlog.read_line(line), layer or "", probability, changes_apart,
+        passed, every,
+    )  # fmt: skip
+    with task("writing for SFERA"):
+        found = write_sfera(files, journey, output, options)
+    if not state(found):
+        for key, value in found.items():
+            say(f"{key.replace('_', ' ')}: {value}")
+    wrote(output)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from trainlog.declaration import check_plausible
 from trainlog.errors import InputError
-from trainlog.formats import osrd, railtoolkit, ttobench
+from trainlog.formats import osrd, railtoolkit, sfera, ttobench
 from trainlog.formats.declared import built, thing_from_bytes, write_thing
 from trainlog.formats.files import parse_json, read_bytes
 from trainlog.formats.railml import read_railml
@@ -63,6 +64,8 @@ class ImportOptions:
     gradients_known : bool
         Whether track is level where the file of a line or network states no gradient: a fact then,
         and no assumption, which identification refuses.
+    line : Line or None
+        Whose gradients, curves and tunnels a journey's line gets where SFERA states none.
     """
 
     electrification: str | None = None
@@ -75,6 +78,7 @@ class ImportOptions:
     category: str | None = None
     limit: float | None = None
     gradients_known: bool = False
+    line: Line | None = None
 
     @property
     def of_train(self) -> dict[str, Any]:
@@ -158,7 +162,8 @@ def import_file(
     ----------
     path : str or Path
         A track, train or journey of TTOBench, rolling stock or infrastructure of OSRD (JSON),
-        rolling stock or running paths of railtoolkit (YAML), or infrastructure of railML (XML).
+        rolling stock or running paths of railtoolkit (YAML), infrastructure of railML (XML), or
+        journeys of SFERA (XML, a folder or zip archive).
     folder : str or Path
         For the files, for example ``CH_StGallen_Wil.line.json``.
     options : ImportOptions, optional
@@ -201,6 +206,8 @@ def project_of(path: str | Path, start: bytes) -> str | None:
     words = start.removeprefix(b"\xef\xbb\xbf").lstrip()
     if railtoolkit.SCHEMA.encode() in start and words[:1] != b"{":
         return "a file of railtoolkit (YAML)"
+    if sfera.is_sfera(words):
+        return "a document of SFERA (XML)"
     if words[:1] == b"<":
         return "infrastructure of railML (XML)" if b"railml" in words[:2000].lower() else None
     if words[:1] != b"{":
@@ -276,8 +283,9 @@ _ONLY = {
     ),
     "category": (
         "has no speed limits by category of train",
-        "leave the category out; it is for infrastructure of OSRD and railML",
+        "leave the category out; it is for infrastructure of OSRD and railML, and for SFERA",
     ),
+    "line": ("is no journey of SFERA", "leave the line out"),
 }
 """Options that fit some files alone: what the others are, and the remedy."""
 
@@ -294,6 +302,10 @@ def _things(
     path: str | Path, options: ImportOptions
 ) -> list[tuple[str, Thing, list[str], list[str]]]:
     """Everything in the file: a name, the thing, what it does not hold, and what is assumed."""
+    if sfera.is_source(path):
+        _refuse(path, options, "loaded")
+        return [row for each in _journeys(path, options) for row in each]
+    _refuse(path, options, "line")
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         _refuse(path, options, "electrification", "category")
         return [(*each, []) for each in railtoolkit.read_any(path, options.loaded)]
@@ -324,6 +336,21 @@ def _things(
     else:
         thing = ttobench.import_file(path)
     return [(thing.name, thing, [], [])]
+
+
+def _journeys(
+    path: str | Path, options: ImportOptions
+) -> Iterator[list[tuple[str, Thing, list[str], list[str]]]]:
+    """Line, journey and train of each journey of SFERA documents."""
+    limits = LimitChoice(options.category, options.limit)
+    for found in sfera.read_sfera(path, limits, options.electrification):
+        line, said = found.line, list[str]()
+        if options.line is not None:
+            line, said = built(partial(sfera.filled, line, options.line), path)
+        name = found.name.replace(" ", "-")
+        yield [(name, line, found.left_out, [*found.assumed, *said])] + [
+            (name, thing, [], []) for thing in (found.journey, found.train) if thing is not None
+        ]
 
 
 def networks_in(

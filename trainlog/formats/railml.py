@@ -56,6 +56,8 @@ class Element:
     line : int
         At which it begins.
     children : list of Element
+    content : str
+        Text that stands directly in it.
     """
 
     tag: str
@@ -63,6 +65,7 @@ class Element:
     attributes: dict[str, str]
     line: int
     children: list[Element] = field(default_factory=list)
+    content: str = ""
 
     def __repr__(self) -> str:
         return f"<{self.tag}> at line {self.line}, {len(self.children)} children"
@@ -144,20 +147,21 @@ def numbers_in(containers: Iterable[Element], held: Collection[str]) -> Counter[
 
 
 def read_xml(path: str | Path) -> Element:
-    """The root element of an XML file.
+    """The root element of an XML file; errors as `parsed_xml`."""
+    return parsed_xml(read_bytes(path), path)
+
+
+def parsed_xml(data: bytes, path: str | Path) -> Element:
+    """The root element of XML that stands in a file.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no XML, or declares entities.
+        If it is no XML, or declares entities.
 
     Examples
     --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "small.xml"
-    ...     _ = file.write_text('<a xmlns="urn:x"><b n="2"/></a>')
-    ...     root = read_xml(file)
+    >>> root = parsed_xml(b'<a xmlns="urn:x"><b n="2"/></a>', "small.xml")
     >>> root.tag, root.namespace, root.first("b").number("n")
     ('a', 'urn:x', 2.0)
     """
@@ -175,6 +179,9 @@ def read_xml(path: str | Path) -> Element:
     def end(_: str) -> None:
         open_elements.pop()
 
+    def text(data: str) -> None:
+        open_elements[-1].content += data
+
     def entity(name: str, *_: Any) -> None:
         raise InputError(
             f"declares the entity '{name}'",
@@ -185,9 +192,10 @@ def read_xml(path: str | Path) -> Element:
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end
+    parser.CharacterDataHandler = text
     parser.EntityDeclHandler = entity
     try:
-        parser.Parse(read_bytes(path), True)
+        parser.Parse(data, True)
     except expat.ExpatError as error:
         raise InputError(
             f"is no XML: {expat.ErrorString(error.code)}",

@@ -28,6 +28,7 @@ from trainlog.ingest.nmea import is_nmea, read_nmea
 from trainlog.ingest.profile import Profile, read_profile, suggestion
 from trainlog.ingest.recording import Recording
 from trainlog.ingest.rides import read_rides
+from trainlog.ingest.sfera import is_reports, read_reports
 from trainlog.ingest.tabular import is_delimited, is_parquet, read_delimited, read_parquet
 from trainlog.ingest.tagged import read_tagged
 from trainlog.ingest.telegrams import is_capture, read_telegrams
@@ -82,6 +83,7 @@ GENERAL = (
     Format("gpx", read_gpx, is_gpx, "own"),
     Format("mcap", read_foreign, is_mcap),
     Format("nmea", read_nmea, is_nmea, "own"),
+    Format("sfera", read_reports, is_reports, "own"),
     Format("parquet", read_parquet, is_parquet),
     Format("mdf", read_mdf, is_mdf),
     Format("tagged", read_tagged),

@@ -1,0 +1,482 @@
+"""What goes out in messages of SFERA: a driver's advice, the rail's condition, a trip's reports."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import numpy as np
+import pandas as pd
+
+from analysis.reports.summary import content_of
+from analysis.trajectory.advice import JourneyAdvice, journey_advice
+from analysis.trajectory.instructions import Phase, rounded_down
+from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.errors import InputError, LogError
+from trainlog.formats.csv_tables import read_forecast
+from trainlog.formats.files import atomic_write, write_bytes
+from trainlog.formats.railway import line_of, line_of_plan, read_parameters, read_trajectory
+from trainlog.formats.sfera import (
+    SferaJourney,
+    documents_in,
+    is_sfera,
+    places_along,
+    read_sfera,
+)
+from trainlog.formats.sfera_messages import (
+    DRY,
+    Constraint,
+    Report,
+    advice_message,
+    category_of,
+    status_report,
+    with_constraints,
+    with_resistance,
+    xml_of,
+)
+from trainlog.mcap.reader import read_log
+from trainlog.railway import Line, ParameterSet, Trajectory
+from trainlog.railway.condition import AdhesionForecast
+from trainlog.topics import SLIP_PROTECTION, TRAIN_STATE
+from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.units import KMH, NANOSECONDS
+
+SENDER = "trainlog"
+"""Name of the device that sends messages."""
+
+KINDS = {
+    Phase.MAXIMUM_TRACTION: "AccelerationAdvice",
+    Phase.CRUISING: "AccelerationAdvice",
+    Phase.COASTING: "CoastingAdvice",
+    Phase.PARTIAL_BRAKING: "OperationalBrakingAdvice",
+    Phase.MAXIMUM_BRAKING: "OperationalBrakingAdvice",
+}
+"""Kind of advice by phase, where no speed is to be held."""
+
+PROBABILITY = 0.05
+"""With which the rail is worse than the category that is said of it."""
+
+
+CHANGES_APART = 10.0
+"""Changes of the advised speed follow each other by no less [s]."""
+
+
+@dataclass(frozen=True)
+class Advised:
+    """What a driver is advised over a stretch of a journey.
+
+    Attributes
+    ----------
+    begin, end : float [m]
+        Along the journey.
+    time : float [s]
+        At its begin, since the first departure, as planned.
+    phase : Phase
+    hold : bool
+        Whether the speed is to be held; else it is that at the end of the stretch.
+    speed : int [km/h]
+        Nowhere above a limit of the stretch; 0: a stop.
+    """
+
+    begin: float
+    end: float
+    time: float
+    phase: Phase
+    hold: bool
+    speed: int
+
+    @property
+    def advice(self) -> dict[str, str]:
+        """Kind, speed and reason, as SFERA has them."""
+        braking = self.phase in (Phase.PARTIAL_BRAKING, Phase.MAXIMUM_BRAKING)
+        kind = "ConstantspeedAdvice" if self.hold else KINDS[self.phase]
+        stated = {"adviceType": kind, "optimalSpeed": str(self.speed)}
+        if braking and not self.speed:
+            stated = {"adviceType": "StopAdvice"}
+        return stated | {"reasonCode": "energyOptimisation"}
+
+
+def advised(
+    advice: JourneyAdvice,
+    journey: SferaJourney,
+    *,
+    changes_apart: float = CHANGES_APART,
+    passed: float = 0.0,
+) -> list[Advised]:
+    """A driver's advice as speeds that are advised, one stretch after the other.
+
+    A stretch with a limit below its speed is divided there. Of two that would follow each other
+    sooner than changes may, the lower speed holds over both.
+
+    Parameters
+    ----------
+    advice : JourneyAdvice
+        Planned on the journey's line.
+    journey : SferaJourney
+    changes_apart : float [s]
+        Changes follow each other by no less.
+    passed : float [m]
+        Where the train is: there is no advice for what lies behind it.
+
+    Raises
+    ------
+    InputError
+        If the advice is for another line.
+    """
+    line = journey.line
+    for section in advice.sections:
+        own = line_of_plan(section)
+        if section.line != line.name or own is None or abs(own.length - line.length) > 1.0:
+            raise InputError(
+                f"the trajectory is planned on line '{section.line}', the journey's is"
+                f" '{line.name}'",
+                remedy="plan on the line that 'trainlog import' makes of the journey",
+            )
+    found = list[Advised]()
+    for each in _divided(advice, line):
+        if each.end <= passed + _SHORT:
+            continue
+        part = replace(each, begin=max(each.begin, passed))
+        last = found[-1] if found else None
+        if last is not None and (
+            last.advice == part.advice or part.time - last.time < changes_apart
+        ):
+            slower = part if part.speed < last.speed else last
+            part = replace(slower, begin=last.begin, time=last.time, end=part.end)
+            found.pop()
+        found.append(part)
+    return found
+
+
+_SHORT = 1.0
+"""Shorter stretches are not advised [m]."""
+
+
+def _divided(advice: JourneyAdvice, line: Line) -> Iterator[Advised]:
+    """The stretches of an advice, each with a speed that no limit in it is below."""
+    for section, departure in zip(advice.sections, advice.departures.tolist(), strict=True):
+        limits = line.limits_over(section.protected_length)
+        times = section.times[section.latest]
+        begin, end = float(section.positions[0]), float(section.positions[-1])
+        for row in advice.rows:
+            own = row.instruction
+            if own is None or not begin - _SHORT <= own.position < end - _SHORT:
+                continue
+            inner = limits.positions[
+                (limits.positions > own.position) & (limits.positions < own.end)
+            ]
+            for first, last in pairwise([own.position, *inner.tolist(), own.end]):
+                most = float(rounded_down(float(limits(first))))
+                time = departure + float(np.interp(first, section.positions, times))
+                speed = round(KMH * min(own.stated_target, most))
+                yield Advised(first, last, time, own.phase, own.hold, speed)
+
+
+def advice_constraints(found: Iterable[Advised]) -> list[Constraint]:
+    """Advised speeds and power as temporary constraints of a journey."""
+    rows = list[Constraint]()
+    for each in found:
+        rows.append(Constraint(each.begin, each.end, "AdvisedSpeed", each.advice))
+        power = {Phase.MAXIMUM_TRACTION: "Maximise", Phase.COASTING: "Minimise"}.get(each.phase)
+        if power is not None and not each.hold:
+            change = {"powerConsumptionChange": power}
+            rows.append(Constraint(each.begin, each.end, "PowerAdvice", change))
+    return rows
+
+
+def low_adhesion(
+    forecast: AdhesionForecast,
+    journey: SferaJourney,
+    own: Line | None = None,
+    *,
+    layer: str = "",
+    probability: float = PROBABILITY,
+) -> list[Constraint]:
+    """A forecast of the rail as constraints by stretch and time.
+
+    Dry rail is not stated, nor is rail of which the forecast knows nothing.
+
+    Parameters
+    ----------
+    forecast : AdhesionForecast
+    journey : SferaJourney
+    own : Line, optional
+        The forecast's line, where it is not the journey's: places are the same by the operator's
+        kilometre or the names of stations.
+    layer : str
+        Rail condition that is expected; empty: rows for any.
+    probability : float
+        With which the adhesion is worse than the category that is stated.
+
+    Raises
+    ------
+    InputError
+        If the forecast does not state this quantile, or is for another line than those given.
+    """
+    column = np.flatnonzero(np.isclose(forecast.shares, probability))
+    if not column.size:
+        known = ", ".join(f"{share:g}" for share in forecast.shares)
+        raise InputError(
+            f"the forecast does not state the quantile {probability:g}",
+            remedy=f"it states {known or 'none'}",
+        )
+    conditions = sorted(set(forecast.layer))
+    if layer not in conditions and "" not in conditions:
+        raise InputError(
+            f"the forecast states nothing of rail that is '{layer}'" if layer
+            else "the forecast's rows are each for one rail condition, and none was named",
+            remedy=f"name one with --layer: {', '.join(conditions)}",
+        )  # fmt: skip
+    along = _along(journey, forecast.line, own)
+    first, last = along(forecast.start), along(forecast.end)
+    values = forecast.quantiles[:, column[0]]
+    named = np.array([name in ("", layer) for name in forecast.layer])
+    kept = np.flatnonzero(named & np.isfinite(values) & np.isfinite(first) & np.isfinite(last))
+    rows = sorted(
+        (int(begin), int(until), min(one, other), max(one, other), category_of(float(value)))
+        for begin, until, one, other, value in zip(
+            forecast.valid_from[kept], forecast.valid_to[kept], first[kept].tolist(),
+            last[kept].tolist(), values[kept], strict=True,
+        )
+    )  # fmt: skip
+    found = list[Constraint]()
+    for begin, until, at, end, category in rows:
+        if category == DRY:
+            continue
+        words = {"lowAdhesionCategory": category}
+        before = found[-1] if found else None
+        if (
+            before is not None
+            and (before.start, before.attributes) == (_utc(begin), words)
+            and at - before.end <= _SHORT
+        ):
+            at = found.pop().begin
+        start, stop = _utc(begin), _utc(until)
+        found.append(Constraint(at, end, "Low_Adhesion", words, "LowAdhesion", start, stop))
+    return found
+
+
+def _along(
+    journey: SferaJourney, name: str | None, own: Line | None
+) -> Callable[[FloatArray], FloatArray]:
+    """Positions along a journey of positions on a line of one's own; NaN beside it."""
+    if name is None or name == journey.line.name:
+        length = journey.line.length
+        return lambda at: np.where((at >= 0.0) & (at <= length), at, np.nan)
+    if own is None or own.name != name:
+        raise InputError(
+            f"it is of line '{name}', the journey's is '{journey.line.name}'",
+            remedy=f"give the line file of '{name}' with --line",
+        )
+    return places_along(journey.line, own)
+
+
+def _utc(time: int) -> datetime.datetime:
+    return pd.Timestamp(time, tz="UTC").to_pydatetime(warn=False)
+
+
+def reports_of(
+    trip: Trip, journey: SferaJourney, own: Line | None = None, every: float = 5.0
+) -> list[Report]:
+    """A trip as a train's reports: where it is, how fast, and whether its wheels slip or slide.
+
+    Parameters
+    ----------
+    trip : Trip
+        With ``/train/state``.
+    journey : SferaJourney
+    own : Line, optional
+        The trip's line as travelled, where it is not the journey's.
+    every : float [s]
+
+    Raises
+    ------
+    LogError
+        If the trip holds no position or speed, or none on the journey.
+    """
+    if TRAIN_STATE.name not in trip:
+        raise LogError(f"holds no {TRAIN_STATE.name}", remedy="give a log of a train's motion")
+    state = trip[TRAIN_STATE.name][["position", "speed"]].dropna()
+    along = _along(journey, trip.metadata.get("line"), own)
+    state = state.assign(position=along(state.position.to_numpy())).dropna()
+    if len(state) < 2:
+        raise LogError("is nowhere on the journey", remedy="give a trip over the journey's line")
+    index = pd.DatetimeIndex(state.index).as_unit("ns")
+    step = int(every * NANOSECONDS)
+    times = np.arange(index[0].value, index[-1].value + 1, step)
+    # Messages state whole seconds.
+    times = np.unique(np.round(times / NANOSECONDS).astype(np.int64)) * NANOSECONDS
+    at, speed = (np.interp(times, index.asi8, state[name]) for name in ("position", "speed"))
+    slips = _slips(trip, times, step)
+    return [
+        Report(
+            _utc(int(time)), float(place), max(float(v), 0.0), None if slips is None else bool(slip)
+        )
+        for time, place, v, slip in zip(
+            times, at, speed, [None] * times.size if slips is None else slips, strict=True
+        )
+    ]
+
+
+def _slips(trip: Trip, times: IntArray, every: int) -> BoolArray | None:
+    """Whether slip protection acted in the time before each report; None if nothing notes it."""
+    if "/events" not in trip:
+        return None
+    events = trip["/events"]
+    acts = events[events.name.str.startswith(SLIP_PROTECTION)]
+    when = pd.DatetimeIndex(acts.index).as_unit("ns").asi8
+    before = np.searchsorted(when, times - every, side="right")
+    return np.asarray(np.searchsorted(when, times, side="right") > before)
+
+
+# --------------------------------------------------------------------------------------- written
+
+
+@dataclass(frozen=True)
+class SferaOptions:
+    """How results become messages; the values of `advised`, `low_adhesion` and `reports_of`."""
+
+    line: Line | None = None
+    layer: str = ""
+    probability: float = PROBABILITY
+    changes_apart: float = CHANGES_APART
+    passed: float | None = None
+    every: float = 5.0
+
+
+def write_sfera(
+    sources: Sequence[Path],
+    journey: str | Path,
+    output: str | Path,
+    options: SferaOptions = SferaOptions(),
+) -> dict[str, object]:
+    """Write results into the documents of a journey of SFERA, or as messages.
+
+    - Trajectories: the journey's next version with advised speeds and power; with `passed` a
+      message of advice for what lies ahead of the train.
+    - A forecast of adhesion (.csv): the journey's next version with low adhesion.
+    - A parameter set: the next version of the train's characteristics, with the resistance of all
+      trips together.
+    - A trip (.mcap): an archive of the journey's documents and the train's status reports.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Of one kind; but for the sections of a journey only one.
+    journey : path
+        A file, folder or archive with one journey.
+    output : path
+        ``.xml``; of a trip ``.zip``.
+    options : SferaOptions
+
+    Returns
+    -------
+    dict
+        What was written, by its name.
+
+    Raises
+    ------
+    InputError
+        If the journey or a source cannot be read, does not fit the journey, or is of no such kind.
+    """
+    found = read_sfera(journey)
+    if len(found) > 1:
+        raise InputError(
+            f"holds {len(found)} journeys",
+            file=journey,
+            remedy="name the file of one; documents beside it are found",
+        )
+    own = found[0]
+    first = Path(sources[0])
+    kind = "forecast" if first.suffix.lower() == ".csv" else content_of(first)
+    if len(sources) > 1 and kind != "trajectory":
+        raise InputError("several files are given", remedy=f"name one {kind or 'file'}")
+    wanted = ".zip" if kind == "trip" else ".xml"
+    if Path(output).suffix.lower() != wanted:
+        raise InputError(
+            f"is not the name of a {wanted} file", file=output, remedy=f"end it in {wanted}"
+        )
+    if kind == "trajectory":
+        return _write_advice([read_trajectory(each) for each in sources], own, output, options)
+    if kind == "forecast":
+        forecast = read_forecast(first)
+        rows = low_adhesion(
+            forecast, own, options.line, layer=options.layer, probability=options.probability
+        )
+        write_bytes(
+            output, xml_of(with_constraints(own.profile, own.segments, rows, "Low_Adhesion"))
+        )
+        return {"journey": own.name, "stretches_of_low_adhesion": len(rows)}
+    if kind == "parameters":
+        return _write_characteristics(read_parameters(first), own, output)
+    if kind == "trip":
+        return _write_reports(first, own, Path(journey), output, options)
+    raise InputError(
+        f"is nothing that SFERA has a place for{f', but a {kind} file' if kind else ''}",
+        file=first,
+        remedy="give trajectories, a forecast (.csv), a parameter set or a trip (.mcap)",
+    )
+
+
+def _write_advice(
+    sections: Sequence[Trajectory], own: SferaJourney, output: str | Path, options: SferaOptions
+) -> dict[str, object]:
+    rows = advised(
+        journey_advice(sections, own.line),
+        own,
+        changes_apart=options.changes_apart,
+        passed=options.passed or 0.0,
+    )
+    constraints = advice_constraints(rows)
+    said: dict[str, object] = {"journey": own.name, "advised_speeds": len(rows)}
+    if options.passed is None:
+        profile = with_constraints(
+            own.profile, own.segments, constraints, "AdvisedSpeed", "PowerAdvice"
+        )
+        write_bytes(output, xml_of(profile))
+        return {**said, "version": profile.text("JP_Version")}
+    ahead = [each for each in constraints if each.kind == "AdvisedSpeed"]
+    now = datetime.datetime.now(datetime.UTC)
+    write_bytes(output, xml_of(advice_message(own.profile, own.segments, ahead, now, SENDER)))
+    return said
+
+
+def _write_characteristics(
+    learned: ParameterSet, own: SferaJourney, output: str | Path
+) -> dict[str, object]:
+    if learned.common is None:
+        raise InputError(
+            "the parameter set holds no fit of all trips together",
+            remedy="fit two trips or more with 'trainlog fit'",
+        )
+    if own.characteristics is None:
+        raise InputError(
+            "the journey names no train characteristics",
+            remedy="add TrainCharacteristicsRef, and the document that it names",
+        )
+    now = datetime.datetime.now(datetime.UTC)
+    found = with_resistance(own.characteristics, learned.common, published=now)
+    write_bytes(output, xml_of(found))
+    return {"train": learned.train, "version_of_characteristics": found.text("TC_VersionMinor")}
+
+
+def _write_reports(
+    log: Path, own: SferaJourney, journey: Path, output: str | Path, options: SferaOptions
+) -> dict[str, object]:
+    trip = read_log(log)
+    line = options.line
+    if line is None and LINE_ATTACHMENT in trip.attachments:
+        line = line_of(trip)
+    reports = reports_of(trip, own, line, options.every)
+    with atomic_write(output) as path, ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        for name, data in documents_in(journey):
+            if is_sfera(data):
+                archive.writestr(Path(name).name, data)
+        for number, each in enumerate(reports, 1):
+            message = status_report(each, own.segments, own.profile, SENDER)
+            archive.writestr(f"report-{number:05d}.xml", xml_of(message))
+    return {"journey": own.name, "reports": len(reports)}

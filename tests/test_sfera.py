@@ -1,0 +1,433 @@
+"""SFERA: journeys in, advice and what was learned out; documents of our own."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Callable
+from pathlib import Path
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+from command import Shell
+from refusals import refused
+
+from trainlog.errors import InputError
+from trainlog.formats.railml import Element, parsed_xml
+from trainlog.formats.sfera import LARGEST, SferaJourney, filled, read_sfera
+from trainlog.formats.sfera_messages import (
+    Constraint,
+    Report,
+    status_report,
+    with_constraints,
+    with_resistance,
+    xml_of,
+)
+from trainlog.formats.tracks import LimitChoice
+from trainlog.ingest import ingest
+from trainlog.railway import EffortCurve, Line, RunningResistance, Station, StepProfile
+
+ZONE = "<SP_Zone><IM_ID>0099</IM_ID></SP_Zone>"
+
+JOURNEY = f"""<?xml version="1.0" encoding="UTF-8"?>
+<JourneyProfile JP_Status="Valid" JP_Version="3">
+  <TrainIdentification><OTN_ID>
+    <teltsi_Company>1099</teltsi_Company>
+    <teltsi_OperationalTrainNumber>4711</teltsi_OperationalTrainNumber>
+    <teltsi_StartDate>2026-05-17</teltsi_StartDate>
+  </OTN_ID></TrainIdentification>
+  <SegmentProfileReference SP_ID="A" SP_VersionMajor="1" SP_VersionMinor="2">
+    {ZONE}
+    <TimingPointConstraints TP_StopSkipPass="Stopping_Point">
+      <TimingPointReference><TP_ID_Reference TP_ID="a"/></TimingPointReference>
+      <StoppingPointDepartureDetails departureTime="2026-05-17T06:30:00Z"/>
+    </TimingPointConstraints>
+    <TrainCharacteristicsRef TC_ID="unit" TC_VersionMajor="1" TC_VersionMinor="0">
+      <TC_RU_ID>1099</TC_RU_ID>
+    </TrainCharacteristicsRef>
+  </SegmentProfileReference>
+  <SegmentProfileReference SP_ID="B" SP_VersionMajor="1" SP_Direction="Reverse">
+    {ZONE}
+    <TimingPointConstraints TP_StopSkipPass="Stopping_Point" arrivalWindow="PT1M"
+        TP_latestArrivalTime="2026-05-17T06:33:00Z">
+      <TimingPointReference><TP_ID_Reference TP_ID="b"/></TimingPointReference>
+      <StoppingPointDepartureDetails departureTime="2026-05-17T06:34:00Z"/>
+    </TimingPointConstraints>
+    <TemporaryConstraints startEndQualifier="StartsEnds" startLocation="200" endLocation="500"
+        temporaryConstraintType="ASR"><AdditionalSpeedRestriction ASR_Speed="40"/>
+    </TemporaryConstraints>
+    <TemporaryConstraints startEndQualifier="WholeSP" startTime="2026-05-18T00:00:00Z"
+        temporaryConstraintType="ASR"><AdditionalSpeedRestriction ASR_Speed="20"/>
+    </TemporaryConstraints>
+    <TemporaryConstraints startEndQualifier="WholeSP" temporaryConstraintType="Wind">
+      <Wind windSpeed="40" windHeading="90"/>
+    </TemporaryConstraints>
+  </SegmentProfileReference>
+  <SegmentProfileReference SP_ID="C" SP_VersionMajor="2">
+    {ZONE}
+    <TimingPointConstraints TP_StopSkipPass="Passing_Point"
+        TP_latestArrivalTime="2026-05-17T06:36:00Z">
+      <TimingPointReference><TimingPointZoneReference identifier="z"/></TimingPointReference>
+    </TimingPointConstraints>
+    <TimingPointConstraints TP_StopSkipPass="Stopping_Point"
+        TP_latestArrivalTime="2026-05-17T06:38:00Z">
+      <TimingPointReference><TP_ID_Reference TP_ID="d"/></TimingPointReference>
+    </TimingPointConstraints>
+  </SegmentProfileReference>
+</JourneyProfile>
+"""
+
+A = f"""<SegmentProfile SP_ID="A" SP_VersionMajor="1" SP_VersionMinor="2" SP_Length="2000">
+  {ZONE}
+  <SP_Points>
+    <TimingPoint TP_ID="a" location="100"><TP_Name name="Amstad"/></TimingPoint>
+    <VirtualBalise location="0">
+      <VirtualBalisePosition latitude="47.0" longitude="8.0"/></VirtualBalise>
+    <VirtualBalise location="2000">
+      <VirtualBalisePosition latitude="47.018" longitude="8.0"/></VirtualBalise>
+  </SP_Points>
+  <SP_Characteristics>
+    <StaticSpeedProfile>
+      <StaticSpeedProfileStart SSP_Speed="60"/>
+      <StaticSpeedProfileChange SSP_Speed="100" location="800">
+        <SpecificSSP V_DIFF="20"><OtherSpecificSSP trainCategoryCode="R"/></SpecificSSP>
+      </StaticSpeedProfileChange>
+    </StaticSpeedProfile>
+    <Gradient>
+      <GradientStart gradientValue="0" gradientDirection="Uphill"/>
+      <GradientChange gradientValue="12.5" gradientDirection="Downhill" location="1500"/>
+    </Gradient>
+    <Curves>
+      <CurveStart curveRadius="0"/>
+      <CurveChange curveRadius="500" curveDirection="Left" location="1000"/>
+      <CurveChange curveRadius="0" location="1200"/>
+    </Curves>
+  </SP_Characteristics>
+  <SP_ContextInformation>
+    <KilometreReferencePoint location="0"><KM_Reference kmRef="12.0"/></KilometreReferencePoint>
+    <KilometreReferencePoint location="1000"><KM_Reference kmRef="13.0"/></KilometreReferencePoint>
+    <KilometreReferencePoint location="1500"><KM_Reference kmRef="20.0"/></KilometreReferencePoint>
+  </SP_ContextInformation>
+</SegmentProfile>
+"""
+
+B = f"""<SegmentProfile SP_ID="B" SP_VersionMajor="1" SP_Length="1500">
+  {ZONE}
+  <SP_Points><TimingPoint TP_ID="b" location="300">
+    <TAF_TAP_LocationReference><teltsi_CountryCodeISO>CH</teltsi_CountryCodeISO>
+      <teltsi_LocationPrimaryCode>42</teltsi_LocationPrimaryCode></TAF_TAP_LocationReference>
+  </TimingPoint></SP_Points>
+  <SP_Areas>
+    <Tunnel startEndQualifier="StartsEnds" startLocation="1000" endLocation="1400"
+        tunnelFactor="48"/>
+    <TAF_TAP_Location startEndQualifier="StartsEnds" startLocation="200" endLocation="400">
+      <TAF_TAP_LocationIdent><teltsi_CountryCodeISO>CH</teltsi_CountryCodeISO>
+        <teltsi_LocationPrimaryCode>42</teltsi_LocationPrimaryCode>
+        <teltsi_PrimaryLocationName>Bergen</teltsi_PrimaryLocationName></TAF_TAP_LocationIdent>
+    </TAF_TAP_Location>
+    <GuardRails startEndQualifier="WholeSP"/>
+  </SP_Areas>
+  <SP_Characteristics>
+    <StaticSpeedProfile><StaticSpeedProfileStart SSP_Speed="80"/></StaticSpeedProfile>
+    <Gradient><GradientStart gradientValue="5" gradientDirection="Uphill"/></Gradient>
+    <Curves><CurveStart curveRadius="800" curveDirection="Right"/></Curves>
+  </SP_Characteristics>
+</SegmentProfile>
+"""
+
+C = f"""<SegmentProfile SP_ID="C" SP_VersionMajor="2" SP_Length="1000">
+  {ZONE}
+  <SP_Points>
+    <TimingPoint TP_ID="c" location="200"><TimingPointZone identifier="z"/></TimingPoint>
+    <TimingPoint TP_ID="d" location="900"/>
+  </SP_Points>
+  <SP_Characteristics>
+    <StaticSpeedProfile><StaticSpeedProfileStart SSP_Speed="120"/></StaticSpeedProfile>
+  </SP_Characteristics>
+</SegmentProfile>
+"""
+
+UNIT = """<TrainCharacteristics TC_ID="unit" TC_VersionMajor="1" TC_VersionMinor="0">
+  <TC_RU_ID>1099</TC_RU_ID>
+  <TC_Features trainLength="75" trainMaxSpeed="160" trainWeight="122" rotatingMassFactor="1.08"
+      rolloutCoefficientA="2300" rolloutCoefficientB="61.2" rolloutCoefficientC="12"
+      comfortableBraking="0.7">
+    <TractionForceCurve>
+      <TractionForceCurveDataPoint speed="0" tractionForce="200000"/>
+      <TractionForceCurveDataPoint speed="46.8" tractionForce="200000"/>
+      <TractionForceCurveDataPoint speed="160" tractionForce="58500"/>
+      <TFC_TractionType><Electrical voltageValue="15000" frequency="16.7"/></TFC_TractionType>
+    </TractionForceCurve>
+  </TC_Features>
+</TrainCharacteristics>
+"""
+
+DOCUMENTS = {"jp": JOURNEY, "a": A, "b": B, "c": C, "tc": UNIT}
+
+
+def folder_with(folder: Path, **changed: str) -> Path:
+    for name, text in (DOCUMENTS | changed).items():
+        if text:
+            (folder / f"{name}.xml").write_text(text, "utf-8")
+    return folder
+
+
+@pytest.fixture
+def found(tmp_path: Path) -> SferaJourney:
+    (journey,) = read_sfera(folder_with(tmp_path))
+    return journey
+
+
+def test_segments_follow_each_other_in_their_direction(found: SferaJourney) -> None:
+    line = found.line
+    assert line.length == 4_500.0
+    at = [400.0, 1_200.0, 1_700.0, 2_500.0, 3_900.0]
+    assert np.round(3.6 * line.speed_limit(at)).tolist() == [60, 100, 100, 80, 120]
+    # Uphill in the nominal direction is downhill against it.
+    assert (1e3 * line.gradient(at)).tolist() == [0.0, 0.0, -12.5, -5.0, 0.0]
+    assert line.curvature([1_100.0, 2_500.0]).tolist() == pytest.approx([-1 / 500, -1 / 800])
+    (tunnel,) = line.tunnels
+    assert (tunnel.position, tunnel.length, tunnel.cross_section) == (2_100.0, 400.0, 48.0)
+    assert [(each.name, each.position) for each in line.stations] == [
+        ("Amstad", 100.0), ("Bergen", 3_200.0), ("c", 3_700.0), ("d", 4_400.0),
+    ]  # fmt: skip
+    assert "gradients" in line.assumed
+
+
+def test_kilometres_jump_where_the_stones_say_so(found: SferaJourney) -> None:
+    reference = found.line.reference
+    assert reference is not None
+    assert reference.at([0.0, 1_000.0, 1_400.0, 1_600.0], 4_500.0).tolist() == [
+        12_000.0, 13_000.0, 13_400.0, 20_100.0,
+    ]  # fmt: skip
+
+
+def test_a_restriction_holds_while_the_train_runs(found: SferaJourney) -> None:
+    """Of segment B, run over in reverse: from 200 to 500 m of it."""
+    assert (3.6 * found.line.speed_limit([2_900.0, 3_100.0, 3_400.0])).round().tolist() == [
+        80,
+        40,
+        80,
+    ]
+    assert "speed restrictions at other times: 1" in found.left_out
+    assert "temporary constraints (Wind): 1" in found.left_out
+    assert "GuardRails: 1" in found.left_out
+
+
+def test_the_timetable_has_stops_windows_and_passing_times(found: SferaJourney) -> None:
+    assert found.journey is not None
+    rows = [(p.position, p.earliest, p.latest, p.highest_speed) for p in found.journey.points]
+    assert rows == [
+        (100.0, 0.0, 0.0, 0.0),
+        (3_200.0, 120.0, 180.0, 0.0),
+        (3_200.0, 240.0, None, 0.0),
+        (3_700.0, None, 360.0, None),
+        (4_400.0, None, 480.0, 0.0),
+    ]
+
+
+def test_the_train_is_that_of_its_characteristics(found: SferaJourney) -> None:
+    train = found.train
+    assert train is not None
+    assert (train.mass, train.length, round(3.6 * train.max_speed)) == (122e3, 75.0, 160)
+    assert train.rotating_mass_factor == pytest.approx(0.08)
+    assert (train.resistance.r0, train.resistance.r1, train.resistance.r2) == (2300.0, 61.2, 12.0)
+    assert train.tractive_effort_limit([5.0, 160 / 3.6]).tolist() == pytest.approx([200e3, 58.5e3])
+    assert train.max_deceleration == 0.7
+    assert "max_acceleration" in train.assumed
+
+
+def test_limits_of_a_category_are_chosen(tmp_path: Path) -> None:
+    (journey,) = read_sfera(folder_with(tmp_path), LimitChoice("R"))
+    assert (3.6 * journey.line.speed_limit([400.0, 1_200.0])).round().tolist() == [60, 120]
+
+
+def test_an_archive_and_a_message_hold_the_same(tmp_path: Path, found: SferaJourney) -> None:
+    wrapped = "".join(DOCUMENTS.values()).replace('<?xml version="1.0" encoding="UTF-8"?>', "")
+    payload = f"<G2B_ReplyPayload>{wrapped}</G2B_ReplyPayload>"
+    message = f"<SFERA_G2B_ReplyMessage>{payload}</SFERA_G2B_ReplyMessage>"
+    with ZipFile(tmp_path / "all.zip", "w") as archive:
+        archive.writestr("message.xml", message)
+    (again,) = read_sfera(tmp_path / "all.zip")
+    assert again.line == found.line
+    assert again.journey == found.journey
+    assert again.train == found.train
+
+
+def test_too_few_characteristics_are_named(tmp_path: Path) -> None:
+    poor = UNIT.replace('rolloutCoefficientA="2300"', "")
+    (journey,) = read_sfera(folder_with(tmp_path, tc=poor))
+    assert journey.train is None
+    assert "train 'unit': its characteristics lack rollout coefficient A: 1" in journey.left_out
+
+
+TWICE = '"B" SP_VersionMajor="1" SP_Direction="Reverse"'
+ENTITY = '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><JourneyProfile/>'
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"b": ""}, "refers to segment 'B' of 0099, which is not given"),
+        ({"b": B.replace('Major="1"', 'Major="3"')}, r"in version 1\.0; given is version 3\.0"),
+        ({"a": A.replace('"2000"', '"-5"', 1)}, "SP_Length -5 m is not positive"),
+        ({"a": A.replace('location="800"', 'location="8000"')}, "8000 m is not in its segment"),
+        ({"a": A.replace("12.5", "steep")}, "gradientValue 'steep' is not a finite number"),
+        ({"a": A[:200]}, "is no XML"),
+        ({"jp": JOURNEY.replace("T06:33:00Z", "T26:33:00Z")}, "is no time"),
+        ({"jp": JOURNEY.replace("PT1M", "soon")}, "'soon' is no duration"),
+        ({"jp": JOURNEY.replace('TP_ID="d"', 'TP_ID="x"')}, "refers to the timing point 'x'"),
+        ({"jp": JOURNEY.replace('"C" SP_VersionMajor="2"', TWICE)}, "twice in the same direction"),
+        ({"jp": ENTITY}, "declares the entity"),
+    ],
+)  # fmt: skip
+def test_malformed_documents_are_one_line(
+    tmp_path: Path, changed: dict[str, str], said: str
+) -> None:
+    error = refused(InputError, said, read_sfera, folder_with(tmp_path, **changed))
+    assert error.file is not None
+    assert error.remedy
+
+
+def test_a_huge_document_is_refused(tmp_path: Path) -> None:
+    folder_with(tmp_path)
+    with (tmp_path / "z.xml").open("wb") as file:
+        file.truncate(LARGEST + 1)
+    refused(InputError, "documents of up to", read_sfera, tmp_path)
+
+
+def test_a_line_of_ours_fills_what_the_journey_lacks(tmp_path: Path, found: SferaJourney) -> None:
+    """By stations of the same names; our line runs the other way, and a little longer."""
+    own = Line(
+        name="ours",
+        length=5_000.0,
+        stations=(Station("d", 600.0), Station("Bergen", 1_805.0), Station("Amstad", 4_920.0)),
+        speed_limits=StepProfile(np.zeros(1), np.array([40.0])),
+        gradients=StepProfile(np.array([0.0, 1_200.0]), np.array([4e-3, -7e-3])),
+    )
+    line, said = filled(found.line, own)
+    # Ours climbs 7 per mille from Amstad on until 1,200 m, then falls by 4.
+    assert (1e3 * line.gradient([50.0, 500.0, 3_000.0, 4_300.0, 4_450.0])).tolist() == [
+        0,
+        7,
+        7,
+        -4,
+        0,
+    ]
+    assert "gradients" in line.assumed
+    assert said[0] == "gradients from line 'ours', km 0.100 to km 4.400"
+    assert said[1:] == ["level and straight elsewhere", "places by the names of stations"]
+
+
+def test_the_command_writes_line_journey_and_train(tmp_path: Path, shell: Shell) -> None:
+    (tmp_path / "in").mkdir()
+    folder_with(tmp_path / "in")
+    status, shown, _ = shell("import", str(tmp_path / "in"), "-o", str(tmp_path / "out"))
+    assert status == 0
+    names = sorted(each.name for each in (tmp_path / "out").iterdir())
+    assert names == [f"1099-4711-2026-05-17.{kind}.json" for kind in ("journey", "line", "train")]
+    assert "not taken over: GuardRails: 1" in " ".join(shown.split())
+
+
+# ------------------------------------------------------------------------------------- messages out
+
+
+@pytest.fixture(scope="session")
+def valid() -> Callable[[Element], bytes]:
+    """Writes a document; checked against the schema where the variable SFERA_XSD names it."""
+    path = os.environ.get("SFERA_XSD")
+    schema = None
+    if path:
+        etree = pytest.importorskip("lxml.etree")
+        schema = etree.XMLSchema(etree.parse(path))
+
+    def written(element: Element) -> bytes:
+        data = xml_of(element)
+        if schema is not None:
+            schema.assertValid(etree.fromstring(data))
+        return data
+
+    return written
+
+
+def test_what_is_written_follows_the_schema(valid: Callable[[Element], bytes]) -> None:
+    if "SFERA_XSD" not in os.environ:
+        pytest.skip("the variable SFERA_XSD does not name the schema of SFERA 4.00")
+    for text in DOCUMENTS.values():
+        valid(parsed_xml(text.encode(), "own.xml"))
+
+
+def test_constraints_come_back_where_they_were_put(
+    tmp_path: Path, found: SferaJourney, valid: Callable[[Element], bytes]
+) -> None:
+    """Over the end of A and all of B into C, travelled A forward, B in reverse, C forward."""
+    given = [
+        Constraint(500.0, 3_700.0, "ASR", {"ASR_Speed": "30"}, "AdditionalSpeedRestriction"),
+        Constraint(2_200.0, 2_300.0, "ASR", {"ASR_Speed": "25"}, "AdditionalSpeedRestriction"),
+    ]
+    profile = with_constraints(found.profile, found.segments, given, "ASR")
+    (again,) = read_sfera(folder_with(tmp_path, jp=valid(profile).decode()))
+    at = [450.0, 550.0, 2_100.0, 2_250.0, 3_650.0, 3_750.0]
+    assert (3.6 * again.line.speed_limit(at)).round().tolist() == [60, 30, 30, 25, 30, 120]
+    assert again.profile.text("JP_Version") == "4"
+    assert again.journey == found.journey
+
+
+def test_what_was_learned_comes_back_as_the_next_version(
+    tmp_path: Path, valid: Callable[[Element], bytes]
+) -> None:
+    element = parsed_xml(UNIT.encode(), "tc.xml")
+    curve = EffortCurve(np.array([0.0, 20.0, 40.0]), np.array([180e3, 150e3, 70e3]))
+    learned = RunningResistance(1_987.6, 45.1, 9.87)
+    with_resistance(element, learned, mass=130e3, rotating_mass_factor=0.1, traction=curve)
+    text = valid(element).decode()
+    jp = JOURNEY.replace('TC_VersionMinor="0"', 'TC_VersionMinor="1"')
+    (again,) = read_sfera(folder_with(tmp_path, tc=text, jp=jp))
+    assert again.train is not None
+    assert (again.train.mass, again.train.resistance) == (130e3, learned)
+    assert again.train.rotating_mass_factor == pytest.approx(0.1)
+    assert again.train.traction_curve is not None
+    assert again.train.traction_curve.efforts.tolist() == curve.efforts.tolist()
+
+
+def test_a_report_states_where_the_train_is_in_its_segment(
+    found: SferaJourney, valid: Callable[[Element], bytes]
+) -> None:
+    time = datetime.datetime(2026, 5, 17, 6, 32, 5, tzinfo=datetime.UTC)
+    report = Report(time, 2_400.0, 22.5, slips=True, margin=7.5)
+    message = parsed_xml(
+        valid(status_report(report, found.segments, found.profile, "unit 17")), "report.xml"
+    )
+    own = message.first("B2G_EventPayload", "B2G_StatusReport", "PositionSpeed")
+    assert own is not None
+    # 400 m from the end of B, which is run over in reverse.
+    assert (own.text("SP_ID"), own.number("location"), own.number("speed")) == ("B", 1_100.0, 81.0)
+    (status,) = message.all("B2G_EventPayload", "B2G_StatusReport")
+    assert status.text("slipSlideReported") == "true"
+    assert status_report(report, found.segments, found.profile, "unit 17") is not None
+
+
+def reports_of(found: SferaJourney, folder: Path, *, every: float = 5.0) -> Path:
+    """An archive of a journey and the reports of a train that runs over it at 72 km/h."""
+    start = datetime.datetime(2026, 5, 17, 6, 30, tzinfo=datetime.UTC)
+    with ZipFile(folder / "reports.zip", "w") as archive:
+        for name, text in DOCUMENTS.items():
+            archive.writestr(f"{name}.xml", text)
+        for number, at in enumerate(np.arange(100.0, 4_400.0, 20.0 * every)):
+            time = start + datetime.timedelta(seconds=every * number)
+            report = Report(time, float(at), 20.0, slips=2_000.0 < at < 2_300.0)
+            message = status_report(report, found.segments, found.profile, "unit 17")
+            archive.writestr(f"report-{number:04d}.xml", xml_of(message))
+    return folder / "reports.zip"
+
+
+def test_reports_of_a_train_are_a_recording(tmp_path: Path, found: SferaJourney) -> None:
+    trip = ingest(reports_of(found, tmp_path))
+    state = trip["/train/state"]
+    assert state.position.to_numpy()[[0, -1]].tolist() == [100.0, 4_300.0]
+    assert np.ptp(np.diff(state.position)) < 0.01
+    assert set(state.speed.round(6)) == {20.0}
+    (event,) = trip["/events"].query("name == 'slip protection'").index
+    assert state.position.loc[event] == pytest.approx(2_100.0)
+    assert trip.metadata["line"] == found.line.name

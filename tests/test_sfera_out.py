@@ -1,0 +1,319 @@
+"""SFERA: advice, rail condition, resistance and reports that go out, on journeys over our lines."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Shell
+from refusals import refused
+
+import trainlog
+from analysis import sfera
+from analysis.sfera import advised, low_adhesion, write_sfera
+from analysis.trajectory.advice import journey_advice
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from trainlog.errors import InputError
+from trainlog.formats.railml import Element, parsed_xml
+from trainlog.formats.railway import write_parameters, write_trajectory
+from trainlog.formats.sfera import SferaJourney, read_sfera
+from trainlog.formats.sfera_messages import ADHESION, with_constraints, xml_of
+from trainlog.ingest import ingest
+from trainlog.railway import (
+    Configuration,
+    ParameterSet,
+    RunningResistance,
+    Train,
+    Trajectory,
+)
+from trainlog.railway.condition import AdhesionForecast
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
+from benchmark_random import random_problem
+from make_journey import DEPARTURE, documents_of, write_journey
+
+KMH = 3.6
+CUTS = [9_286.1, 14_476.1, 20_086.1]
+
+
+def checked(data: bytes) -> Element:
+    """A document; by the schema, where the variable SFERA_XSD names it."""
+    if path := os.environ.get("SFERA_XSD"):
+        etree = pytest.importorskip("lxml.etree")
+        etree.XMLSchema(etree.parse(path)).assertValid(etree.fromstring(data))
+    return parsed_xml(data, "written.xml")
+
+
+@pytest.fixture(scope="module")
+def wil(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A journey over St.Gallen-Wil."""
+    folder = tmp_path_factory.mktemp("wil") / "journey"
+    line, train = trainlog.read_line("sample"), trainlog.read_train("sample")
+    return write_journey(folder, line, CUTS, train)
+
+
+@pytest.fixture(scope="module")
+def plan(wil: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A trajectory over the whole of it."""
+    (journey,) = read_sfera(wil)
+    assert journey.train is not None
+    file = tmp_path_factory.mktemp("plan") / "trajectory.json"
+    write_trajectory(planned(journey, journey.train), file)
+    return file
+
+
+def planned(journey: SferaJourney, train: Train) -> Trajectory:
+    problem = TrajectoryProblem(journey.line, train, [Configuration.of(train)], end=20_086.1)
+    return optimise(problem, OptimiserOptions(150))
+
+
+def constraints_in(journey: SferaJourney, tag: str) -> Iterator[tuple[float, float, Element]]:
+    """From where to where [m] along the journey its constraints of a kind reach, per segment."""
+    for segment in journey.segments:
+        for each in segment.reference.all("TemporaryConstraints"):
+            found = each.first(tag)
+            if found is None:
+                continue
+            ends = [
+                each.number(name, default)
+                for name, default in (
+                    ("startLocation", segment.length if segment.reverse else 0.0),
+                    ("endLocation", 0.0 if segment.reverse else segment.length),
+                )
+            ]
+            first, last = (
+                segment.begin + (segment.length - at if segment.reverse else at) for at in ends
+            )
+            yield first, last, found
+
+
+def test_a_line_as_a_journey_comes_back_as_the_line(wil: Path) -> None:
+    line, (journey,) = trainlog.read_line("sample"), read_sfera(wil)
+    at = np.arange(1.0, line.length, 7.0)
+    assert np.array_equal(journey.line.speed_limit(at), line.speed_limit(at))
+    assert np.allclose(journey.line.gradient(at), line.gradient(at), atol=1e-12)
+    for name, data in documents_of(line, CUTS, trainlog.read_train("sample")).items():
+        assert checked(data).tag, name
+
+
+@pytest.mark.parametrize("apart", [0.0, 25.0])
+@pytest.mark.parametrize(
+    "number", [3, 8, *(pytest.param(each, marks=pytest.mark.long) for each in range(40, 60))]
+)
+def test_advice_keeps_to_limits_and_changes_seldom(
+    number: int, apart: float, tmp_path: Path
+) -> None:
+    """Of random lines and trains: nowhere above a limit, no change too soon, nothing left out."""
+    problem = random_problem(number)
+    cuts = (problem.line.length * np.array([0.2, 0.55, 0.6])).tolist()
+    (journey,) = read_sfera(write_journey(tmp_path / "in", problem.line, cuts, problem.train))
+    end = min(problem.end, journey.line.length)
+    found = optimise(replace(problem, line=journey.line, end=end), OptimiserOptions(100))
+    rows = advised(journey_advice([found], journey.line), journey, changes_apart=apart)
+    profile = with_constraints(
+        journey.profile, journey.segments, sfera.advice_constraints(rows), "AdvisedSpeed"
+    )
+    (tmp_path / "in" / "journey.xml").write_bytes(xml_of(profile))
+    checked(xml_of(profile))
+    (again,) = read_sfera(tmp_path / "in")
+    covered = np.zeros(int(problem.line.length) + 1, dtype=bool)
+    for first, last, stated in constraints_in(again, "AdvisedSpeed"):
+        within = np.arange(np.ceil(first), np.floor(last - 1e-6) + 1)
+        limits = KMH * problem.line.limits_over(found.protected_length)(within)
+        assert stated.number("optimalSpeed", 0.0) <= limits.min(initial=np.inf) + 1e-6
+        covered[within.astype(int)] = True
+    places = np.arange(np.ceil(found.positions[0]), np.floor(found.positions[-1])).astype(int)
+    assert covered[places].mean() > 0.999
+    times = [each.time for each in rows]
+    assert np.diff(times).min(initial=np.inf) >= apart
+
+
+def test_there_is_no_advice_for_what_lies_behind(plan: Path, wil: Path, tmp_path: Path) -> None:
+    options = sfera.SferaOptions(passed=11_000.0)
+    write_sfera([plan], wil, tmp_path / "ahead.xml", options)
+    message = checked((tmp_path / "ahead.xml").read_bytes())
+    every = list(message.all("G2B_EventPayload", "C_DAS_C_Advice"))
+    (journey,) = read_sfera(wil)
+    whole = advised(journey_advice([trainlog.read_trajectory(plan)]), journey)
+    assert len(every) == sum(each.end > 11_001.0 for each in whole)
+    info = next(every[0].all("SegmentProfileInfo"))
+    # In the second segment, run over in reverse from its end at 9,286.1 m on.
+    assert (info.text("SP_ID"), info.number("startLocation")) == ("S1", pytest.approx(3_476.1))
+    assert every[-1].text("adviceType") == "StopAdvice"
+    assert "optimalSpeed" not in every[-1].attributes
+
+
+def test_advice_replaces_that_of_the_version_before(plan: Path, wil: Path, tmp_path: Path) -> None:
+    write_sfera([plan], wil, tmp_path / "once.xml")
+    for file in wil.glob("[!j]*.xml"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    found = write_sfera([plan], tmp_path / "once.xml", tmp_path / "twice.xml")
+    once, twice = (checked((tmp_path / name).read_bytes()) for name in ("once.xml", "twice.xml"))
+    assert found["version"] == "3"
+    assert twice.text("JP_Version") == "3"
+    assert [e.attributes for e in once.every() if e.tag == "AdvisedSpeed"] == [
+        e.attributes for e in twice.every() if e.tag == "AdvisedSpeed"
+    ]
+    assert any(each.tag == "PowerAdvice" for each in twice.every())
+
+
+def test_a_plan_on_another_line_is_refused(plan: Path, tmp_path: Path) -> None:
+    line = trainlog.read_line("sample").section(0.0, 21_000.0)
+    other = write_journey(tmp_path / "in", line, [9_000.0], trainlog.read_train("sample"))
+    error = refused(
+        InputError, "is planned on line", write_sfera, [plan], other, tmp_path / "x.xml"
+    )
+    assert "trainlog import" in str(error.remedy)
+
+
+def forecast_of(
+    line: str, values: list[float], layers: list[str] | None = None
+) -> AdhesionForecast:
+    count, day = len(values), 86_400 * 10**9
+    start = 1_000.0 * np.arange(count)
+    begins = np.full(count, 20_590 * day)
+    layer = tuple(layers or ["wet"] * count)
+    none = np.zeros(0), np.zeros((count, 0))
+    return AdhesionForecast(
+        line, start, start + 1_000.0, begins, begins + day, begins, layer,
+        np.array([0.05]), np.array(values)[:, None], *none,
+    )  # fmt: skip
+
+
+def test_low_adhesion_is_stated_where_the_forecast_knows_it(wil: Path, tmp_path: Path) -> None:
+    """Of a line of ours in the other direction; equal neighbours are one, dry and unknown none."""
+    own = replace(trainlog.read_line("sample").reversed(), name="ours")
+    (journey,) = read_sfera(wil)
+    values = [np.nan] * 12 + [0.04, 0.04, 0.1, 0.3, np.nan, 0.02]
+    rows = low_adhesion(forecast_of("ours", values), journey, own, layer="wet")
+    length = own.length
+    assert [
+        (round(each.begin), round(each.end), each.attributes["lowAdhesionCategory"])
+        for each in rows
+    ] == [
+        (round(length - 18_000), round(length - 17_000), "Extremely Low Adhesion"),
+        (round(length - 15_000), round(length - 14_000), "Dry Rail (Low)"),
+        (round(length - 14_000), round(length - 12_000), "Very Low Adhesion"),
+    ]
+    profile = with_constraints(journey.profile, journey.segments, rows, "Low_Adhesion")
+    checked(xml_of(profile))
+    (tmp_path / "journey.xml").write_bytes(xml_of(profile))
+    for file in wil.glob("[!j]*.xml"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (again,) = read_sfera(tmp_path / "journey.xml")
+    found = list(constraints_in(again, "LowAdhesion"))
+    assert round(sum(last - first for first, last, _ in found)) == 4_000
+    reasons = {
+        each.attributes["startTime"]
+        for each in again.profile.every()
+        if "startTime" in each.attributes
+    }
+    assert reasons == {"2026-05-17T00:00:00Z"}
+
+
+def test_a_forecast_by_conditions_asks_which_one(wil: Path) -> None:
+    (journey,) = read_sfera(wil)
+    forecast = forecast_of(journey.line.name, [0.04, 0.05], ["wet", "dry"])
+    error = refused(InputError, "each for one rail condition", low_adhesion, forecast, journey)
+    assert error.remedy == "name one with --layer: dry, wet"
+    refused(
+        InputError,
+        "does not state the quantile 0.5",
+        low_adhesion,
+        forecast,
+        journey,
+        layer="wet",
+        probability=0.5,
+    )
+    other = replace(forecast, line="other")
+    refused(InputError, "it is of line 'other'", low_adhesion, other, journey, layer="wet")
+
+
+def test_categories_descend() -> None:
+    bounds = [least for least, _ in ADHESION]
+    assert bounds == sorted(bounds, reverse=True)
+    assert bounds[-1] == 0.0
+
+
+def test_a_trip_becomes_reports_and_a_trip_again(wil: Path, tmp_path: Path) -> None:
+    """The sample's trip: half a second of time, and what 5 s without a report hide."""
+    log = Path("sample_logs/nonstop.mcap")
+    found = write_sfera([log], wil, tmp_path / "reports.zip")
+    trip, again = trainlog.read("sample_logs/nonstop.mcap"), ingest(tmp_path / "reports.zip")
+    assert found["reports"] == len(again["/train/state"])
+    state, own = again["/train/state"], trip["/train/state"]
+    when, known = (each.index.as_unit("ns").asi8 for each in (state, own))
+    place = np.interp(when, known, own.position)
+    assert np.abs(state.position - place).max() < 0.5
+    assert np.abs(state.speed - np.interp(when, known, own.speed)).max() < 0.05
+    assert again.metadata["line"] == read_sfera(wil)[0].line.name
+
+
+def test_what_was_learned_is_the_next_version(wil: Path, tmp_path: Path) -> None:
+    train = trainlog.read_train("sample")
+    common = RunningResistance(1_987.0, 40.0, 10.0)
+    learned = ParameterSet(train.name, (Configuration.of(train),), common, np.eye(3))
+    write_parameters(learned, tmp_path / "fitted.json")
+    found = write_sfera([tmp_path / "fitted.json"], wil, tmp_path / "unit.xml")
+    element = checked((tmp_path / "unit.xml").read_bytes())
+    features = element.first("TC_Features")
+    assert features is not None
+    assert [features.number(f"rolloutCoefficient{each}") for each in "ABC"] == [1_987.0, 40.0, 10.0]
+    assert found["version_of_characteristics"] == element.text("TC_VersionMinor") == "1"
+    alone = replace(learned, common=None, common_covariance=None)
+    write_parameters(alone, tmp_path / "alone.json")
+    refused(
+        InputError,
+        "no fit of all trips",
+        write_sfera,
+        [tmp_path / "alone.json"],
+        wil,
+        tmp_path / "x.xml",
+    )
+    assert not (tmp_path / "x.xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "output", "said"),
+    [
+        ("sample_logs/README.md", "x.xml", "is nothing that SFERA has a place for"),
+        ("sample_logs/nonstop.mcap", "x.xml", "is not the name of a .zip file"),
+        ("sample_logs/CH_StGallen_Wil.map", "x.xml", "but a map file"),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    wil: Path, tmp_path: Path, source: str, output: str, said: str
+) -> None:
+    error = refused(InputError, said, write_sfera, [Path(source)], wil, tmp_path / output)
+    assert error.remedy
+    assert not any(tmp_path.iterdir())
+
+
+def test_two_journeys_ask_which_one(wil: Path, plan: Path, tmp_path: Path) -> None:
+    for file in wil.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    other = (tmp_path / "journey.xml").read_text().replace(">17<", ">18<")
+    (tmp_path / "other.xml").write_text(other)
+    refused(InputError, "holds 2 journeys", write_sfera, [plan], tmp_path, tmp_path / "x.xml")
+    assert (
+        write_sfera([plan], tmp_path / "journey.xml", tmp_path / "x.xml")["journey"]
+        == "1099 17 2026-05-17"
+    )
+
+
+def test_the_command_writes_the_next_version(
+    wil: Path, plan: Path, tmp_path: Path, shell: Shell
+) -> None:
+    file = tmp_path / "advised.xml"
+    status, shown, _ = shell("sfera", str(plan), "--journey", str(wil), "-o", str(file))
+    assert status == 0
+    assert "advised speeds" in shown
+    assert checked(file.read_bytes()).text("JP_Version") == "2"
+    assert DEPARTURE.year == 2026

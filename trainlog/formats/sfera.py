@@ -1,0 +1,1098 @@
+"""SFERA 4.00 (UIC IRS 90940): journeys of driver advisory systems as line, journey and train.
+
+A JourneyProfile names segments in the order and direction in which a train runs over them, with
+times at timing points and temporary constraints; a SegmentProfile states what lies along a segment,
+by location [m] from its begin; TrainCharacteristics state the train. Speeds are in km/h, gradients
+in mm/m, kilometres in km, times in UTC. The documents come bare or in a message's payload, each in
+a file of its own, in a folder, or in a zip archive.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+
+from trainlog.arrays import FloatArray
+from trainlog.declaration import at as within_place
+from trainlog.errors import InputError
+from trainlog.formats.declared import built
+from trainlog.formats.files import beginning, read_bytes
+from trainlog.formats.railml import Element, parsed_xml
+from trainlog.formats.sfera_messages import Placed
+from trainlog.formats.tracks import (
+    Account,
+    Limit,
+    LimitChoice,
+    Stretch,
+    TrackData,
+    curvature_of,
+    distinct_names,
+)
+from trainlog.formats.ttobench import UNPUBLISHED, assumed_axles
+from trainlog.railway import (
+    EffortCurve,
+    Journey,
+    Line,
+    LineReference,
+    RunningResistance,
+    Station,
+    TimingPoint,
+    Train,
+)
+from trainlog.railway.line import composed
+from trainlog.units import KMH
+
+LARGEST = 2**25
+"""Larger documents are refused [bytes]: a journey over a whole country has a tenth of it."""
+
+ROOTS = re.compile(
+    rb"<(SFERA_\w+|[BG]2[BG]_\w+|JourneyProfile|SegmentProfile|TrainCharacteristics)\b"
+)
+"""How a document of SFERA begins."""
+
+_SLACK = 1.0
+"""A location may lie so far outside of its segment [m]: lengths are rounded."""
+
+_JUMP = 5.0
+"""Kilometres that differ by more from the way between two points [m] jump at the second."""
+
+_HELD = {
+    "SegmentProfile": {
+        "SP_Zone", "SP_Points", "SP_Areas", "SP_Characteristics", "SP_ContextInformation",
+    },
+    "SP_Points": {"TimingPoint", "VirtualBalise"},
+    "SP_Areas": {"Tunnel", "TAF_TAP_Location"},
+    "SP_Characteristics": {"StaticSpeedProfile", "Gradient", "Curves"},
+    "SP_ContextInformation": {"KilometreReferencePoint"},
+    "SegmentProfileReference": {
+        "SP_Zone", "TimingPointConstraints", "TemporaryConstraints", "TrainCharacteristicsRef",
+    },
+    "TC_Features": {"TractionForceCurve", "BrakingForceCurve"},
+}  # fmt: skip
+"""Of each element the parts that are used; others are counted as not used."""
+
+
+@dataclass(frozen=True)
+class SferaJourney:
+    """What a journey and its segments became.
+
+    Attributes
+    ----------
+    name : str
+        Of the train on its day.
+    line : Line
+        The segments in the order and direction in which they are run over.
+    journey : Journey or None
+        None where the profile has times at fewer than two places.
+    train : Train or None
+        None where its characteristics are not given, or too few.
+    left_out, assumed : list of str
+        What of the documents is not used, and what they leave open, with numbers, in words.
+    profile : Element
+        The JourneyProfile.
+    segments : tuple of Placed
+        Its references, with their places along the line.
+    characteristics : Element or None
+        The TrainCharacteristics that it names first.
+    """
+
+    name: str
+    line: Line
+    journey: Journey | None
+    train: Train | None
+    left_out: list[str]
+    assumed: list[str]
+    profile: Element
+    segments: tuple[Placed, ...]
+    characteristics: Element | None
+
+    def position(self, where: Element, last: float = 0.0) -> float:
+        """Position [m] along the journey of an element that names segment and location.
+
+        Of a segment that is run over several times that place which lies nearest to the `last`;
+        NaN if the journey does not run over it.
+        """
+        key, location = (_zone(where), where.text("SP_ID")), where.number("location")
+        found = [
+            each.begin + (each.length - location if each.reverse else location)
+            for each in self.segments
+            if (_zone(each.reference), each.reference.text("SP_ID")) == key
+        ]
+        return min(found, key=lambda at: abs(at - last), default=np.nan)
+
+
+def is_sfera(start: bytes) -> bool:
+    """Whether a file that begins so is a document of SFERA.
+
+    Examples
+    --------
+    >>> is_sfera(b'<?xml version="1.0"?><JourneyProfile JP_Status="Valid">'), is_sfera(b"<railml>")
+    (True, False)
+    """
+    return ROOTS.search(start[:4000]) is not None
+
+
+def is_source(path: str | Path) -> bool:
+    """Whether a file, folder or archive holds documents of SFERA.
+
+    Examples
+    --------
+    >>> is_source("sample_logs/CH_StGallen_Wil.line.json")
+    False
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".zip":
+        return path.is_file()
+    files = path.glob("*.xml") if path.is_dir() else [path]
+    with suppress(OSError):
+        return any(is_sfera(beginning(each)) for each in files if each.is_file())
+    return False
+
+
+def read_sfera(
+    path: str | Path, limits: LimitChoice | None = None, electrification: str | None = None
+) -> list[SferaJourney]:
+    """Read the journeys of SFERA documents, each with its segments and its train.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file, a folder, or a zip archive of XML files. Of a file alone, its folder's other
+        documents are looked at, too.
+    limits : LimitChoice, optional
+        Which of the speed limits hold.
+    electrification : str, optional
+        Whose efforts the train gets, where it has several: ``"electrical"``, ``"battery"``,
+        ``"diesel"`` or ``"hydrogen"``.
+
+    Raises
+    ------
+    InputError
+        If a document cannot be read, there is no journey, or one refers to a segment that is not
+        given, or not in its version.
+    """
+    documents = Documents.of(path)
+    if not documents.journeys:
+        raise InputError(
+            "holds no journey (JourneyProfile)",
+            file=path,
+            remedy="give the journey and its segments as files of one folder or archive",
+        )
+    return journeys_of(documents, limits, electrification)
+
+
+def journeys_of(
+    documents: Documents, limits: LimitChoice | None = None, electrification: str | None = None
+) -> list[SferaJourney]:
+    """The journeys of some documents; parameters and errors as `read_sfera`."""
+    choice = limits or LimitChoice()
+    return [
+        built(lambda each=each: _journey(each, documents, choice, electrification), file)  # type: ignore[misc]
+        for file, each in documents.newest()
+    ]
+
+
+def documents_in(path: Path) -> Iterator[tuple[str, bytes]]:
+    """The documents: a file and those beside it, all of a folder, or those of an archive."""
+    if path.suffix.lower() == ".zip":
+        try:
+            with ZipFile(path) as archive:
+                for each in archive.infolist():
+                    if each.filename.lower().endswith(".xml"):
+                        _check_size(each.file_size, f"{path}/{each.filename}")
+                        yield f"{path}/{each.filename}", archive.read(each)
+        except (BadZipFile, OSError, NotImplementedError) as error:
+            raise InputError(
+                f"is no archive that can be read: {error}", file=path, remedy="pack it again"
+            ) from error
+        return
+    files = sorted((path if path.is_dir() else path.parent).glob("*.xml"))
+    for file in files if path.is_dir() else [path, *(other for other in files if other != path)]:
+        if file.is_file():
+            _check_size(file.stat().st_size, file)
+        yield str(file), read_bytes(file)
+
+
+def _check_size(size: int, path: str | Path) -> None:
+    if size > LARGEST:
+        raise InputError(
+            f"has {size / 1e6:.0f} MB; documents of up to {LARGEST / 1e6:.0f} MB are read",
+            file=path,
+            remedy="give each journey and each segment as a document of its own",
+        )
+
+
+_Key = tuple[str, str]
+"""Zone, or company, and identifier."""
+
+
+@dataclass
+class Documents:
+    """The documents that are given.
+
+    Attributes
+    ----------
+    journeys : list of (file, Element)
+    segments, trains : dict of key to dict of version to (file, Element)
+    messages : list of Element
+        Reports of trains.
+    times : dict of int to datetime
+        Of the messages, by the `id` of their element: that of the header.
+    """
+
+    journeys: list[tuple[str, Element]] = field(default_factory=list)
+    segments: dict[_Key, dict[tuple[str, str], tuple[str, Element]]] = field(default_factory=dict)
+    trains: dict[_Key, dict[tuple[str, str], tuple[str, Element]]] = field(default_factory=dict)
+    messages: list[Element] = field(default_factory=list)
+    times: dict[int, datetime.datetime] = field(default_factory=dict)
+
+    @staticmethod
+    def of(path: str | Path) -> Documents:
+        """The documents of a file and its folder, of a folder, or of an archive."""
+        found, of = Documents(), Path(path)
+        whole = of.is_dir() or of.suffix.lower() == ".zip"
+        for name, data in documents_in(of):
+            named = name == str(path)
+            if named or is_sfera(data):
+                found.take(name, data, journeys=whole or named)
+        return found
+
+    def newest(self) -> list[tuple[str, Element]]:
+        """The journeys, each train's in its newest version."""
+        found: dict[str, tuple[str, Element]] = {}
+        for file, each in self.journeys:
+            name = _train_number(each)
+            before = found.get(name, (file, each))[1]
+            if each.number("JP_Version", 0.0) >= before.number("JP_Version", 0.0):
+                found[name] = file, each
+        return list(found.values())
+
+    def take(self, file: str, data: bytes, *, journeys: bool) -> None:
+        """Take what a file holds, with its journeys or without."""
+        header: Element | None = None
+        for each in parsed_xml(data, file).every():
+            if each.tag == "MessageHeader":
+                header = each
+            elif each.tag == "B2G_StatusReport":
+                self.messages.append(each)
+                time = None if header is None else _time(header, "timestamp")
+                self.times |= {} if time is None else {id(each): time}
+            elif each.tag == "JourneyProfile":
+                if journeys:
+                    self.journeys.append((file, each))
+            elif each.tag == "SegmentProfile":
+                self._keep(self.segments, (_zone(each), each.text("SP_ID")), "SP", file, each)
+            elif each.tag == "TrainCharacteristics":
+                self._keep(self.trains, (_company(each), each.text("TC_ID")), "TC", file, each)
+
+    @staticmethod
+    def _keep(
+        into: dict[_Key, dict[tuple[str, str], tuple[str, Element]]],
+        key: _Key,
+        prefix: str,
+        file: str,
+        element: Element,
+    ) -> None:
+        version = _version(element, prefix)
+        known = into.setdefault(key, {})
+        if version in known and known[version][0] != file:
+            raise InputError(
+                f"states {_named(prefix, key)} in version {'.'.join(version)}, as"
+                f" {known[version][0]} does",
+                file=file,
+                place=element.place,
+                remedy="leave one of them out",
+            )
+        known[version] = file, element
+
+    def found(self, reference: Element, key: _Key, prefix: str) -> tuple[str, Element]:
+        """The document that a reference names.
+
+        Raises
+        ------
+        InputError
+            If it is not given, or not in its version.
+        """
+        known = (self.segments if prefix == "SP" else self.trains).get(key, {})
+        version = _version(reference, prefix)
+        if version in known:
+            return known[version]
+        what = _named(prefix, key)
+        if not known:
+            raise reference.error(
+                f"refers to {what}, which is not given", "add its document to the folder"
+            )
+        given = ", ".join(".".join(each) for each in sorted(known))
+        raise reference.error(
+            f"refers to {what} in version {'.'.join(version)}; given is version {given}",
+            "add the document of that version",
+        )
+
+
+def _named(prefix: str, key: _Key) -> str:
+    what = {"SP": "segment", "TC": "train characteristics"}[prefix]
+    return f"{what} '{key[1]}' of {key[0]}"
+
+
+def _version(element: Element, prefix: str) -> tuple[str, str]:
+    return element.text(f"{prefix}_VersionMajor"), element.text(f"{prefix}_VersionMinor", "0")
+
+
+def _zone(element: Element) -> str:
+    return _text(element, "SP_Zone", "IM_ID")
+
+
+def _company(element: Element) -> str:
+    return _text(element, "TC_RU_ID") or _text(element, "teltsi_KeeperShortNameVKM")
+
+
+def _text(element: Element, *path: str) -> str:
+    found = element.first(*path)
+    return "" if found is None else found.content.strip()
+
+
+# ------------------------------------------------------------------------------------ the journey
+
+
+def _journey(
+    element: Element, documents: Documents, limits: LimitChoice, electrification: str | None
+) -> SferaJourney:
+    account = Account()
+    name = _train_number(element)
+    references = list(element.all("SegmentProfileReference"))
+    if not references:
+        raise element.error("names no segment", "add a SegmentProfileReference")
+    for before, each in pairwise(references):
+        same = (_zone(before), before.text("SP_ID")) == (_zone(each), each.text("SP_ID"))
+        if same and _reverse(before) == _reverse(each):
+            raise each.error(
+                f"runs over segment '{each.text('SP_ID')}' twice in the same direction",
+                "name each segment once, in the order in which the train runs over them",
+            )
+    times = _Times.of(element)
+    runs = [_Run.of(each, documents, times, account) for each in references]
+    placed, at = list[tuple[float, Line]](), 0.0
+    choice = limits.among([run.track for run in runs], account)
+    for run in runs:
+        line = run.track.line(account, choice)
+        placed.append((at, line.reversed() if run.reverse else line))
+        run.begin, at = at, at + line.length
+    points, names = list[TimingPoint](), list[tuple[float, str]]()
+    for run in runs:
+        points += run.timing_points(times) if times is not None else ()
+        names += run.names()
+    journey = None
+    if len(points) < 2:
+        account.left_out["journey: it has times at fewer than two timing points"] += 1
+    stations = _stations(names, [station for run in runs for station in run.stations()])
+    ends = stations[:1] + stations[-1:]
+    title = " - ".join(dict.fromkeys(each.name for each in ends)) or name
+    if len(points) > 1:
+        journey = Journey(name, title, tuple(points), f"SFERA {name}")
+    line = replace(composed(title, placed, stations), source=f"SFERA {name}")
+    characteristics, train = _train(references, documents, electrification, account)
+    account.left_out.update(_unused(element, "JourneyProfile"))
+    left_out = [f"{what}: {number}" for what, number in account.left_out.items() if number]
+    segments = tuple(
+        Placed(run.reference, run.begin, run.track.length, run.reverse) for run in runs
+    )
+    return SferaJourney(
+        name, line, journey, train, left_out, account.assumed_words(), element, segments,
+        characteristics,
+    )  # fmt: skip
+
+
+def _train_number(element: Element) -> str:
+    """Company, train number and day of a journey."""
+    own = element.first("TrainIdentification", "OTN_ID")
+    if own is not None:
+        parts = ("teltsi_Company", "teltsi_OperationalTrainNumber", "teltsi_StartDate")
+        return " ".join(_text(own, each) for each in parts)
+    own = element.first("TrainIdentification", "TAF_TAP_ID")
+    core = ("teltsi_Company", "teltsi_Core", "teltsi_Variant", "teltsi_StartDate")
+    found = " ".join(_text(own, each) for each in core) if own is not None else ""
+    if not found.strip():
+        raise element.error("does not identify its train", "add TrainIdentification with OTN_ID")
+    return found
+
+
+def _reverse(reference: Element) -> bool:
+    return reference.text("SP_Direction", "Nominal") == "Reverse"
+
+
+def _time(element: Element, name: str) -> datetime.datetime | None:
+    """A time of day in UTC; None where there is none."""
+    text = element.text(name)
+    if not text:
+        return None
+    try:
+        found = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        raise element.error(
+            f"{name} '{text}' is no time", "write it as 2026-05-17T06:30:00Z"
+        ) from None
+    return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)
+
+
+_DURATION = re.compile(r"PT(?:(\d+)H)?(?:(\d+)M)?(?:(\d+(?:\.\d+)?)S)?")
+
+
+def _duration(element: Element, name: str) -> float:
+    """A duration [s] as XML has it, such as PT1M30S; 0 where there is none."""
+    text = element.text(name)
+    found = _DURATION.fullmatch(text)
+    if text and (found is None or not any(found.groups())):
+        raise element.error(f"{name} '{text}' is no duration", "write it as PT1M30S")
+    hours, minutes, seconds = (
+        (float(each or 0.0) for each in found.groups()) if found else (0.0,) * 3
+    )
+    return 3600.0 * hours + 60.0 * minutes + seconds
+
+
+@dataclass(frozen=True)
+class _Times:
+    """When the train runs: from its first to its last stated time.
+
+    Attributes
+    ----------
+    first, last : datetime
+    """
+
+    first: datetime.datetime
+    last: datetime.datetime
+
+    @staticmethod
+    def of(journey: Element) -> _Times | None:
+        """Of the times at the timing points of a journey; None without any."""
+        found = list[datetime.datetime]()
+        for each in journey.all("SegmentProfileReference", "TimingPointConstraints"):
+            leaves = each.first("StoppingPointDepartureDetails")
+            for element, name in ((each, "TP_latestArrivalTime"), (leaves, "departureTime")):
+                time = None if element is None else _time(element, name)
+                found += [] if time is None else [time]
+        return _Times(min(found), max(found)) if found else None
+
+    def seconds(self, time: datetime.datetime | None) -> float | None:
+        """Since the journey's first time [s]."""
+        return None if time is None else (time - self.first).total_seconds()
+
+    def overlap(self, element: Element) -> bool:
+        """Whether a constraint's time begins before the journey ends and ends behind its begin."""
+        start, end = _time(element, "startTime"), _time(element, "endTime")
+        return (start is None or start <= self.last) and (end is None or end >= self.first)
+
+
+@dataclass
+class _Run:
+    """A segment as a journey runs over it.
+
+    Attributes
+    ----------
+    reference, segment : Element
+    track : TrackData
+        In the segment's nominal direction.
+    reverse : bool
+    begin : float [m]
+        Where it begins along the journey.
+    """
+
+    reference: Element
+    segment: Element
+    track: TrackData
+    reverse: bool
+    begin: float = 0.0
+
+    @staticmethod
+    def of(
+        reference: Element, documents: Documents, times: _Times | None, account: Account
+    ) -> _Run:
+        """What a reference names, with the constraints that hold for this journey."""
+        key = _zone(reference), reference.text("SP_ID")
+        file, segment = documents.found(reference, key, "SP")
+        track = built(lambda: _track(segment, account), file)
+        run = _Run(reference, segment, track, _reverse(reference))
+        run._restrict(times, account)
+        account.left_out.update(_unused(reference, "SegmentProfileReference"))
+        return run
+
+    def _restrict(self, times: _Times | None, account: Account) -> None:
+        """Take over the speed restrictions that hold while the train runs."""
+        for each in self.reference.all("TemporaryConstraints"):
+            kind = each.text("temporaryConstraintType")
+            asked = each.first("AdditionalSpeedRestriction")
+            if asked is None:
+                account.left_out[f"temporary constraints ({kind or 'of no kind'})"] += 1
+            elif times is not None and not times.overlap(each):
+                account.left_out["speed restrictions at other times"] += 1
+            else:
+                begin, end = _extent(each, self.track.length)
+                self.track.limits.append(Limit(begin, end, asked.speed("ASR_Speed")))
+
+    def at(self, location: float) -> float:
+        """Position [m] along the journey of a location in the segment."""
+        return self.begin + (self.track.length - location if self.reverse else location)
+
+    def timing_points(self, times: _Times) -> Iterator[TimingPoint]:
+        """When the train has to be where."""
+        for each in self.reference.all("TimingPointConstraints"):
+            place = self.at(_place(self._point(each), self.track.length))
+            leaves = each.first("StoppingPointDepartureDetails")
+            arrives = times.seconds(_time(each, "TP_latestArrivalTime"))
+            window = _duration(each, "arrivalWindow")
+            # The window is what it may be earlier; without one no time is too early.
+            earliest = arrives - window if arrives is not None and window else None
+            stops = each.text("TP_StopSkipPass", "Passing_Point") == "Stopping_Point"
+            stands = {"lowest_speed": 0.0, "highest_speed": 0.0} if stops else {}
+            if arrives is not None:
+                yield TimingPoint(place, earliest, arrives, **stands)
+            if leaves is None:
+                continue
+            departs = times.seconds(_time(leaves, "departureTime"))
+            least = times.seconds(_time(leaves, "earliestDepartureTime"))
+            least = departs if least is None else least
+            latest = departs if arrives is None else None
+            if departs is not None:
+                yield TimingPoint(place, least, latest, **stands)
+
+    def _point(self, constraints: Element) -> Element:
+        """The timing point that constraints refer to."""
+        points = list(self.segment.all("SP_Points", "TimingPoint"))
+        named = constraints.first("TimingPointReference", "TP_ID_Reference")
+        if named is not None:
+            found = [each for each in points if each.text("TP_ID") == named.text("TP_ID")]
+        else:
+            zone = constraints.first("TimingPointReference", "TimingPointZoneReference")
+            if zone is None:
+                raise constraints.error("refers to no timing point", "add TimingPointReference")
+            own = zone.text("identifier")
+            found = [
+                each for each in points
+                if any(z.text("identifier") == own for z in each.all("TimingPointZone"))
+            ]  # fmt: skip
+            named = zone
+        if not found:
+            name = named.text("TP_ID") or named.text("identifier")
+            raise constraints.error(
+                f"refers to the timing point '{name}', which segment"
+                f" '{self.segment.text('SP_ID')}' does not have",
+                "correct the reference, or add the point",
+            )
+        return found[0]
+
+    def names(self) -> Iterator[tuple[float, str]]:
+        """Positions [m] and names of the places that the segment's areas state."""
+        for each in self.segment.all("SP_Areas", "TAF_TAP_Location"):
+            name = _text(each, "TAF_TAP_LocationIdent", "teltsi_PrimaryLocationName")
+            if not name:
+                stated = each.first("TAF_TAP_LocationName")
+                name = (
+                    each.text("TAF_TAP_location_abbreviation")
+                    if stated is None
+                    else stated.text("text")
+                )
+            begin, end = _extent(each, self.track.length)
+            if name:
+                yield self.at(0.5 * (begin + end)), name
+
+    def stations(self) -> Iterator[Station]:
+        """Its timing points, by the names that they or their places have."""
+        codes = {
+            _text(each, "TAF_TAP_LocationIdent", "teltsi_LocationPrimaryCode"): _text(
+                each, "TAF_TAP_LocationIdent", "teltsi_PrimaryLocationName"
+            )
+            for each in self.segment.all("SP_Areas", "TAF_TAP_Location")
+        }
+        for each in self.segment.all("SP_Points", "TimingPoint"):
+            own = each.first("TP_Name")
+            code = _text(each, "TAF_TAP_LocationReference", "teltsi_LocationPrimaryCode")
+            name = codes.get(code) or ("" if own is None else own.text("name"))
+            yield Station(name or each.text("TP_ID"), self.at(_place(each, self.track.length)))
+
+
+def _stations(places: Sequence[tuple[float, str]], points: Sequence[Station]) -> list[Station]:
+    """The timing points, and the places that have none, in the order of the journey."""
+    named = {each.name for each in points}
+    every = [*points, *(Station(name, at) for at, name in places if name not in named)]
+    every.sort(key=lambda each: each.position)
+    once = [
+        each for number, each in enumerate(every)
+        if not number or every[number - 1].name != each.name
+    ]  # fmt: skip
+    names = distinct_names((each.name, f"{number + 1}") for number, each in enumerate(once))
+    return [replace(each, name=name) for each, name in zip(once, names, strict=True)]
+
+
+# ------------------------------------------------------------------------------------ the segments
+
+
+def _place(element: Element, length: float, name: str = "location") -> float:
+    """A location [m] in a segment.
+
+    Raises
+    ------
+    InputError
+        If it lies outside.
+    """
+    found = element.number(name)
+    if not -_SLACK <= found <= length + _SLACK:
+        raise element.error(
+            f"{name} {found:g} m is not in its segment of {length:g} m", "correct the location"
+        )
+    return min(max(found, 0.0), length)
+
+
+def _extent(element: Element, length: float) -> tuple[float, float]:
+    """From where to where an area or constraint reaches [m]."""
+    qualifier = element.text("startEndQualifier", "StartsEnds")
+    begin = (
+        _place(element, length, "startLocation") if qualifier in ("Starts", "StartsEnds") else 0.0
+    )
+    end = _place(element, length, "endLocation") if qualifier in ("Ends", "StartsEnds") else length
+    return min(begin, end), max(begin, end)
+
+
+def _pieces(
+    holder: Element | None,
+    length: float,
+    start: str,
+    change: str,
+    value: Callable[[Element], float],
+) -> list[Stretch]:
+    """What holds piece by piece: from the begin of a segment, and from each change on."""
+    if holder is None:
+        return []
+    rows = [(0.0, value(each)) for each in holder.all(start)]
+    rows += sorted((_place(each, length), value(each)) for each in holder.all(change))
+    return [
+        Stretch(at, end, found)
+        for (at, found), (end, _) in pairwise([*rows, (length, 0.0)])
+        if end > at
+    ]
+
+
+def _gradient(element: Element) -> float:
+    """Rise over run; falls are negative."""
+    sign = {"Uphill": 1.0, "Downhill": -1.0}.get(element.text("gradientDirection"), 0.0)
+    value = element.number("gradientValue")
+    if not sign and value:
+        raise element.error("has no gradientDirection", "give Uphill or Downhill")
+    return sign * value / 1e3
+
+
+def _curve(element: Element) -> float:
+    """Curvature [1/m]; bends to the left are negative."""
+    sign = -1.0 if element.text("curveDirection") == "Left" else 1.0
+    return sign * curvature_of(element.number("curveRadius"))
+
+
+def _track(segment: Element, account: Account) -> TrackData:
+    """What lies along a segment."""
+    length = segment.number("SP_Length")
+    if length <= 0.0:
+        raise segment.error(f"SP_Length {length:g} m is not positive", "give the segment's length")
+    held = segment.first("SP_Characteristics") or Element("", "", {}, segment.line)
+    track = TrackData(segment.text("SP_Name") or segment.text("SP_ID"), length)
+    track.gradients = _pieces(
+        held.first("Gradient"), length, "GradientStart", "GradientChange", _gradient
+    )
+    track.curves = _pieces(held.first("Curves"), length, "CurveStart", "CurveChange", _curve)
+    sides = [e for e in held.all("Curves") for e in e.children if e.number("curveRadius")]
+    account.assumed["curves whose direction is not stated, taken to bend to the right"] += sum(
+        each.text("curveDirection", "Unknown") == "Unknown" for each in sides
+    )
+    for profile in held.all("StaticSpeedProfile"):
+        track.limits += _limits(profile, length, account)
+    for each in segment.all("SP_Areas", "Tunnel"):
+        track.tunnels.append(Stretch(*_extent(each, length), each.number("tunnelFactor", np.nan)))
+    for each in segment.all("SP_Points", "VirtualBalise"):
+        own = each.first("VirtualBalisePosition")
+        if own is not None:
+            track.course.append(
+                (_place(each, length), own.number("latitude"), own.number("longitude"))
+            )
+    track.course_quality = "positions of virtual balises, SFERA"
+    track.reference = _reference(segment, length, account)
+    for name in (
+        "SegmentProfile",
+        "SP_Points",
+        "SP_Areas",
+        "SP_Characteristics",
+        "SP_ContextInformation",
+    ):
+        for each in [segment] if name == "SegmentProfile" else segment.all(name):
+            account.left_out.update(_unused(each, name))
+    return track
+
+
+def _limits(profile: Element, length: float, account: Account) -> Iterator[Limit]:
+    """The speed limits of a profile: for all trains, and by the categories that it states."""
+    rows = [(0.0, each) for each in profile.all("StaticSpeedProfileStart")]
+    rows += sorted(
+        ((_place(each, length), each) for each in profile.all("StaticSpeedProfileChange")),
+        key=lambda row: row[0],
+    )
+    for (begin, each), (end, _) in pairwise([*rows, (length, profile)]):
+        if end <= begin:
+            continue
+        base = each.number("SSP_Speed", np.nan)
+        if base > 0.0:
+            yield Limit(begin, end, base / KMH)
+        for other in each.all("SpecificSSP"):
+            kind = other.first("OtherSpecificSSP") or other.first("CantDeficiencySSP")
+            names = ("trainCategoryCode", "SSP_NC_DIFF", "SSP_NC_CDDIFF")
+            name = next((kind.text(n) for n in names if kind.text(n)), "") if kind else ""
+            speed = base + other.number("V_DIFF", 0.0)
+            if name and speed > 0.0:
+                yield Limit(begin, end, speed / KMH, category=name)
+            else:
+                account.left_out["speed limits without a category or a speed"] += 1
+
+
+def _reference(segment: Element, length: float, account: Account) -> LineReference | None:
+    """How the kilometres run along a segment; None with fewer than two points."""
+    every = list(segment.all("SP_ContextInformation", "KilometreReferencePoint"))
+    within = [each for each in every if 0.0 <= each.number("location") <= length + _SLACK]
+    account.left_out["kilometres beyond the end of their segment"] += len(every) - len(within)
+    rows = sorted(
+        (_place(each, length), 1e3 * stone.number("kmRef"))
+        for each in within
+        for stone in each.all("KM_Reference")
+    )
+    rows = [row for number, row in enumerate(rows) if not number or row[0] > rows[number - 1][0]]
+    if len(rows) < 2:
+        return None
+    at, km = np.array(rows).T
+    way, counted = np.diff(at), np.diff(km)
+    rising = float(np.sign(np.median(counted))) or 1.0
+    whole = np.abs(counted - rising * way) <= _JUMP + 0.02 * way
+    end = np.where(whole, km[1:], km[:-1] + rising * way)
+    # Before the first and behind the last stone they go on.
+    start = np.concatenate(([km[0] - rising * at[0]], km[:-1], [km[-1]]))
+    ends = np.concatenate(([km[0]], end, [km[-1] + rising * (length - at[-1])]))
+    begin = np.concatenate(([0.0], at))
+    kept = np.diff(np.append(begin, length)) > 0.0
+    name = _line_name(segment)
+    return LineReference(name, begin[kept], start[kept], ends[kept])
+
+
+def _line_name(segment: Element) -> str:
+    own = segment.first(
+        "SP_ContextInformation", "LineAndTrackIdentifier", "LineAndTrackIdentifierStart"
+    )
+    return (own.text("lineIdentifier") if own is not None else "") or segment.text("SP_ID")
+
+
+def _unused(element: Element, name: str) -> Counter[str]:
+    """How many of the parts of an element are not used, by name."""
+    held = _HELD.get(name)
+    return Counter(
+        f"{each.tag}" for each in element.children if held is not None and each.tag not in held
+    )
+
+
+# --------------------------------------------------------------------------------------- the train
+
+ROTATING, BRAKING = 0.08, 0.6
+"""Assumed of a train whose characteristics do not state it: rotating part of the mass, and the
+deceleration [m/s²] of its friction brake."""
+
+
+def _train(
+    references: Sequence[Element],
+    documents: Documents,
+    electrification: str | None,
+    account: Account,
+) -> tuple[Element | None, Train | None]:
+    """The characteristics that a journey names, and the train; None where they are too few."""
+    named = [each for reference in references for each in reference.all("TrainCharacteristicsRef")]
+    if not named:
+        account.left_out["train: the journey names no characteristics"] += 1
+        return None, None
+    keys = {(_company(each), each.text("TC_ID"), *_version(each, "TC")) for each in named}
+    account.left_out["changes of the train on the way"] += len(keys) - 1
+    file, element = documents.found(named[0], (_company(named[0]), named[0].text("TC_ID")), "TC")
+    return element, built(lambda: _train_of(element, named[0], electrification, account), file)
+
+
+def _train_of(
+    element: Element, reference: Element, electrification: str | None, account: Account
+) -> Train | None:
+    features = element.first("TC_Features")
+    assert features is not None
+    name = features.text("displayName") or element.text("TC_ID")
+    curve = _curve_of(features, "TractionForceCurve", "tractionForce", electrification, account)
+
+    def stated(key: str) -> float:
+        return features.number(key, reference.number(key, np.nan))
+
+    mass, length, fastest = (stated(key) for key in ("trainWeight", "trainLength", "trainMaxSpeed"))
+    a, b, c = (features.number(f"rolloutCoefficient{each}", np.nan) for each in "ABC")
+    missing = [
+        words
+        for words, value in (
+            ("weight", mass), ("largest speed", fastest), ("rollout coefficient A", a),
+            ("rollout coefficient C", c),
+            ("traction force curve", np.nan if curve is None else 0.0),
+        )
+        if np.isnan(value)
+    ]  # fmt: skip
+    account.left_out.update(_unused(features, "TC_Features"))
+    if missing or curve is None:
+        account.left_out[f"train '{name}': its characteristics lack {', '.join(missing)}"] += 1
+        return None
+    rotating = features.number("rotatingMassFactor", np.nan)
+    # Factors of a mass are stated as 1.08, and as 0.08 by some.
+    rotating = rotating - 1.0 if rotating >= 1.0 else rotating
+    assumed = [*UNPUBLISHED, "max_load", "axles", "brake"]
+    given: dict[str, Any] = {}
+    if np.isnan(rotating):
+        rotating = ROTATING
+        assumed.append("rotating_mass_factor")
+        account.assumed[f"rotating mass of {ROTATING:.0%} of the train's"] += 1
+    for field_name, key in (
+        ("max_acceleration", "comfortableAcceleration"),
+        ("max_deceleration", "comfortableBraking"),
+    ):
+        if (found := features.number(key, 0.0)) > 0.0:
+            given[field_name] = found
+        else:
+            assumed.append(field_name)
+    if length > 0.0:
+        given["length"] = length
+    effort = float(curve.efforts.max())
+    dynamic = _curve_of(features, "BrakingForceCurve", "maximumRegenerativeForce", None, account)
+    if dynamic is not None:
+        given |= {
+            "max_dynamic_braking_effort": float(dynamic.efforts.max()),
+            "max_dynamic_braking_power": dynamic.peak_power,
+            "dynamic_braking_curve": dynamic,
+        }
+        assumed = [each for each in assumed if not each.startswith("max_dynamic_braking")]
+    mass *= 1e3
+    braking = given.get("max_deceleration", BRAKING) * mass * (1.0 + rotating)
+    return Train(
+        name=name,
+        source=f"SFERA {element.text('TC_ID')} {'.'.join(_version(element, 'TC'))}",
+        mass=mass,
+        rotating_mass_factor=rotating,
+        resistance=RunningResistance(a, 0.0 if np.isnan(b) else b, c),
+        max_tractive_effort=effort,
+        max_traction_power=curve.peak_power,
+        max_pneumatic_braking_effort=braking,
+        max_speed=fastest / KMH,
+        axles=assumed_axles(mass, effort, rotating),
+        traction_curve=curve,
+        assumed=tuple(assumed),
+        **given,
+    )
+
+
+def _curve_of(
+    features: Element, tag: str, force: str, electrification: str | None, account: Account
+) -> EffortCurve | None:
+    """Effort over speed: of several curves that of an electrification, else the first."""
+    every = [each for each in features.all(tag) if any(p.text(force) for p in each.children)]
+    if electrification is not None:
+        chosen = [e for e in every if electrification.capitalize() in _kinds(e)]
+        if every and not chosen:
+            known = ", ".join(sorted({kind.lower() for e in every for kind in _kinds(e)}))
+            raise features.error(
+                f"has no traction force curve for '{electrification}'",
+                f"choose one of {known or 'none'}",
+            )
+        every = chosen
+    if not every:
+        return None
+    account.left_out[f"further curves ({tag})"] += len(every) - 1
+    rows = sorted(
+        (point.number("speed") / KMH, point.number(force))
+        for point in every[0].all(f"{tag}DataPoint")
+        if point.text(force)
+    )
+    with within_place(every[0].place):
+        return EffortCurve(*np.array(rows, dtype=np.float64).reshape(-1, 2).T)
+
+
+def _kinds(curve: Element) -> set[str]:
+    """The kinds of traction that a curve holds for."""
+    return {
+        kind.tag
+        for each in curve.children
+        if each.tag.endswith("TractionType")
+        for kind in each.children
+    }
+
+
+# -------------------------------------------------------------------- what a line of ours has more
+
+_APART = 0.05
+"""Part by which two ways between the same places may differ, and 100 m besides."""
+
+
+def filled(line: Line, own: Line) -> tuple[Line, list[str]]:
+    """The line with the gradients, curves and tunnels of a line of one's own, where it has none.
+
+    Places are the same by the operator's kilometre where both lines have it, else by the names of
+    their stations.
+
+    Parameters
+    ----------
+    line : Line
+        As a journey gives it.
+    own : Line
+        In either direction.
+
+    Returns
+    -------
+    line : Line
+    said : list of str
+        Which part of it came from where.
+
+    Raises
+    ------
+    InputError
+        If the two have no two places in common.
+
+    Examples
+    --------
+    >>> from trainlog.formats.railway import read_line
+    >>> own = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> level = own.gradients.with_rows(*np.zeros((3, 1)))
+    >>> plain = replace(own, gradients=level, assumed=("gradients",))
+    >>> again, said = filled(plain, own)
+    >>> again.gradients == own.gradients, said[0]
+    (True, "gradients from line 'CH_StGallen_Wil', km 0.000 to km 29.556")
+    """
+    source, at, there, by, _ = _matched(line, own)
+    begin, end = float(at[0]), float(at[-1])
+    changes: dict[str, Any] = {}
+    wanted = {"gradients": "gradients" in line.assumed, "curvatures": line.curvatures is None}
+    for name in [name for name, lacks in wanted.items() if lacks]:
+        held: Any = getattr(source, name)
+        if held is not None:
+            changes[name] = _carried(held, source.length, at, there, line.length)
+    if not line.tunnels:
+        inside = [
+            each for each in source.tunnels
+            if there[0] <= each.position and each.position + each.length <= there[-1]
+        ]  # fmt: skip
+        changes["tunnels"] = tuple(
+            replace(each, position=float(np.interp(each.position, there, at))) for each in inside
+        )
+    whole = begin <= _SLACK and end >= line.length - _SLACK
+    assumed = [
+        e for e in line.assumed if e != "gradients" or not whole or "gradients" in own.assumed
+    ]
+    words = {"gradients": "gradients", "curvatures": "curves", "tunnels": "tunnels"}
+    said = [
+        f"{words[name]} from line '{own.name}', km {begin / 1e3:.3f} to km {end / 1e3:.3f}"
+        for name, value in changes.items()
+        if value
+    ]
+    if not whole:
+        said.append("level and straight elsewhere")
+    return replace(line, assumed=tuple(assumed), **changes), [*said, f"places by {by}"]
+
+
+def places_along(line: Line, own: Line) -> Callable[[FloatArray], FloatArray]:
+    """The positions [m] along a line of positions on another one, in either direction.
+
+    The answer is NaN for what lies beside the line.
+
+    Parameters
+    ----------
+    line, own : Line
+        With the operator's kilometres, or stations, in common.
+
+    Raises
+    ------
+    InputError
+        If the two have no two places in common.
+
+    Examples
+    --------
+    >>> from trainlog.formats.railway import read_line
+    >>> own = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> places_along(own.reversed(), own)(np.array([0.0, own.length])).round(3).tolist()
+    [29556.1, 0.0]
+    """
+    _, at, there, _, backwards = _matched(line, own)
+
+    def along(position: FloatArray) -> FloatArray:
+        place = own.length - position if backwards else np.asarray(position)
+        return np.interp(place, there, at, left=np.nan, right=np.nan)
+
+    return along
+
+
+def _matched(line: Line, own: Line) -> tuple[Line, FloatArray, FloatArray, str, bool]:
+    """A line of one's own in the direction of another, places on both, how, and whether reversed.
+
+    Raises
+    ------
+    InputError
+        If the two have no two places in common.
+    """
+    ways = [(each, *_common(line, each), each is not own) for each in (own, own.reversed())]
+    found = max(ways, key=lambda way: way[1].size)
+    if found[1].size < 2:
+        raise InputError(
+            f"line '{own.name}' and the journey have no two places in common",
+            remedy="give a line with the same stations, or the same operator's kilometres",
+        )
+    return found
+
+
+def _common(line: Line, own: Line) -> tuple[FloatArray, FloatArray, str]:
+    """Positions [m] of the same places on two lines, increasing on both."""
+    if line.reference is not None and own.reference is not None:
+        at = np.unique([0.0, *line.reference.positions, line.length])
+        here = line.reference.at(at, line.length)
+        grid = np.unique([*np.arange(0.0, own.length, 10.0), own.length])
+        km = own.reference.at(grid, own.length)
+        if np.all(np.diff(km) > 0.0) or np.all(np.diff(km) < 0.0):
+            order = np.argsort(km)
+            within = (here >= km.min()) & (here <= km.max())
+            there = np.interp(here, km[order], grid[order])
+            at, there = _increasing(at[within], there[within])
+            if at.size > 1:
+                return at, there, "the operator's kilometre"
+    named = {each.name: each.position for each in own.stations}
+    both = [(each.position, named[each.name]) for each in line.stations if each.name in named]
+    at, there = np.array(both, dtype=np.float64).reshape(-1, 2).T
+    return *_increasing(at, there), "the names of stations"
+
+
+def _increasing(at: FloatArray, there: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Those places that follow each other on both lines, about as far apart."""
+    kept = [0] if at.size else []
+    for number in range(1, at.size):
+        way, other = at[number] - at[kept[-1]], there[number] - there[kept[-1]]
+        if other > 0.0 and abs(way - other) <= _APART * way + 100.0:
+            kept.append(number)
+    return at[kept], there[kept]
+
+
+def _carried(profile: Any, length: float, at: FloatArray, there: FloatArray, whole: float) -> Any:
+    """A profile of one line, laid along another between the places they have in common."""
+    part = profile.between(float(there[0]), float(there[-1]), length)
+    inner = np.interp(part.positions + there[0], there, at)
+    rows = [(float(x), a, b) for x, a, b in zip(inner, part.start, part.end, strict=True)]
+    if at[0] > 0.0:
+        rows.insert(0, (0.0, 0.0, 0.0))
+    if at[-1] < whole - _SLACK:
+        rows.append((float(at[-1]), 0.0, 0.0))
+    positions, start, end = (np.array(each, dtype=np.float64) for each in zip(*rows, strict=True))
+    # Of a part that begins on the first place the first row stands at 0.
+    positions[0] = 0.0
+    return profile.with_rows(positions, start, end)

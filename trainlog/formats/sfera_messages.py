@@ -1,0 +1,393 @@
+"""Messages of SFERA 4.00 that are written: journeys with constraints, characteristics, reports.
+
+What a document holds already stays in it: a journey, or a train's characteristics, is read, gets
+what is new, and is written as its next version.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from xml.etree import ElementTree as Xml
+
+from trainlog.formats.railml import Element
+from trainlog.railway import EffortCurve, RunningResistance
+from trainlog.units import KMH
+
+VERSION = "4.00"
+"""Of SFERA."""
+
+DRY = "Dry Rail"
+"""The best category of rail."""
+
+ADHESION = (
+    (0.15, DRY),
+    (0.12, "Dry Rail (Medium)"),
+    (0.08, "Dry Rail (Low)"),
+    (0.05, "Low Adhesion"),
+    (0.03, "Very Low Adhesion"),
+    (0.0, "Extremely Low Adhesion"),
+)
+"""Categories with the least adhesion of each; the lowest three by EN 15595, as far as published."""
+
+
+def category_of(adhesion: float) -> str:
+    """The category of rail that an adhesion belongs to.
+
+    Examples
+    --------
+    >>> category_of(0.2), category_of(0.06)
+    ('Dry Rail', 'Low Adhesion')
+    """
+    return next(name for least, name in ADHESION if adhesion >= least or not least)
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A temporary constraint over a stretch of a journey.
+
+    Attributes
+    ----------
+    begin, end : float [m]
+        Along the journey.
+    kind : str
+        The type of the constraint, such as ``"AdvisedSpeed"``.
+    attributes : mapping of str to str
+        Of the element that says what is constrained.
+    tag : str
+        Of this element; default: the type.
+    start, until : datetime, optional
+        While it holds.
+    reason : str
+        In words; empty: none.
+    """
+
+    begin: float
+    end: float
+    kind: str
+    attributes: Mapping[str, str] = field(default_factory=dict)
+    tag: str = ""
+    start: datetime.datetime | None = None
+    until: datetime.datetime | None = None
+    reason: str = ""
+
+
+def utc(time: datetime.datetime) -> str:
+    """A time as SFERA has it: to the second, in UTC.
+
+    Examples
+    --------
+    >>> utc(datetime.datetime(2026, 5, 17, 6, 30, tzinfo=datetime.UTC))
+    '2026-05-17T06:30:00Z'
+    """
+    return time.astimezone(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def xml_of(element: Element) -> bytes:
+    """A document as XML, indented."""
+
+    def made(each: Element) -> Xml.Element:
+        found = Xml.Element(each.tag, each.attributes)
+        found.text = each.content.strip() or None
+        found.extend(made(child) for child in each.children)
+        return found
+
+    root = made(element)
+    Xml.indent(root)
+    body: bytes = Xml.tostring(root, "utf-8")
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + body + b"\n"
+
+
+def new(
+    tag: str, attributes: Mapping[str, str] | None = None, *children: Element, content: str = ""
+) -> Element:
+    """An element.
+
+    Examples
+    --------
+    >>> xml_of(new("IM_ID", content="0099")).decode().splitlines()[1]
+    '<IM_ID>0099</IM_ID>'
+    """
+    return Element(tag, "", dict(attributes or {}), 0, list(children), content)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A segment of a journey: its reference, and where it lies along the journey.
+
+    Attributes
+    ----------
+    reference : Element
+    begin, length : float [m]
+    reverse : bool
+    """
+
+    reference: Element
+    begin: float
+    length: float
+    reverse: bool
+
+    def location(self, position: float) -> float:
+        """The location [m] in the segment of a position along the journey."""
+        within = min(max(position - self.begin, 0.0), self.length)
+        return round(self.length - within if self.reverse else within, 3)
+
+
+def with_constraints(
+    journey: Element, segments: Sequence[Placed], constraints: Iterable[Constraint], *kinds: str
+) -> Element:
+    """The next version of a journey, with these constraints in the place of those of some kinds.
+
+    A constraint that reaches over several segments begins in the first and ends in the last.
+
+    Parameters
+    ----------
+    journey : Element
+        A JourneyProfile; it is changed.
+    segments : sequence of Placed
+        Of its references, in their order.
+    constraints : iterable of Constraint
+    *kinds : str
+        Constraints of these types that the journey has are left out.
+    """
+    for each in segments:
+        each.reference.children[:] = [
+            child
+            for child in each.reference.children
+            if child.tag != "TemporaryConstraints"
+            or child.text("temporaryConstraintType") not in kinds
+        ]
+    for constraint in constraints:
+        for each in segments:
+            end = each.begin + each.length
+            if constraint.begin < end - 1e-6 and constraint.end > each.begin + 1e-6:
+                _insert(each.reference, _constraint(constraint, each, end))
+    version = int(journey.number("JP_Version", 0.0)) + 1
+    journey.attributes["JP_Version"] = str(version)
+    return journey
+
+
+def _constraint(constraint: Constraint, segment: Placed, end: float) -> Element:
+    found = new("TemporaryConstraints", _extent(constraint, segment, end))
+    for name, time in (("startTime", constraint.start), ("endTime", constraint.until)):
+        if time is not None:
+            found.attributes[name] = utc(time)
+    found.attributes["temporaryConstraintType"] = constraint.kind
+    found.children.append(new(constraint.tag or constraint.kind, constraint.attributes))
+    if constraint.reason:
+        words = {"language": "en", "text": constraint.reason}
+        found.children.append(new("TemporaryConstraintReason", words))
+    return found
+
+
+def _extent(constraint: Constraint, segment: Placed, end: float) -> dict[str, str]:
+    """From where to where a constraint reaches in a segment that ends at `end` [m]."""
+    starts, ends = constraint.begin >= segment.begin, constraint.end <= end
+    qualifier = {(True, True): "StartsEnds", (True, False): "Starts", (False, True): "Ends"}
+    found = {"startEndQualifier": qualifier.get((starts, ends), "WholeSP")}
+    if starts:
+        found["startLocation"] = f"{segment.location(constraint.begin):.10g}"
+    if ends:
+        found["endLocation"] = f"{segment.location(constraint.end):.10g}"
+    return found
+
+
+def _insert(reference: Element, constraint: Element) -> None:
+    """Put a constraint behind those of a reference, as the schema orders its parts."""
+    before = ("SP_Zone", "TimingPointConstraints", "TemporaryConstraints")
+    at = [n for n, each in enumerate(reference.children, 1) if each.tag in before]
+    reference.children.insert(max(at, default=0), constraint)
+
+
+def advice_message(
+    journey: Element,
+    segments: Sequence[Placed],
+    constraints: Iterable[Constraint],
+    time: datetime.datetime,
+    sender: str,
+) -> Element:
+    """A G2B event message with advice for a train on its way (C_DAS_C_Advice).
+
+    Parameters
+    ----------
+    journey : Element
+        Whose train it is.
+    segments : sequence of Placed
+    constraints : iterable of Constraint
+        Advised speeds, in the order in which the train meets them.
+    time : datetime
+        Of sending.
+    sender : str
+        Name of the device.
+    """
+    train = journey.first("TrainIdentification")
+    assert train is not None
+    payload = new("G2B_EventPayload")
+    for number, each in enumerate(constraints, 1):
+        stated = {"identifier": str(number), **each.attributes}
+        found = new("C_DAS_C_Advice", stated, train)
+        for placed in segments:
+            end = placed.begin + placed.length
+            if each.begin < end - 1e-6 and each.end > placed.begin + 1e-6:
+                own = placed.reference.attributes
+                names = ("SP_ID", "SP_VersionMajor", "SP_VersionMinor", "SP_Direction")
+                where = {name: own[name] for name in names if name in own}
+                zone = placed.reference.all("SP_Zone")
+                found.children.append(
+                    new("SegmentProfileInfo", where | _extent(each, placed, end), *zone)
+                )
+        payload.children.append(found)
+    header = _header(time, sender, journey, payload, from_train=False)
+    return new("SFERA_G2B_EventMessage", None, header, payload)
+
+
+# ----------------------------------------------------------------------------- what was learned
+
+
+def with_resistance(
+    characteristics: Element,
+    resistance: RunningResistance,
+    *,
+    mass: float | None = None,
+    rotating_mass_factor: float | None = None,
+    traction: EffortCurve | None = None,
+    published: datetime.datetime | None = None,
+) -> Element:
+    """The next version of a train's characteristics, with what was learned of it.
+
+    Parameters
+    ----------
+    characteristics : Element
+        TrainCharacteristics; it is changed.
+    resistance : RunningResistance
+    mass : float, optional [kg]
+    rotating_mass_factor : float, optional
+        Rotating part over the mass.
+    traction : EffortCurve, optional
+    published : datetime, optional
+
+    Raises
+    ------
+    InputError
+        If it has no features, or efforts are given and it states none yet.
+    """
+    features = characteristics.first("TC_Features")
+    if features is None:
+        raise characteristics.error("has no TC_Features", "give the train's characteristics")
+    stated = {f"rolloutCoefficient{name}": value for name, value in zip("ABC", (
+        resistance.r0, resistance.r1, resistance.r2), strict=True)}  # fmt: skip
+    features.attributes |= {name: f"{value:.6g}" for name, value in stated.items()}
+    if mass is not None:
+        features.attributes["trainWeight"] = str(round(mass / 1e3))
+    if rotating_mass_factor is not None:
+        features.attributes["rotatingMassFactor"] = f"{1.0 + rotating_mass_factor:.4g}"
+    curves = [each for each in features.children if each.tag == "TractionForceCurve"]
+    if traction is not None and not curves:
+        raise features.error(
+            "has no TractionForceCurve that says for which supply its efforts are",
+            "add one with its TFC_TractionType, or leave the efforts out",
+        )
+    if traction is not None:
+        tag = f"{curves[0].tag}DataPoint"
+        points = [
+            new(tag, {"speed": f"{KMH * v:.4g}", "tractionForce": f"{f:.6g}"})
+            for v, f in zip(traction.speeds.tolist(), traction.efforts.tolist(), strict=True)
+        ]
+        rest = [each for each in curves[0].children if each.tag != tag]
+        curves[0].children[:] = [*points, *rest]
+    minor = int(characteristics.number("TC_VersionMinor", 0.0)) + 1
+    characteristics.attributes["TC_VersionMinor"] = str(minor)
+    if published is not None:
+        characteristics.attributes["datePublished"] = utc(published)
+    return characteristics
+
+
+# ------------------------------------------------------------------------------ reports of a train
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a train reports of one instant.
+
+    Attributes
+    ----------
+    time : datetime
+    position : float [m]
+        Of its front, along the journey.
+    speed : float [m/s]
+    slips : bool or None
+        Whether wheels slip or slide; None: not known.
+    before : float, optional [m]
+        How far its front may be behind the position; and ahead of it.
+    """
+
+    time: datetime.datetime
+    position: float
+    speed: float
+    slips: bool | None = None
+    margin: float | None = None
+
+
+def status_report(
+    report: Report, segments: Sequence[Placed], journey: Element, sender: str
+) -> Element:
+    """A B2G event message with one status report.
+
+    Parameters
+    ----------
+    report : Report
+    segments : sequence of Placed
+    journey : Element
+        Whose train it is.
+    sender : str
+        Name of the device.
+    """
+    placed = next(
+        (each for each in segments if report.position <= each.begin + each.length), segments[-1]
+    )
+    zone = placed.reference.first("SP_Zone")
+    train = journey.first("TrainIdentification")
+    assert zone is not None
+    assert train is not None
+    where = {
+        "SP_ID": placed.reference.text("SP_ID"),
+        "location": f"{placed.location(report.position):.10g}",
+        "speed": f"{KMH * report.speed:.4g}",
+    }
+    if report.margin is not None:
+        margins = ("location_PositiveErrorMargin", "location_NegativeErrorMargin")
+        where |= dict.fromkeys(margins, f"{report.margin:.3g}")
+    stated = {"trainMoving": str(report.speed > 0.0).lower()}
+    if report.slips is not None:
+        stated["slipSlideReported"] = str(report.slips).lower()
+    version = {"JP_Version": journey.text("JP_Version", "1")}
+    place = new("PositionSpeed", where, zone)
+    status = new("B2G_StatusReport", stated, train, place, new("JP_InUse", version))
+    header = _header(report.time, sender, journey, status, from_train=True)
+    return new("SFERA_B2G_EventMessage", None, header, new("B2G_EventPayload", None, status))
+
+
+def _header(
+    time: datetime.datetime, sender: str, journey: Element, content: Element, *, from_train: bool
+) -> Element:
+    """A header whose identifier follows from the time and the content."""
+    digest = hashlib.sha256(utc(time).encode() + sender.encode() + xml_of(content)).digest()
+    number = uuid.UUID(bytes=digest[:16], version=4)
+    company = journey.first("TrainIdentification", "OTN_ID", "teltsi_Company")
+    zone = journey.first("SegmentProfileReference", "SP_Zone", "IM_ID")
+    about = {
+        "SFERA_version": VERSION,
+        "message_ID": str(number),
+        "timestamp": utc(time),
+        "sourceDevice": sender,
+    }
+    ends = [
+        "0000" if each is None else each.content.strip()
+        for each in ((company, zone) if from_train else (zone, company))
+    ]
+    return new(
+        "MessageHeader", about, new("Sender", content=ends[0]), new("Recipient", content=ends[1])
+    )
