@@ -385,7 +385,7 @@ def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
 
 def test_every_command_that_takes_logs_takes_trips_of_a_catalogue() -> None:
     named = {"logs", "paths", "files", "sources"}
-    without = {"fleet add"}
+    without = {"fleet add", "sfera"}
     for words, command in commands():
         names = {each.name for each in command.params}
         options = {option for each in command.params for option in each.opts}
