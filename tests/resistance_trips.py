@@ -82,6 +82,7 @@ def recording(
         effort=effort,
         braking=nothing,
         rotating_momentum=TRAIN.rotating_mass * speed,
+        slip_momentum=nothing,
         tunnel=nothing,
         track=nothing,
         track_slope=nothing,

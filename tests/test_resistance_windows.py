@@ -556,3 +556,17 @@ def test_a_trip_of_four_minutes_is_looked_through(duration: float, count: int) -
     inside = (windows.start >= 100.0) & (windows.end <= 150.0)
     dragged = replace(windows, y=windows.y - 0.03 * windows.duration * inside)
     assert len(fit_windows(dragged, 130e3, 20e3, search=True).stretches) == count
+
+
+def test_a_wrong_momentum_of_wheels_that_slip_is_not_taken_for_noise_of_the_speed() -> None:
+    """They run up every ten seconds of traction; their momentum is not there at all."""
+    known = recording(noise=0.02, seed=3)
+    phase = known.time % 10.0
+    wrong = 20e3 * np.clip(np.minimum(phase, 3.0 - phase), 0.0, 1.0) * (known.effort > 20e3)
+    stated = replace(known, rotating_momentum=known.rotating_momentum + wrong)
+    right, taken, stated_so = (
+        fit_windows(build_windows(each), 130e3, 20e3).noise.speed
+        for each in (known, stated, replace(stated, slip_momentum=wrong))
+    )
+    assert taken > 4.0 * right
+    assert stated_so == pytest.approx(right, rel=0.1)

@@ -882,6 +882,7 @@ def coasting_recording(
         effort=-line.track_acceleration(position, strip_length),
         braking=nothing,
         rotating_momentum=nothing,
+        slip_momentum=nothing,
         tunnel=nothing,
         track=nothing,
         track_slope=track_slope(line, position, strip_length),

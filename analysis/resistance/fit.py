@@ -81,6 +81,9 @@ LARGEST_GAIN_ERROR = 0.2
 SHORTEST_TIME = 200.0
 """Less usable time than this [s] is too short a trip."""
 
+SLIPPED = 0.1
+"""Share of a trip that slip masks from which on it is said why the trip is refused."""
+
 TUNNEL_LAW_STD = 0.6
 """Standard deviation of the power of the cross-section by which tunnels resist."""
 
@@ -720,7 +723,7 @@ def _check_curve(
             f"trip '{name}': speed and effort vary too little to separate mass and"
             f" coefficients (condition number {regression.condition:.0f}, at most"
             f" {LARGEST_CONDITION:.0f})",
-            remedy="a trip with starts, coasting and several speeds",
+            remedy=_slip_words(timeline) or "a trip with starts, coasting and several speeds",
             timeline=timeline,
         )
     speed = np.linspace(*asked, 61)
@@ -735,5 +738,17 @@ def _check_curve(
             "excitation",
             f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the running resistance is uncertain"
             f" by {known} (standard deviation; at most {100.0 * largest_std:.0f} % is accepted)",
+            remedy=_slip_words(timeline),
             timeline=timeline,
         )
+
+
+def _slip_words(timeline: Timeline) -> str | None:
+    """What a trip would need that slip masks more of than `SLIPPED`."""
+    lost = timeline.masks["slip"]
+    if not np.mean(lost) > SLIPPED:
+        return None
+    return (
+        f"{timeline.named('slip')} masked {np.sum(lost)} s, which the speeds of all powered axles,"
+        " recorded twice a second at least, would keep"
+    )

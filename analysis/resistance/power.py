@@ -85,7 +85,8 @@ def power_limit(
     step = float(np.median(np.diff(prepared.time)))
     width = max(1, round(AVERAGED / step))
     power = _moving_average(_power(trip, index, prepared), width)
-    limited = prepared.usable & (prepared.speed > LOWEST_SPEED) & np.isfinite(power)
+    steady = prepared.usable & (prepared.slip_momentum == 0.0)
+    limited = steady & (prepared.speed > LOWEST_SPEED) & np.isfinite(power)
     if controls["tractive_effort_demand"].notna().any():
         demand, effort = (
             _moving_average(interpolated(controls, name, index), width)

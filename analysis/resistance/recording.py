@@ -209,6 +209,8 @@ class Recording:
         Dynamic braking effort, already taken off `effort`.
     rotating_momentum : array [kg m/s]
         Of the rotating parts, as masses at the wheel rims.
+    slip_momentum : array [kg m/s]
+        What of it the powered wheels have beyond the train's speed where they slip; 0 elsewhere.
     tunnel : array [N]
         What tunnels are expected to add to the resistance.
     track : array [m/s²]
@@ -229,6 +231,7 @@ class Recording:
     effort: FloatArray
     braking: FloatArray
     rotating_momentum: FloatArray
+    slip_momentum: FloatArray
     tunnel: FloatArray
     track: FloatArray
     track_slope: FloatArray
@@ -348,13 +351,18 @@ def _course(view: TripView) -> Prepared:
     wind = recorded_head_wind(trip, index)
     count = wheels.shape[1]
     slip = "slip" if count else EFFORT_DIPS
+    slips = _slipping(time, wheels, smooth)
+    # Of wheels that are all recorded, and often, the momentum is known while they slip.
+    followed = count == train.axles.count and not _seldom(time)
+    momentum, own = _rotating_momentum(train, speed, wheels)
     return Prepared(
         time=time,
         speed=speed,
         curve=basis(speed, 0.0 if wind is None else wind),
         effort=np.zeros(time.size),
         braking=np.zeros(time.size),
-        rotating_momentum=_rotating_momentum(train, speed, wheels),
+        rotating_momentum=momentum,
+        slip_momentum=np.where(followed & widened(time, slips), own, 0.0),
         tunnel=tunnel_coefficient(train, line.tunnel_cross_section(place)) * speed**2,
         track=line.track_acceleration(place, train.strip_length),
         track_slope=track_slope(line, place, train.strip_length),
@@ -370,7 +378,7 @@ def _course(view: TripView) -> Prepared:
         masks={
             "gap": ~np.isfinite(measured + position),
             "standstill": ~(smooth >= LOWEST_SPEED),
-            "slip": _slipping(time, wheels, smooth),
+            "slip": slips & (not followed),
         },
         slip_unseen=_slip_unseen(time, count, train),
         slip=f"slip or {EFFORT_DIPS}" if 0 < count < train.axles.count else slip,
@@ -621,13 +629,17 @@ def recorded_wheels(trip: Trip) -> int:
     return int(axles[names].notna().any().sum())
 
 
-def _rotating_momentum(train: Train, speed: FloatArray, wheels: FloatArray) -> FloatArray:
-    """Momentum of the rotating parts [kg m/s]; powered axles turn at their own speed."""
+def _rotating_momentum(
+    train: Train, speed: FloatArray, wheels: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Momentum of the rotating parts [kg m/s], and what of it is that of the powered axles' slip.
+
+    Powered axles turn at their own speed.
+    """
     own = train.axles.rotating_mass if wheels.shape[1] == train.axles.count else 0.0
     own = min(own, train.rotating_mass / max(train.axles.count, 1))
-    rest = train.rotating_mass - own * train.axles.count
-    turning = np.where(np.isfinite(wheels), wheels, speed[:, None]).sum(axis=1)
-    return np.asarray(rest * speed + own * turning)
+    slip = np.where(np.isfinite(wheels), wheels - speed[:, None], 0.0).sum(axis=1)
+    return train.rotating_mass * speed + own * slip, own * slip
 
 
 def _braking(
@@ -689,8 +701,12 @@ def _protected(time: FloatArray, effort: FloatArray, recorded: int, train: Train
 
 def _slip_unseen(time: FloatArray, recorded: int, train: Train) -> bool:
     """Whether wheels may slip without anything that is recorded showing it."""
-    seldom = time.size > 1 and 6.0 * float(np.median(np.diff(time))) > READHESION
-    return seldom and recorded < train.axles.count
+    return _seldom(time) and recorded < train.axles.count
+
+
+def _seldom(time: FloatArray) -> bool:
+    """Whether samples are too far apart to show the course of a slip."""
+    return time.size > 1 and 6.0 * float(np.median(np.diff(time))) > READHESION
 
 
 def _gaps(time: FloatArray, frames: list[pd.DataFrame], origin: pd.Timestamp) -> BoolArray:

@@ -33,6 +33,10 @@ WINDOW = 1.0
 SAMPLES = 3.0
 """A window is at least so many samples long."""
 
+SLIP_NOISE = 30.0
+"""The momentum of wheels that slip is known so many times worse than the impulse of the effort: the
+axles' share of the rotating mass is often assumed, and their speeds may be recorded late."""
+
 MERGED = 10.0
 """Length of the windows that are looked at, in pictures and tables [s]."""
 
@@ -61,7 +65,8 @@ class Windows:
     effort_change : (n,) array [N]
         Between the ends: what a delay of the recorded effort does.
     effort_square : (n,) array [N² s²]
-        Sum of the squared impulses of the samples: what noise of the recorded effort does.
+        Sum of the squared impulses of the samples: what noise of the recorded effort does; the
+        momentum of wheels that slip counts `SLIP_NOISE` times.
     sections, edges : (n, k) sparse array
         Seconds in each piece of the gradient profile, and change of `y` by a metre of position
         error around each change of gradient.
@@ -183,12 +188,20 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
             ]
         ),
     )
-    plain = np.column_stack([recording.speed, recording.rotating_momentum, recording.effort])
+    plain = np.column_stack(
+        [
+            recording.speed,
+            recording.rotating_momentum,
+            recording.effort,
+            recording.slip_momentum,
+        ]
+    )
     at_end = _averaged(time, plain, end, width)
     change = at_end - _averaged(time, plain, start, width)
     integral = _averaged(time, integrals, end, width) - _averaged(time, integrals, start, width)
     steps = np.gradient(time) if time.size > 1 else np.zeros(time.size)
     squares = _integral(time, (recording.effort**2 * steps)[:, None])
+    square = (_at(time, squares, end) - _at(time, squares, start))[:, 0]
     return Windows(
         start=start,
         end=end,
@@ -199,7 +212,7 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
         tunnel=integral[:, 3],
         momentum=change[:, 1],
         effort_change=change[:, 2],
-        effort_square=(_at(time, squares, end) - _at(time, squares, start))[:, 0],
+        effort_square=square + (SLIP_NOISE * change[:, 3]) ** 2,
         sections=_by_group(recording, np.ones(time.size), recording.section, start, end),
         edges=_by_group(recording, recording.track_slope, recording.nearest_edge, start, end),
     )

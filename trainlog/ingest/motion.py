@@ -86,6 +86,9 @@ driven."""
 DRIVES = 0.5
 """Correlation with the acceleration from which on an effort shows the mass that it moves."""
 
+SURE = 8.0
+"""Standard deviations of a brake's share from which on it shows the mass that it moves."""
+
 ACTS, COASTS = 0.05, 0.1
 """Share of the largest effort from which on it acts; a train that coasts changes its speed by less
 than this [m/s²]."""
@@ -368,6 +371,37 @@ def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> D
     return DrivenMass(float(solution[0] / scale[0]), correlation, lasted, alone)
 
 
+def braked_masses(
+    seconds: FloatArray, efforts: Sequence[FloatArray], speed: FloatArray, mass: float
+) -> list[float]:
+    """The mass [kg] that each brake moves, beside traction and the other; NaN if none is shown.
+
+    By least squares of T - m a = R(v) + k1 B1 + k2 B2: the mass that a brake moves is m / k.
+
+    Parameters
+    ----------
+    seconds : (n,) array [s]
+    efforts : sequence of (n,) array
+        Traction and two brakes, in any units, NaN where absent.
+    speed : (n,) array [m/s]
+    mass : float [kg]
+        Of the train.
+    """
+    rate, (traction, *brakes) = rate_of(seconds, speed), map(np.nan_to_num, efforts)
+    known = np.isfinite(speed) & np.isfinite(rate) & (speed > MOVING)
+    columns = np.column_stack([*brakes, basis(speed)])[known]
+    scale = np.maximum(np.max(np.abs(columns), axis=0, initial=0.0), 1e-9)
+    left = (traction - mass * rate)[known]
+    solution = np.linalg.lstsq(columns / scale, left, rcond=None)[0]
+    rest = left - columns / scale @ solution
+    spread = np.diag(np.linalg.pinv((columns / scale).T @ (columns / scale))) * (
+        rest @ rest / max(rest.size, 1)
+    )
+    sure = np.abs(solution) > SURE * np.sqrt(np.abs(spread))
+    shown = np.divide(mass * scale, solution, out=np.full(scale.size, np.nan), where=sure)
+    return [float(each) for each in shown[: len(brakes)]]
+
+
 def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]:
     """Efforts that cannot explain the motion by a factor that a wrong unit has.
 
@@ -384,12 +418,14 @@ def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]
     time = seconds(controls, pd.DatetimeIndex(state.index)[0])
     speed = np.interp(time, seconds(state), state["speed"].to_numpy(np.float64))
     form = form_for(Train, "mass")
+    efforts = [controls[name.rpartition(".")[2]].to_numpy(np.float64) for name in EFFORTS]
+    driven = driven_mass(time, efforts[0], np.abs(speed))
+    masses = [driven.mass if driven.decides else np.nan]
     # A brake alone may be a small part of what brakes: only the train's own mass judges it.
-    for name in EFFORTS if train is not None else EFFORTS[:1]:
-        effort = controls[name.rpartition(".")[2]].to_numpy(np.float64)
-        driven = driven_mass(time, effort, np.abs(speed))
-        mass = driven.mass if name == EFFORTS[0] else -driven.mass
-        if not driven.decides or not mass > 0.0:
+    if train is not None:
+        masses += braked_masses(time, efforts, np.abs(speed), train.mass)
+    for name, effort, mass in zip(EFFORTS, efforts, masses, strict=False):
+        if not mass > 0.0:
             continue
         if train is not None:
             factor = mass / train.mass
