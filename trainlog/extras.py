@@ -30,6 +30,7 @@ EXTRAS = {
     "mpi4py": "mpi",
     "networkx": "fleet",
     "numba": "learn",
+    "paho": "mqtt",
     "piqp": "plan",
     "psycopg": "postgresql",
     "pynmeagps": "recorders",

@@ -35,6 +35,7 @@ from trainlog.progress import task
 from trainlog.units import KMH, TIME
 
 if TYPE_CHECKING:
+    from trainlog.formats.sfera import SferaJourney
     from trainlog.ingest import Ingested, Proposal
     from trainlog.ingest.live import LiveIngest
     from trainlog.ingest.sources import Source
@@ -289,7 +290,7 @@ def record(
     /,
     *,
     output: Annotated[Path, Written(".mcap")],
-    from_: Literal["udp", "stdin", "file"],
+    from_: Literal["udp", "mqtt", "stdin", "file"],
     profile: Path | None = None,
     header: Path | None = None,
     line: Path | None = None,
@@ -301,11 +302,12 @@ def record(
     idle: Annotated[float | None, TIME.between(0.1)] = None,
     replay: bool = False,
 ) -> None:
-    """Record what a recorder sends while the train runs: UDP, a pipe, or a file that grows.
+    """Record what a recorder sends while the train runs: UDP, MQTT, a pipe, a file that grows.
 
     Taken are JSON objects, rows of a table that a profile describes, NMEA sentences and UBX
-    messages, mixed. Without a profile JSON objects name a topic, its fields in SI units and their
-    time: {"topic": "/train/state", "time": "2024-05-01T06:00:00.1Z", "speed": 21.3}.
+    messages, mixed; and status reports of SFERA. Without a profile JSON objects name a topic, its
+    fields in SI units and their time: {"topic": "/train/state", "time":
+    "2024-05-01T06:00:00.1Z", "speed": 21.3}.
 
     Ctrl-C (or SIGTERM) ends the log properly. A log is whole up to half a second before whatever
     ends this program otherwise. What is malformed or wrong in time is counted, and stands among the
@@ -321,16 +323,17 @@ def record(
     output : FILE
         Log to write; must not exist.
     from_ : NAME
-        Datagrams, standard input, or a file that grows.
+        Datagrams, a broker's messages, standard input, or a file that grows.
     address : [ADDRESS|PATH]
         udp: PORT or HOST:PORT, default 127.0.0.1:5005, where only programs of this computer can
-        send; 0.0.0.0:5005 listens on every network. file: its path.
+        send; 0.0.0.0:5005 listens on every network. mqtt: HOST[:PORT]/TOPIC, with the
+        extra mqtt. file: its path.
     profile : FILE
         TOML profile: columns (or keys of JSON objects), units, time format.
     header : FILE
         File of this recorder with the header that the stream does not begin with.
     line : FILE
-        Line it is driven on, if known.
+        Line it is driven on, if known; or the journey of SFERA whose train sends reports.
     train : FILE
         Train that drives, if known.
     reverse
@@ -349,8 +352,8 @@ def record(
     from trainlog.ingest.live import LiveIngest, LiveOptions
     from trainlog.ingest.pipeline import Given
 
-    source = _source(from_, address)
-    the_line, network = line_or_network(line)
+    source, journey = _source(from_, address), _journey(line)
+    the_line, network = line_or_network(line) if journey is None else (journey.line, None)
     given = Given(
         profile,
         line=the_line,
@@ -359,7 +362,7 @@ def record(
         metadata=pairs(set_ or []),
         network=network,
     )
-    options = LiveOptions(source.name, header, sequence)
+    options = LiveOptions(source.name, header, sequence, journey)
     began = time.monotonic()
     with ExitStack() as stack, ending() as stopped:
         recording, live = LiveIngest.begun(output, given, options)
@@ -379,10 +382,12 @@ def record(
 
 
 def _source(origin: str, address: str | None) -> Source:
-    from trainlog.ingest.sources import Datagrams, GrowingFile, Pipe
+    from trainlog.ingest.sources import Datagrams, GrowingFile, Pipe, Subscription
 
     if origin == "udp":
         return Datagrams(address or PORT)
+    if origin == "mqtt":
+        return Subscription(address or "")
     if origin == "stdin":
         if address is not None:
             raise InputError(f"'{address}' goes with udp or file", remedy="leave it out")
@@ -390,6 +395,18 @@ def _source(origin: str, address: str | None) -> Source:
     if address is None:
         raise InputError("--from file needs the path of the file", remedy="name it behind 'file'")
     return GrowingFile(address)
+
+
+def _journey(line: Path | None) -> SferaJourney | None:
+    """The journey of SFERA that is given in place of a line's file."""
+    from trainlog.formats.sfera import is_source, read_sfera
+
+    if line is None or not line.exists() or not is_source(line):
+        return None
+    found = read_sfera(line)
+    if len(found) > 1:
+        raise InputError(f"holds {len(found)} journeys", file=line, remedy="name the file of one")
+    return found[0]
 
 
 @contextmanager
@@ -443,13 +460,15 @@ def _summary(
     account = recording.account()
     found = {
         "log": output, "duration_s": seconds, "messages": account.written,
-        "dropped": account.dropped, "lost": source.lost, **live.details(),
+        "dropped": account.dropped, "lost": source.lost, "repeated": source.repeated,
+        **live.details(),
     }  # fmt: skip
     total, what = sum(account.written.values()), "datagrams" if source.whole else "blocks"
     sentences = [
         *(f"{topic}  {count:,}" for topic, count in account.written.items()),
         *live.sentences(),
         *[f"{source.lost:,} {what} lost before they could be read"] * bool(source.lost),
+        *[f"{source.repeated:,} messages that came twice left out"] * bool(source.repeated),
         *(f"{count:,} of {name} dropped" for name, count in account.dropped.items()),
         *([] if drawing is None else drawing.sentences()),
     ]

@@ -21,6 +21,7 @@ from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
+import pandas as pd
 
 from trainlog.arrays import FloatArray
 from trainlog.declaration import at as within_place
@@ -266,6 +267,13 @@ class Documents:
             if named or is_sfera(data):
                 found.take(name, data, journeys=whole or named)
         return found
+
+    def time_of(self, message: Element) -> int:
+        """When a message was sent, by its header [ns since 1970 UTC]; NaT without one."""
+        stated = self.times.get(id(message))
+        return (
+            int(pd.NaT.value) if stated is None else int(pd.Timestamp(stated).as_unit("ns").value)
+        )
 
     def newest(self) -> list[tuple[str, Element]]:
         """The journeys, each train's in its newest version."""

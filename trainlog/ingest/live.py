@@ -23,6 +23,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
+from trainlog.formats.sfera import SferaJourney
 from trainlog.ingest.clock import same_as_previous
 from trainlog.ingest.motion import MANY
 from trainlog.ingest.pipeline import (
@@ -150,10 +151,13 @@ class Sequence:
     repair : Repair
     met : Met
         Where it is counted what they meet.
+    late : int [ns]
+        Rows that come so much later than others are recorded with their own time: their source
+        keeps what it cannot deliver at once.
     """
 
-    def __init__(self, limits: Limits, repair: Repair, met: Met) -> None:
-        self._limits, self._repair, self._met = limits, repair, met
+    def __init__(self, limits: Limits, repair: Repair, met: Met, late: int = 0) -> None:
+        self._limits, self._repair, self._met, self._late = limits, repair, met, late
         self._highest, self._shift = NO_TIME, 0
         self._steps = np.zeros(0, dtype=np.int64)
         self._waiting: Table | None = None
@@ -213,6 +217,9 @@ class Sequence:
         begun = 0  # the first of the rows that wait
         for number in range(time.size):
             reached[number], at = self._highest, int(time[number])
+            if self._highest - self._late <= at < self._highest:
+                begun = number + 1
+                continue
             if self._highest != NO_TIME and 0 <= at - self._highest <= ahead:
                 kept[number], begun, self._highest = True, number + 1, at
                 continue
@@ -228,7 +235,7 @@ class Sequence:
             kept |= waiting & (time >= max(self._highest, 0))
             waiting[:] = False
         late = ~kept & ~waiting & (reached != NO_TIME) & (time < reached)
-        return time, kept, late & (time >= reached - within), waiting
+        return time, kept, late & (time >= reached - max(within, self._late)), waiting
 
     def _usual(self) -> float:
         """Usual interval between rows [ns]; 0 if it is not known yet."""
@@ -236,7 +243,8 @@ class Sequence:
 
     def _ahead(self) -> int:
         """How far ahead of the last row a time may be before it is doubted [ns]."""
-        return int(max(self._limits.sort_within * NANOSECONDS, 5.0 * self._usual()))
+        within = max(self._limits.sort_within * NANOSECONDS, self._late)
+        return int(max(within, 5.0 * self._usual()))
 
     def _set_back(self, time: int, row: int) -> int:
         """By how much a clock that was set back is put on [ns]."""
@@ -351,11 +359,14 @@ class LiveOptions:
         A file of the same recorder, whose header names the columns of a stream without one.
     sequence : str
         Column or key with the number that the sender counts its lines with.
+    journey : SferaJourney, optional
+        Whose train sends status reports.
     """
 
     source: str = ""
     header: Path | None = None
     sequence: str = "sequence"
+    journey: SferaJourney | None = None
 
 
 class LiveIngest:
@@ -400,18 +411,20 @@ class LiveIngest:
         header: tuple[str, ...] | None = None,
         limits: Limits | None = None,
         sequence: str = "sequence",
+        journey: SferaJourney | None = None,
     ) -> None:
         self._recording = recording
         telegram = profile.telegram if profile is not None else None
         self._framer = Framer() if telegram is None else TelegramFramer(telegram.length)
         self._lines = telegram is None
-        self._decoder = Decoder(profile, header, sequence)
+        self._decoder = Decoder(profile, header, sequence, journey)
         self._repair = profile.repair if profile is not None else Repair()
         self._limits = limits or (profile.limits if profile is not None else Limits())
         self._own: dict[str, Topic] = own_topics(profile.columns) if profile is not None else {}
         for topic in self._own.values():
             recording.declare(topic)
         self._sequences: dict[str, Sequence] = {}
+        self._late = 0
         self._waiting: list[tuple[int, bytes]] = []
         self._constants: dict[str, float | str] = {}
         self._met = Met()
@@ -459,7 +472,10 @@ class LiveIngest:
         known |= {"source": options.source} if options.source else {}
         recording = record(path, metadata=known, attachments=attachments, flush=FLUSH)
         limits = bounded_limits(rules.limits, given.line, given.train)
-        live = cls(recording, profile, header=header, limits=limits, sequence=options.sequence)
+        live = cls(
+            recording, profile, header=header, limits=limits, sequence=options.sequence,
+            journey=options.journey,
+        )  # fmt: skip
         return recording, live
 
     def take(self, data: bytes, *, whole: bool = False) -> None:
@@ -511,7 +527,7 @@ class LiveIngest:
         raw : binary file, optional
             Where everything is written as it came.
         """
-        last = np.inf
+        last, self._late = np.inf, int(source.late * NANOSECONDS)
         while True:
             blocks = source.read(POLL)
             now = clock.monotonic()
@@ -599,7 +615,7 @@ class LiveIngest:
         for kind, table in decoded.tables.items():
             if kind.startswith(("json", "telegram")) and arrival is not None:
                 table = table.at(np.where(table.time == NO_TIME, arrival, table.time))
-            known = Sequence(self._limits, self._repair, self._met)
+            known = Sequence(self._limits, self._repair, self._met, self._late)
             self._write(kind, self._sequences.setdefault(kind, known).take(table))
 
     def _write(self, kind: str, table: Table | None) -> None:

@@ -6,20 +6,21 @@ so that the documents stand in one archive or file with the reports.
 
 from __future__ import annotations
 
-import datetime
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.railml import Element
 from trainlog.formats.sfera import Documents, SferaJourney, is_sfera, journeys_of
 from trainlog.ingest.profile import Profile
-from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table
+from trainlog.ingest.recording import Finding, Recording, Table
 from trainlog.topics import SLIP_PROTECTION
-from trainlog.units import KMH, NANOSECONDS
+from trainlog.units import KMH
 
 USED = {"TrainIdentification", "PositionSpeed", "JP_InUse"}
 """Parts of a report that are used; others are counted."""
@@ -55,7 +56,7 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
         )
     found = []
     for journey in journeys_of(documents):
-        own = [each for each in reports if _is_of(each, journey, documents)]
+        own = [each for each in reports if is_of(each, journey)]
         if own:
             found.append(_recording(own, journey, documents))
     if not found:
@@ -67,13 +68,11 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
     return found
 
 
-def _is_of(report: Element, journey: SferaJourney, documents: Documents) -> bool:
-    """Whether a report is of a journey's train; one that names none is of the only journey."""
+def is_of(report: Element, journey: SferaJourney) -> bool:
+    """Whether a report is of a journey's train; one that names no train is."""
     own = report.first("TrainIdentification")
-    if own is None:
-        return len(documents.journeys) == 1
     train = journey.profile.first("TrainIdentification")
-    return train is not None and _words(own) == _words(train)
+    return own is None or (train is not None and _words(own) == _words(train))
 
 
 def _words(element: Element) -> list[tuple[str, str]]:
@@ -81,31 +80,18 @@ def _words(element: Element) -> list[tuple[str, str]]:
 
 
 def _recording(reports: list[Element], journey: SferaJourney, documents: Documents) -> Recording:
-    rows = list(_rows(reports, journey, documents))
-    time, row, position, speed, margin, slips = (np.array(each) for each in zip(*rows, strict=True))
-    order = np.argsort(time, kind="stable")
-    known = np.isfinite(slips[order])
-    begins = np.diff(np.where(known, slips[order], 0.0), prepend=0.0) > 0.0
-    state = Table(
-        time[order],
-        row[order],
-        {"/train/state.position": position[order], "/train/state.speed": speed[order]},
+    timed = sorted(
+        ((documents.time_of(each), each.line, each) for each in reports), key=itemgetter(0)
     )
-    tables = [state]
-    if begins.any():
-        at = order[begins]
-        words = np.full(at.size, SLIP_PROTECTION, dtype=np.object_)
-        said = np.full(at.size, "slip or slide reported", dtype=np.object_)
-        texts = {"/events.message": said, "/events.name": words}
-        tables.append(Table(time[at], row[at], {}, texts))
+    tables, margins = ReportRows(journey).take(timed)
     unused = Counter(
         part.tag for report in reports for part in report.children if part.tag not in USED
     )
-    placeless = int(np.count_nonzero(~np.isfinite(position)))
+    placeless = int(np.isnan(tables[0].signals["/train/state.position"]).sum())
     findings = [Finding("damaged_messages", placeless, (), "", "reports without a place")]
     metadata = {"line": journey.line.name, "journey": journey.name}
-    if np.isfinite(margin).any():
-        metadata["position_margin"] = f"{np.nanmedian(margin):.3g} m"
+    if np.isfinite(margins).any():
+        metadata["position_margin"] = f"{np.nanmedian(margins):.3g} m"
     if unused:
         metadata["not_used"] = ", ".join(f"{tag} ({count})" for tag, count in unused.items())
     return Recording(
@@ -114,30 +100,57 @@ def _recording(reports: list[Element], journey: SferaJourney, documents: Documen
     )  # fmt: skip
 
 
-def _rows(
-    reports: list[Element], journey: SferaJourney, documents: Documents
-) -> Iterator[tuple[int, int, float, float, float, float]]:
-    """Time [ns], row, position [m], speed [m/s], margin [m] and slip (0, 1, NaN) of each report."""
-    last = 0.0
-    for report in reports:
-        stated = documents.times.get(id(report))
-        time = NO_TIME
-        if stated is not None:
-            since = stated - datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
-            time = (since.days * 86_400 + since.seconds) * NANOSECONDS
+class ReportRows:
+    """Status reports of one train as rows: its motion, and an event where slip begins.
+
+    Parameters
+    ----------
+    journey : SferaJourney
+        Whose segments the reports name.
+    """
+
+    def __init__(self, journey: SferaJourney) -> None:
+        self.journey = journey
+        self._last, self._slipping = 0.0, 0.0
+
+    def take(self, reports: Sequence[tuple[int, int, Element]]) -> tuple[list[Table], FloatArray]:
+        """The rows of the next reports, and their margins of position.
+
+        Parameters
+        ----------
+        reports : sequence of (time [ns], number of the row, report)
+
+        Returns
+        -------
+        tables : list of Table
+            Motion; and events, if there are any.
+        margins : (n,) array [m]
+        """
+        found = [self._values(each) for _, _, each in reports]
+        position, speed, margins, slips = np.array(found).reshape(-1, 4).T
+        time, row = np.array([(at, number) for at, number, _ in reports], dtype=np.int64).T
+        motion = {"/train/state.position": position, "/train/state.speed": speed}
+        tables = [Table(time, row, motion)]
+        begins = np.diff(slips, prepend=self._slipping) > 0.0
+        self._slipping = float(slips[-1])
+        if begins.any():
+            words = np.full(int(begins.sum()), SLIP_PROTECTION, dtype=np.object_)
+            said = np.full(words.size, "slip or slide reported", dtype=np.object_)
+            texts = {"/events.message": said, "/events.name": words}
+            tables.append(Table(time[begins], row[begins], {}, texts))
+        return tables, margins
+
+    def _values(self, report: Element) -> tuple[float, float, float, float]:
+        """Position [m], speed [m/s], margin [m], and whether wheels slip."""
         where = report.first("PositionSpeed")
         position = speed = margin = np.nan
         if where is not None:
-            position = journey.position(where, last)
+            position = self.journey.position(where, self._last)
             speed = where.number("speed", np.nan) / KMH
-            ahead, behind = (
+            margin = max(
                 where.number(f"location_{sign}ErrorMargin", np.nan)
                 for sign in ("Positive", "Negative")
             )
-            margin = max(ahead, behind)
-            last = position if np.isfinite(position) else last
-        slips = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}
-        yield (
-            time, report.line, position, speed, margin,
-            slips.get(report.text("slipSlideReported"), np.nan),
-        )  # fmt: skip
+            self._last = position if np.isfinite(position) else self._last
+        slips = report.text("slipSlideReported") in ("true", "1")
+        return position, speed, margin, float(slips)

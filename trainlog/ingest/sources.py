@@ -1,4 +1,4 @@
-"""Where a live recording comes from: datagrams, a pipe, a file that grows.
+"""Where a live recording comes from: datagrams, a broker, a pipe, a file that grows.
 
 A thread takes what arrives, so that the operating system never has to drop it because the program
 is busy; what waits to be decoded is bounded, and what does not fit is counted.
@@ -6,6 +6,7 @@ is busy; what waits to be decoded is bounded, and what does not fit is counted.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import socket
 import struct
@@ -15,10 +16,13 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from pathlib import Path
+from queue import Empty, Queue
 from types import TracebackType
-from typing import BinaryIO, Self
+from typing import Any, BinaryIO, Self
+from urllib.parse import unquote, urlsplit
 
 from trainlog.errors import InputError
+from trainlog.extras import load
 
 HOST = "127.0.0.1"
 """Only programs of this computer can send to it."""
@@ -31,6 +35,15 @@ RECEIVE_BUFFER = 2**23
 
 OVERFLOWS = 40
 """SO_RXQ_OVFL of Linux: each datagram states how many were dropped before it."""
+
+WAITING_MESSAGES = 1000
+"""How many messages may wait here; the broker keeps what comes behind them."""
+
+AGAIN = 60.0
+"""For so long after a connection was made [s] a broker, or a sender, may repeat messages."""
+
+ANSWER = 10.0
+"""How long a broker's answer is waited for [s]."""
 
 POLL = 0.05
 """How often a file, and what has come, is looked at [s]."""
@@ -50,14 +63,19 @@ class Source(ABC):
         Whether a block ends with the end of a line or message.
     lost : int
         Blocks that were not taken because too much waited, or that the system dropped.
+    repeated : int
+        Messages that a broker delivered again after a connection was lost; they are left out.
+    late : float [s]
+        By how much what is kept while a connection is lost may come later than the rest.
     ended : bool
         Whether nothing more comes.
     """
 
     whole = False
+    late = 0.0
 
     def __init__(self, name: str) -> None:
-        self.name, self.lost, self.ended = name, 0, False
+        self.name, self.lost, self.repeated, self.ended = name, 0, 0, False
         self._blocks: deque[bytes] = deque()
         self._size = 0
         self._came = threading.Event()
@@ -182,6 +200,100 @@ class Datagrams(Source):
         self._stopping = True
         self._thread.join(2.0)
         self._socket.close()
+
+
+class Subscription(Source):
+    """Messages of a topic from an MQTT broker, by the package paho-mqtt (extra ``mqtt``).
+
+    The broker keeps what is published with quality of service 1 or 2 while this program, or the
+    connection, is away: the session has the topic's name and outlives both.
+
+    Parameters
+    ----------
+    address : str
+        ``HOST[:PORT]/TOPIC``, such as ``localhost/trains/+/reports``; or as an address of
+        ``mqtt://`` or ``mqtts://``, with ``USER@``. A password is that of the variable
+        MQTT_PASSWORD.
+
+    Raises
+    ------
+    InputError
+        If it is no address, or the broker does not answer or refuses.
+    """
+
+    whole = True
+    late = 3600.0
+
+    def __init__(self, address: str) -> None:
+        mqtt = load("paho.mqtt.client")
+        parts = urlsplit(address if "://" in address else f"mqtt://{address}")
+        self._topic, host = unquote(parts.path.lstrip("/")), parts.hostname
+        if parts.scheme not in ("mqtt", "mqtts") or not self._topic or not host:
+            raise InputError(
+                f"'{address}' is no topic of a broker",
+                remedy="write HOST[:PORT]/TOPIC, such as localhost/trains/17",
+            )
+        secure = parts.scheme == "mqtts"
+        port = parts.port or (8883 if secure else 1883)
+        super().__init__(f"MQTT {host}:{port}/{self._topic}")
+        session = hashlib.sha256(f"{socket.gethostname()} {self._topic}".encode()).hexdigest()
+        self._client = mqtt.Client(
+            mqtt.CallbackAPIVersion.VERSION2, f"trainlog-{session[:12]}", clean_session=False
+        )
+        if parts.username:
+            password = os.environ.get("MQTT_PASSWORD")
+            self._client.username_pw_set(unquote(parts.username), password)
+        if secure:
+            self._client.tls_set()
+        self._client.reconnect_delay_set(1, 10)
+        self._messages: Queue[bytes] = Queue(WAITING_MESSAGES)
+        self._recent: deque[bytes] = deque(maxlen=WAITING_MESSAGES)
+        self._since = -AGAIN
+        self._answer: Queue[str] = Queue()
+        self._client.on_connect = self._connected
+        self._client.on_message = self._arrived
+        problem = ""
+        try:
+            self._client.connect(host, port)
+            self._client.loop_start()
+            problem = self._answer.get(timeout=ANSWER)
+        except (OSError, Empty) as error:
+            problem = "no answer" if isinstance(error, Empty) else error.strerror or str(error)
+        if problem:
+            self._client.loop_stop()
+            raise InputError(
+                f"the broker {host}:{port} cannot be subscribed to: {problem.lower()}",
+                remedy="start it, or correct its address, the user, or MQTT_PASSWORD",
+            )
+
+    def _connected(self, client: Any, _data: Any, _flags: Any, reason: Any, _more: Any) -> None:
+        """Subscribe; again with each new connection, if the broker has forgotten the session."""
+        if not reason.is_failure:
+            self._since = time.monotonic()
+            client.subscribe(self._topic, qos=1)
+        self._answer.put(str(reason) if reason.is_failure else "")
+
+    def _arrived(self, _client: Any, _data: Any, message: Any) -> None:
+        """Take a message; after a connection was lost not those that came before."""
+        mark = hashlib.sha256(message.payload).digest()
+        again = message.dup or time.monotonic() - self._since < AGAIN
+        if again and mark in self._recent:
+            self.repeated += 1
+            return
+        self._recent.append(mark)
+        self._messages.put(message.payload)
+
+    def _take(self) -> bytes | None:
+        try:
+            return self._messages.get(timeout=POLL)
+        except Empty:
+            return b""
+
+    def __exit__(self, *error: object) -> None:
+        self._stopping = True
+        self._client.disconnect()
+        self._client.loop_stop()
+        self._thread.join(2.0)
 
 
 class Pipe(Source):

@@ -24,6 +24,8 @@ import pyarrow as pa
 
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.formats.railml import Element
+from trainlog.formats.sfera import Documents, SferaJourney
 from trainlog.ingest.mapping import LATEST, NANOSECONDS_PER, recording_of, wanted_columns
 from trainlog.ingest.nmea import Epochs
 from trainlog.ingest.profile import (
@@ -34,6 +36,7 @@ from trainlog.ingest.profile import (
     suggestion,
 )
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Messages, Table
+from trainlog.ingest.sfera import ReportRows, is_of
 from trainlog.ingest.sources import BLOCK
 from trainlog.ingest.tagged import NAV_PVT, NAV_PVT_HEAD, fixes_of_pvt
 from trainlog.ingest.telegrams import chosen, columns_of
@@ -95,6 +98,8 @@ class Framer:
         >>> framer.cut(b"2\n"), framer.cut(b"c;3", whole=True)
         ([b'b;2'], [b'c;3'])
         """
+        if whole and not self._rest and data.lstrip()[:1] == b"<":
+            return [data]  # a document of several lines
         data = self._rest + data
         frames: list[bytes] = []
         at = 0
@@ -188,6 +193,8 @@ class Decoder:
         Names of the columns, where the stream does not begin with them.
     sequence : str
         Column or key that holds the number the sender counts its lines with.
+    journey : SferaJourney, optional
+        Whose train sends status reports.
     """
 
     def __init__(
@@ -195,7 +202,9 @@ class Decoder:
         profile: Profile | None = None,
         header: tuple[str, ...] | None = None,
         sequence: str = "sequence",
+        journey: SferaJourney | None = None,
     ) -> None:
+        self._reports = None if journey is None else ReportRows(journey)
         self._profile, self._sequence, self._names = profile, sequence, header
         self._last = NO_TIME  # of a profile whose times have no date
         self._sentences = _Sentences()
@@ -218,7 +227,7 @@ class Decoder:
             kinds.setdefault(kind, []).append((row, data))
         readers = {
             "telegram": self._telegrams, "ubx": _ubx, "nmea": self._sentences.take,
-            "json": self._json, "row": self._rows,
+            "json": self._json, "row": self._rows, "sfera": self._status,
         }  # fmt: skip
         for kind, read in readers.items():
             if kind in kinds:
@@ -230,6 +239,28 @@ class Decoder:
         decoded = Decoded()
         self._sentences.give(decoded)
         return decoded
+
+    def _status(self, frames: list[Numbered], decoded: Decoded) -> None:
+        """Status reports of SFERA, of the journey's train."""
+        kept: list[tuple[int, int, Element]] = []
+        for row, data in frames:
+            documents = Documents()
+            try:
+                documents.take("a message", data, journeys=False)
+            except InputError as error:
+                decoded.refuse(row, data, error.problem)
+                continue
+            if self._reports is None:
+                decoded.refuse(row, data, "XML; status reports need the journey of their train")
+                continue
+            own = [each for each in documents.messages if is_of(each, self._reports.journey)]
+            kept += [(documents.time_of(each), row, each) for each in own]
+            if not own:
+                which = "reports of other trains" if documents.messages else "other messages"
+                decoded.others[which] += 1
+        if kept and self._reports is not None:
+            tables, _ = self._reports.take(kept)
+            decoded.tables |= dict(zip(("sfera", "sfera events"), tables, strict=False))
 
     def _telegrams(self, frames: list[Numbered], decoded: Decoded) -> None:
         profile = self._profile
@@ -396,6 +427,8 @@ def _kind(data: bytes) -> str:
     if data[:2] == UBX:
         return "ubx"
     first = data.lstrip()[:1]
+    if first == b"<":
+        return "sfera"
     if first in (b"{", b"["):
         return "json"
     if first in (b"$", b"!") or (b"$" in data[:64] and b"*" in data[-4:]):
