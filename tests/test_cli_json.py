@@ -239,7 +239,16 @@ PURE = {
     *("trips", "repairs", "samples", "count", "same", "back", "removed"),
     *("against_kind", "against_kind_std", "band_ratio", "beyond", "done", "failed", "known"),
     *("moved_in_all", "pending", "refused", "rounding", "rows", "unread", "verdicts_in_all"),
-    *("within", "words", "workers", "lines", "lost", "lost_by_number", "late_by_number"),
+    *(
+        "within",
+        "words",
+        "workers",
+        "lines",
+        "lost",
+        "repeated",
+        "lost_by_number",
+        "late_by_number",
+    ),
     *("repeated_by_number", "restarts_by_number", "trains", "damaged", "forward", "reverse"),
     # Of any column, SI.
     *("row", "raw_value", "new_value"),
