@@ -292,6 +292,7 @@ def test_files_that_vanish_are_stated_and_come_back(
     path.unlink()
     found = catalogue.refresh()
     assert found.vanished == (str(path),)
+    assert found.same == len(list(logs.rglob("*.mcap")))
     assert len(catalogue) == 2, "it is not forgotten"
     assert catalogue.query("weather = 'wet'")["path"].tolist() == [None]
     with pytest.raises(InputError, match=r"1 trip have vanished: trip-03"):

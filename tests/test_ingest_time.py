@@ -29,9 +29,11 @@ from satellite_trips import PACES, paced
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, report_of
+from trainlog.ingest.clock import rows_per_second
 from trainlog.ingest.mapping import read_time
 from trainlog.ingest.profile import TimeOptions
-from trainlog.ingest.recording import NO_TIME
+from trainlog.ingest.recording import NO_TIME, Table
+from trainlog.units import NANOSECONDS
 
 FILE = Path("run.csv")
 
@@ -548,3 +550,18 @@ def test_a_clock_that_was_set_while_rows_are_missing_is_put_right(
     layout.write(path, kept, kept.time, distance("Chemnitz-Cranzahl", kept))
     real = ingest(path, profile=profile_of(table_profile({})))
     assert "clock_step" not in report_of(real).counts
+
+
+def test_rows_of_another_column_are_no_samples_of_their_own() -> None:
+    """Each second holds a value written twice, and a row of another column."""
+    second, place = np.repeat(np.arange(20), 3), np.arange(60) % 3
+    one, other = np.where(place < 2, second, np.nan), np.where(place == 2, -second, np.nan)
+    table = Table(second * NANOSECONDS, np.arange(60), {"one": one, "other": other})
+    assert rows_per_second(table) == 1
+
+
+def test_two_seconds_in_which_something_moves_show_no_rate() -> None:
+    second, values = np.repeat(np.arange(8), 2), np.zeros(16)
+    values[5], values[6], values[7:] = 1.0, 0.5, 2.0
+    table = Table(second * NANOSECONDS, np.arange(16), {"one": values})
+    assert rows_per_second(table) == 1
