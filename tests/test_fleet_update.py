@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
-from fleet_trips import TRIPS, short_trips
+from fleet_trips import TRIPS, later, short_trips
 from killed_fleet import (
     alive,
     all_end,
@@ -31,8 +32,11 @@ from killed_fleet import (
 )
 from killed_points import ANALYSES as TWO, POINTS
 
+import trainlog
 from analysis.adhesion.condition_map import update_map
+from analysis.fleet import maps
 from analysis.fleet.analyses import ANALYSES, FleetAnalysis, code_of, computation_of
+from analysis.fleet.engine import Processes
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.update import (
     FleetUpdate,
@@ -46,7 +50,7 @@ from trainlog import version
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
-from trainlog.formats.mapfile import read_map
+from trainlog.formats.mapfile import MapFile, read_map
 from trainlog.version import code_version_of
 
 HERE = UpdateOptions(workers=0)
@@ -362,9 +366,16 @@ def test_the_map_is_that_of_the_logs(
     assert maps_in(tmp_path) == {name: undisturbed[name]}
 
 
+@pytest.mark.parametrize("kept", [maps.KEPT, 1])
 def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
-    place: Path, undisturbed: dict[str, bytes], tmp_path: Path
+    place: Path,
+    undisturbed: dict[str, bytes],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kept: int,
 ) -> None:
+    """Also where its evidence was summed up."""
+    monkeypatch.setattr(maps, "KEPT", kept)
     (name,) = (name for name in undisturbed if name.endswith(".map"))
     logs = sorted((tmp_path / "logs").glob("*.mcap"))
     updated(place, "adhesion")
@@ -377,6 +388,8 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
         (tmp_path / name).unlink(missing_ok=True)
         update_map(tmp_path / "logs", tmp_path / name)
         found, made = (read_map(folder / name) for folder in (place / "maps", tmp_path))
+        with MapFile(place / "maps" / name) as file:
+            assert bool(file.logs(summed=True)) == (kept == 1)
         assert found.trips == made.trips
         assert {n: layer.evidence for n, layer in found.layers.items()} == {
             n: layer.evidence for n, layer in made.layers.items()
@@ -393,6 +406,60 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
         catalogue.remove(f"key = '{gone['key']}'")
     updated(place, "adhesion")
     assert gone["name"] not in [each["trip"] for each in read_map(place / "maps" / name).trips]
+
+
+def test_edges_are_brought_up_to_date_side_by_side_with_the_same_result(
+    place: Path, fleet_logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of three lines, by one process and by two, of which one is killed."""
+    logs = [trainlog.read(log) for log in sorted(fleet_logs.glob("*.mcap"))]
+    for number, name in enumerate(("second", "third"), 1):
+        for trip in (later(each, pd.Timedelta(days=20 * number)) for each in logs):
+            line = json.loads(trip.attachments["line.json"]) | {"name": name}
+            attachments = {**trip.attachments, "line.json": json.dumps(line).encode()}
+            metadata = {**trip.metadata, "line": name, "trip": f"{name}-{trip.name}"}
+            moved = replace(trip, metadata=metadata, attachments=attachments)
+            trainlog.write(moved, place.parent / "logs" / f"{moved.name}.mcap")
+    with open_catalogue(place) as catalogue:
+        catalogue.add(place.parent / "logs")
+        monkeypatch.setattr(maps, "KEPT", 1)
+        about, folder = computation_of(ANALYSES["adhesion"]), maps_folder(catalogue)
+        update_fleet(catalogue, ["adhesion"], HERE)
+        alone = maps_in(folder)
+        assert len(alone) == 3
+        monkeypatch.setattr(maps, "PAGE", 2)
+        monkeypatch.setattr(maps, "SEVERAL", 0)
+        asked = []
+        with Processes(2) as processes:
+
+            def engine() -> Processes:
+                asked.append(len(asked))
+                if asked == [0]:
+                    processes.submit(Killing())
+                return processes
+
+            shutil.rmtree(folder)
+            assert update_maps(catalogue, about, engine).trips == 3 * TRIPS
+        assert len(asked) >= 2
+        assert maps_in(folder) == alone
+        for path in folder.glob("*.map"):
+            with MapFile(path) as file:
+                assert len(file.logs(summed=True)) == 2
+
+
+@dataclass(frozen=True)
+class Killing:
+    """Work that kills its worker."""
+
+    jobs: tuple[int, ...] = ()
+
+    def computed(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def alone(self, job: int) -> Killing:
+        return self
+
+    def died(self, job: int, reason: str) -> None: ...
 
 
 def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from map_bytes import map_from_bytes, opened
 from refusals import refused
-from test_traction_map import LINE, piece
+from test_traction_map import LINE, WAY, Rail, piece
 
 import trainlog
 from analysis.adhesion.condition_map import empty_map, recording_of, update, update_map
@@ -255,6 +255,64 @@ class TestCompaction:
             assert file.compact(99_999) == 4
         given_to(tmp_path / "whole.map", pieces)
         assert bytes_of(path) == bytes_of(tmp_path / "whole.map")
+
+    def test_the_latest_trips_of_each_condition_are_kept(self, tmp_path: Path) -> None:
+        """How many is decided by the trips that are there, not by how they came."""
+        pieces = [
+            replace(piece(i, ("dry", "wet")[i % 4 == 0]), recorded=drive(100 * i, 100 * i + 9))
+            for i in range(18)
+        ]
+        summed = []
+        for name, groups in (("once", [pieces]), ("twice", [pieces[5:], pieces[:5]])):
+            path = tmp_path / f"{name}.map"
+            for group in groups:
+                given_to(path, group)
+                with MapFile(path) as file:
+                    file.compact(kept=4)
+                    assert not file.beyond(4)
+            with MapFile(path) as file:
+                left = [row for row in file.trips() if row.evidence is None]
+            summed.append(sorted(row.key for row in left))
+            # Of 13 dry trips 8; of 5 wet ones none.
+            assert [row.layer for row in left] == ["dry"] * 8
+            assert max(row.start or 0 for row in left) < 100 * 12 * 60 * 10**9
+        assert summed[0] == summed[1]
+        given_to(tmp_path / "whole.map", pieces)
+        assert bytes_of(tmp_path / "once.map") == bytes_of(tmp_path / "whole.map")
+        assert bytes_of(tmp_path / "twice.map") == bytes_of(tmp_path / "whole.map")
+
+    def test_what_counts_of_trips_that_disagree_stays(self, tmp_path: Path) -> None:
+        rail, path = Rail(4), tmp_path / "a.map"
+        factors = np.exp([0.0, 0.2, -0.2, 0.02, -0.15, 0.16, -0.22, 0.0, 0.2, -0.03, 0.7])
+        trips = [rail.trip(number, float(each)) for number, each in enumerate(factors)]
+        with MapFile(path, empty_map(WAY)) as file:
+            file.append_all([recording_of(each) for each in trips])
+            before = file.summed(file.trips())
+            assert len(before.notes) == 1
+            assert file.compact(10**6) == len(trips) - 1
+            assert file.sums()["wet"] == before.evidence["wet"][0]
+
+    def test_sums_of_weeks_are_those_of_their_days(self, tmp_path: Path) -> None:
+        """Of old days; no sum changes, no day is dated before its evidence, none of late ones."""
+        rail, path = Rail(5), tmp_path / "a.map"
+        trips = [rail.trip(5 * number) for number in range(100)]
+        with MapFile(path, empty_map(WAY)) as file:
+            file.append_all([recording_of(each) for each in trips])
+            days = file.summed(file.trips()).evidence["wet"][0]
+            assert file.compact(kept=1) == 99
+            assert file.compact(10**6) == 1
+            (found,) = file.sums().values()
+            assert file.contents()["wet"] == (100, days.days.tolist())
+        newest = int(days.days[-1])
+        np.testing.assert_array_equal(found.censored, days.censored)
+        for name in ("trips", "events", "weight", "weighted_log", "weighted_square", "common"):
+            np.testing.assert_allclose(found.by_bin(name), days.by_bin(name), rtol=1e-12)
+        assert found.between(newest - 59, newest) == days.between(newest - 59, newest)
+        old = found.days[found.days < newest - 60]
+        assert np.all((old + 1) % 7 == 0)
+        assert np.all((old[old < newest - 365 - 28] + 1) % 28 == 0)
+        for day in (newest - 400, newest - 100):
+            assert found.between(0, day).events.sum() <= days.between(0, day).events.sum()
 
     def test_sums_that_several_maps_hold_are_added_up(self, tmp_path: Path) -> None:
         parts = []

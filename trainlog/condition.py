@@ -247,11 +247,11 @@ class Reconciled:
     Attributes
     ----------
     evidence : dict of str to DailyEvidence
-        By layer: one, or one for each direction (`layer_of`).
+        What counts of each trip, by key; not of those set aside.
     notes : dict of str to str
         Why trips are set aside, or what was made of them, by key.
     layers : dict of str to str
-        Layer in which each trip counts, by key; not those set aside.
+        In which each of these counts, by key: one, or one for each direction (`layer_of`).
     """
 
     evidence: dict[str, DailyEvidence]
@@ -309,16 +309,12 @@ def reconciled(
             layers[each.key] = own
             pieces.setdefault(own, []).append((number, piece))
     evidence = {
-        name: DailyEvidence.total(
-            given
-            if found is None
-            else _corrected(track, found, number, given, every, second=bool(second[number]))
-            for number, given in every
-        )
-        for name, every in sorted(pieces.items())
+        dated[number].key: given
+        if found is None
+        else _corrected(track, found, number, given, every, second=bool(second[number]))
+        for _, every in sorted(pieces.items())
+        for number, given in every
     }
-    if not evidence and not apart:
-        evidence = {layer: DailyEvidence.none(track.bins, track.levels.size)}
     return Reconciled(evidence, notes, layers)
 
 

@@ -24,17 +24,14 @@ from typing import Any, Self
 from analysis.fleet.work import (
     RAN_ALONE,
     THREADS,
-    Batch,
-    BatchResult,
+    Result,
+    Work,
     begin_analyses,
     computed,
     computed_elsewhere,
-    died,
 )
 from trainlog.errors import InputError
 from trainlog.extras import load, require
-
-Compute = Callable[[Batch], BatchResult]
 
 IN_FLIGHT = 2
 """Batches in flight for each worker: one that it computes, one that waits for it."""
@@ -60,6 +57,8 @@ class Engine:
     """
 
     name = "executor"
+    is_here = False
+    """Whether its workers are processes of this computer, which see its files."""
 
     def __init__(self, executor: futures.Executor | None = None, workers: int | None = None):
         self._executor = executor
@@ -76,7 +75,7 @@ class Engine:
         """How many batches are in flight at most."""
         return IN_FLIGHT * self.workers
 
-    def submit(self, batch: Batch) -> futures.Future[BatchResult]:
+    def submit(self, batch: Work[Result]) -> futures.Future[Result]:
         """Have a batch computed."""
         assert self._executor is not None
         return self._executor.submit(computed_elsewhere, batch)
@@ -109,7 +108,7 @@ class Engine:
         InputError
         """
 
-    def alone(self, batch: Batch) -> BatchResult:
+    def alone(self, batch: Work[Result]) -> Result:
         """Compute a batch in a worker that does nothing else."""
         return self.submit(batch).result()
 
@@ -118,6 +117,7 @@ class InProcess(Engine):
     """No workers: batches are computed in this process, one after the other."""
 
     name = "this process"
+    is_here = True
 
     def __init__(self) -> None:
         super().__init__(None, 1)
@@ -127,9 +127,9 @@ class InProcess(Engine):
         """One batch."""
         return 1
 
-    def submit(self, batch: Batch) -> futures.Future[BatchResult]:
+    def submit(self, batch: Work[Result]) -> futures.Future[Result]:
         """Compute a batch, now."""
-        future: futures.Future[BatchResult] = futures.Future()
+        future: futures.Future[Result] = futures.Future()
         future.set_result(computed(batch))
         return future
 
@@ -152,6 +152,7 @@ class Processes(Engine):
     """
 
     name = "processes"
+    is_here = True
 
     def __init__(self, workers: int | None = None) -> None:
         super().__init__(None, workers or processors())
@@ -172,13 +173,13 @@ class Processes(Engine):
     def _started(self, workers: int) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(workers, self._context, initializer=begin_analyses)
 
-    def submit(self, batch: Batch) -> futures.Future[BatchResult]:
+    def submit(self, batch: Work[Result]) -> futures.Future[Result]:
         """Have a batch computed."""
         with _single_threaded():
             try:
                 return self._pool.submit(computed, batch)
             except _LOST as error:
-                broken: futures.Future[BatchResult] = futures.Future()
+                broken: futures.Future[Result] = futures.Future()
                 broken.set_exception(BrokenProcessPool(str(error)))
                 return broken
 
@@ -191,7 +192,7 @@ class Processes(Engine):
         """Let the pool notice that a worker died while it handed on a result."""
         _break_if_dead(self._pool)
 
-    def alone(self, batch: Batch) -> BatchResult:
+    def alone(self, batch: Work[Result]) -> Result:
         """Compute a batch in a process of its own."""
         if self._single is None:
             self._single = self._started(1)
@@ -330,7 +331,7 @@ class Dask(Engine):
                         remedy="install the same versions on all computers",
                     )
 
-    def submit(self, batch: Batch) -> futures.Future[BatchResult]:
+    def submit(self, batch: Work[Result]) -> futures.Future[Result]:
         """Have a batch computed."""
         assert self._executor is not None
         return self._executor.submit(computed_by_dask, batch)
@@ -386,7 +387,7 @@ def _client(distributed: Any, address: str) -> Any:
         ) from error
 
 
-def computed_by_dask(batch: Batch) -> BatchResult:
+def computed_by_dask(batch: Work[Result]) -> Result:
     """`computed_elsewhere`, in a worker of Dask."""
     result = computed_elsewhere(batch)
     _forget_profile()
@@ -447,12 +448,12 @@ class MPI(Engine):
 
 @dataclass(frozen=True)
 class _Attempt:
-    batch: Batch
+    batch: Work[Any]
     deaths: int = 0
 
 
 def run(
-    engine: Engine, batches: Iterator[Batch], finished: Callable[[Batch, BatchResult], None]
+    engine: Engine, batches: Iterator[Work[Result]], finished: Callable[[Any, Result], None]
 ) -> None:
     """Have batches computed, a bounded number at a time.
 
@@ -466,7 +467,7 @@ def run(
         states so.
     """
     again: deque[_Attempt] = deque()
-    running: dict[futures.Future[BatchResult], _Attempt] = {}
+    running: dict[futures.Future[Result], _Attempt] = {}
     try:
         while True:
             while len(running) < engine.in_flight:
@@ -504,9 +505,9 @@ def run(
 
 def _finish(
     engine: Engine,
-    done: set[futures.Future[BatchResult]],
-    running: dict[futures.Future[BatchResult], _Attempt],
-    finished: Callable[[Batch, BatchResult], None],
+    done: set[futures.Future[Result]],
+    running: dict[futures.Future[Result], _Attempt],
+    finished: Callable[[Any, Result], None],
 ) -> list[tuple[_Attempt, BaseException]]:
     """Hand on what is done; what was lost with a worker."""
     lost = []
@@ -526,13 +527,13 @@ def _finish(
 
 def _one_by_one(
     engine: Engine,
-    batch: Batch,
-    finished: Callable[[Batch, BatchResult], None],
+    batch: Work[Result],
+    finished: Callable[[Any, Result], None],
     error: BaseException,
 ) -> None:
     """Compute the trips of a batch of which workers died, each alone."""
     for job in batch.jobs:
-        single = replace(batch, jobs=(job,))
+        single = batch.alone(job)
         for attempt in range(RAN_ALONE):
             try:
                 result = engine.alone(single)
@@ -545,5 +546,5 @@ def _one_by_one(
                 error = found
                 if attempt + 1 == RAN_ALONE:
                     words = "the worker that computed it died each time, out of memory perhaps"
-                    result = died(job, batch.analyses, f"{words} ({type(error).__name__})")
+                    result = batch.died(job, f"{words} ({type(error).__name__})")
         finished(single, result)

@@ -3,6 +3,10 @@
 The evidence of each trip is a result of the catalogue; which trips the maps hold is one, too: the
 computation `MAPS`, without a table. A trip that was added when the process was killed before that
 was recorded is added again, which changes nothing (`trainlog.formats.mapfile`).
+
+Edges are brought up to date side by side, by the processes that computed the trips; of each edge
+the evidence of old trips is then replaced by sums of days. Neither depends on which process does
+it, nor on how trips came, as long as trips agree.
 """
 
 from __future__ import annotations
@@ -10,15 +14,18 @@ from __future__ import annotations
 import json
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pandas as pd
 
 from analysis.adhesion.condition_map import empty_map_of
+from analysis.fleet.engine import Engine, InProcess, run
 from analysis.network.maps import edge_map_path, map_files
+from trainlog.errors import InputError
 from trainlog.formats.files import made_folder, write_bytes
 from trainlog.formats.mapfile import MapFile, Recording, unpacked_evidence
 from trainlog.identity import identity_from_text
@@ -26,7 +33,7 @@ from trainlog.progress import task
 from trainlog.railway.evidence import DailyEvidence
 
 if TYPE_CHECKING:
-    from trainlog.catalogue import Catalogue, Computation
+    from trainlog.catalogue import Catalogue, Computation, ResultOutcome
 
 MAPS = "maps"
 """Folder of the maps beside the results, and the computation that states which trips they hold."""
@@ -35,7 +42,17 @@ MARK = "maps.json"
 """File in that folder: which code and parameters the evidence was made by."""
 
 PAGE = 200
-"""Trips that are added at once."""
+"""Trips that are asked for at once; so many are added by this process."""
+
+PAGES = 5
+"""So many pages are added at once, by all processes."""
+
+SEVERAL = 20
+"""Maps up to which this process sums up what is old."""
+
+KEPT = 30
+"""So many of the latest trips of each rail condition on an edge, and fewer than so many before
+them, are compared with each other and with trips that come; of earlier ones sums are kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +92,10 @@ def maps_folder(catalogue: Catalogue) -> Path:
     return catalogue.results_folder.with_name(MAPS)
 
 
-def update_maps(catalogue: Catalogue, evidence: Computation) -> MapsUpdate:
-    """Add the evidence of all trips that the maps do not hold; one process at a time does.
+def update_maps(
+    catalogue: Catalogue, evidence: Computation, engine: Callable[[], Engine] = InProcess
+) -> MapsUpdate:
+    """Add the evidence of all trips that the maps do not hold; one update at a time does.
 
     Where the evidence was made by other code than that of the maps, maps are built anew beside them
     and take their place when they hold all trips.
@@ -86,20 +105,83 @@ def update_maps(catalogue: Catalogue, evidence: Computation) -> MapsUpdate:
     catalogue : Catalogue
     evidence : Computation
         Of the analysis "adhesion", that made the evidence.
+    engine : callable, optional
+        Gives the engine whose processes share the work where there is much; those that do not run
+        on this computer leave it to this process.
     """
     with catalogue.alone(MAPS):
-        work = _Maps(catalogue, evidence)
+        work = _Maps(catalogue, evidence, engine)
         work.tidy()
         left = work.leave()
         trips, edges = work.add()
+        work.compact()
         return MapsUpdate(work.standing, trips, tuple(sorted(edges | left)), work.finish())
+
+
+class EdgeJob(NamedTuple):
+    """What is to be done with the map of an edge.
+
+    Attributes
+    ----------
+    path : Path
+        Of the map.
+    rows : DataFrame or None
+        Evidence of trips that is to be added.
+    kept : int
+        Where nothing is added: latest trips whose evidence is not summed up.
+    """
+
+    path: Path
+    rows: pd.DataFrame | None = None
+    kept: int = 0
+
+    def do(self) -> None:
+        """Do it."""
+        if self.rows is None:
+            with MapFile(self.path) as file:
+                file.compact(kept=self.kept)
+            return
+        edge, length, bin_length = self.rows[["edge", "edge_length", "bin_length"]].iloc[0]
+        with MapFile(self.path, empty_map_of(edge, float(length), float(bin_length))) as file:
+            file.append_all([_recording(each) for _, each in self.rows.groupby(["key", "trip"])])
+
+
+@dataclass(frozen=True)
+class EdgeBatch:
+    """Maps that one worker brings up to date.
+
+    Attributes
+    ----------
+    jobs : tuple of EdgeJob
+    """
+
+    jobs: tuple[EdgeJob, ...]
+
+    def computed(self) -> None:
+        """Bring them up to date."""
+        for job in self.jobs:
+            job.do()
+
+    def alone(self, job: EdgeJob) -> EdgeBatch:
+        """One of them."""
+        return EdgeBatch((job,))
+
+    def died(self, job: EdgeJob, reason: str) -> None:
+        """Refuse to go on without an edge."""
+        raise InputError(
+            f"cannot be brought up to date: {reason}",
+            file=job.path,
+            remedy="what was finished is kept: free some memory and update again",
+        )
 
 
 class _Maps:
     """Maps of one code, being brought up to date."""
 
-    def __init__(self, catalogue: Catalogue, evidence: Computation) -> None:
-        self.catalogue, self.about = catalogue, evidence
+    def __init__(
+        self, catalogue: Catalogue, evidence: Computation, engine: Callable[[], Engine]
+    ) -> None:
+        self.catalogue, self.about, self._engine = catalogue, evidence, engine
         self.own = replace(evidence, analysis=MAPS)
         self.standing = maps_folder(catalogue)
         self._next = self.standing.with_name(f"{MAPS}.next")
@@ -108,17 +190,31 @@ class _Maps:
         self.mark |= evidence.parameters
 
     def leave(self) -> set[str]:
-        """Take out trips whose logs were overwritten or removed; the edges whose maps changed."""
+        """Take out trips whose logs were overwritten or removed; the edges whose maps changed.
+
+        Where such a trip is in sums, the map is to be made anew of the evidence of the others.
+        """
         logs, edges = self.catalogue.forget_overwritten(self.own), set[str]()
         for folder in (self.standing, self._next):
             for path in map_files(folder) if _mark_of(folder) == self.mark else ():
                 with MapFile(path) as file:
-                    if file.keep_only(logs):
+                    summed = file.logs(summed=True)
+                    if summed <= logs:
+                        gone, trips = file.keep_only(logs), file.amount()[0]
+                    else:
+                        again = sorted(summed | file.logs(summed=False))
+                        for first in range(0, len(again), PAGE // 2):
+                            self._forget(_chosen(again[first : first + PAGE // 2], "sha256"))
+                        gone, trips = len(again), 0
+                    if gone:
                         edges.add(file.empty.line)
-                    trips, _ = file.amount()
                 if not trips:
                     path.unlink()
         return edges
+
+    def _forget(self, where: str | None = None) -> None:
+        """Let trips wait for the maps again."""
+        self.catalogue.forget(self.own, where=where, states=("done", "refused", "failed"))
 
     def add(self) -> tuple[int, set[str]]:
         """Add what is missing; how many trips, and which edges they ran over."""
@@ -127,15 +223,21 @@ class _Maps:
         if not waiting:
             return 0, set()
         with task("mapping", waiting, "trip") as step:
-            for page, outcomes in self._pages():
-                edges |= self._added(folder, self._evidence(page))
-                self.catalogue.record(self.own, outcomes)
-                count += len(outcomes)
-                step(count)
+            pages = self._pages()
+            while several := list(islice(pages, PAGES)):
+                rows = pd.concat([rows for rows, _ in several])
+                parts = {str(edge): part for edge, part in rows.groupby("edge", sort=True)}
+                jobs = [EdgeJob(edge_map_path(folder, edge), parts[edge]) for edge in parts]
+                self._do(jobs, few=len(several) == 1)
+                edges |= set(parts)
+                for _, outcomes in several:
+                    self.catalogue.record(self.own, outcomes)
+                    count += len(outcomes)
+                    step(count)
         return count, edges
 
-    def _pages(self) -> Iterator[tuple[list[str], list[Any]]]:
-        """Keys of trips whose evidence is known and not in the maps, with what is recorded."""
+    def _pages(self) -> Iterator[tuple[pd.DataFrame, list[ResultOutcome]]]:
+        """Evidence of trips that is known and not in the maps, with what is recorded of them."""
         from trainlog.catalogue import ResultOutcome
 
         last = ""
@@ -147,29 +249,32 @@ class _Maps:
             unknown = self.catalogue.pending(self.about, where=_chosen(page["key"]))
             known = page[~page["key"].isin(unknown["key"])]
             if len(known):
+                rows = self.catalogue.results(self.about, where=_chosen(known["key"]))
                 given = known[["key", "sha256"]].to_numpy().tolist()
-                yield [key for key, _ in given], [ResultOutcome(*each) for each in given]
+                yield rows, [ResultOutcome(*each) for each in given]
 
-    def _evidence(self, keys: list[str]) -> pd.DataFrame:
-        return self.catalogue.results(self.about, where=_chosen(keys))
+    def compact(self) -> None:
+        """Replace the evidence of old trips by sums of days."""
+        jobs = []
+        for path in map_files(self._folder()):
+            with MapFile(path) as file:
+                if file.beyond(KEPT):
+                    jobs.append(EdgeJob(path, kept=KEPT))
+        self._do(jobs, few=len(jobs) <= SEVERAL)
 
-    def _added(self, folder: Path, rows: pd.DataFrame) -> set[str]:
-        """Add the evidence of trips to the maps of their edges."""
-        if rows.empty:
-            return set()
-        for edge, part in rows.groupby("edge", sort=True):
-            first = part.iloc[0]
-            empty = empty_map_of(str(edge), float(first["edge_length"]), float(first["bin_length"]))
-            with MapFile(edge_map_path(folder, str(edge)), empty) as file:
-                file.append_all([_recording(each) for _, each in part.groupby(["key", "trip"])])
-        return set(rows["edge"])
+    def _do(self, jobs: Sequence[EdgeJob], *, few: bool) -> None:
+        """Do what is to be done of each edge, side by side where it is not little."""
+        engine = InProcess() if few or len(jobs) < 2 else self._engine()
+        if not engine.is_here:
+            engine = InProcess()
+        run(engine, (EdgeBatch((job,)) for job in jobs), lambda *_: None)
 
     def _folder(self) -> Path:
         """The folder whose maps are of this code; begun anew if there is none."""
         for folder in (self.standing, self._next):
             if _mark_of(folder) == self.mark:
                 return folder
-        self.catalogue.forget(self.own, states=("done", "refused", "failed"))
+        self._forget()
         shutil.rmtree(self._next, ignore_errors=True)
         folder = self._next if self.standing.exists() else self.standing
         made_folder(folder)
@@ -198,9 +303,9 @@ class _Maps:
         return True
 
 
-def _chosen(keys: Any) -> str:
-    """An expression that chooses trips by their keys."""
-    return f"key in ({', '.join(repr(str(key)) for key in keys)})"
+def _chosen(values: Any, column: str = "key") -> str:
+    """An expression that chooses trips by their keys, or what else distinguishes them."""
+    return f"{column} in ({', '.join(repr(str(value)) for value in values)})"
 
 
 def _mark_of(folder: Path) -> Mapping[str, Any] | None:

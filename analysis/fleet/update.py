@@ -12,7 +12,9 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -372,13 +374,14 @@ def update_fleet(
     (2, 'nothing new', ['trip-01', 'trip-03'])
     """
     began = time.perf_counter()
-    work = _Update(catalogue, _chosen(analyses), options or UpdateOptions(), report)
-    work.prepare()
-    if work.total:
-        work.compute()
-    if work.options.merge:
-        work.merge()
-        work.bring_maps()
+    with ExitStack() as stack:
+        work = _Update(catalogue, _chosen(analyses), options or UpdateOptions(), report, stack)
+        work.prepare()
+        if work.total:
+            work.compute()
+        if work.options.merge:
+            work.merge()
+            work.bring_maps()
     work.found.seconds = time.perf_counter() - began
     return work.found
 
@@ -412,7 +415,9 @@ class _Update:
         analyses: Sequence[FleetAnalysis],
         options: UpdateOptions,
         report: Callable[[Problem], object] | None,
+        stack: ExitStack,
     ) -> None:
+        self._stack = stack
         self.catalogue, self.analyses, self.options = catalogue, tuple(analyses), options
         self.computations = [computation_of(each) for each in analyses]
         self.found = FleetUpdate(
@@ -422,6 +427,11 @@ class _Update:
         self._report = report
         self._done = 0
         self._first, self._last, self._busy = math.inf, 0.0, 0.0
+
+    @cached_property
+    def _engine(self) -> Engine:
+        """The engine, from when it is first asked for until the update ends."""
+        return self._stack.enter_context(self.options.engine())
 
     def prepare(self) -> None:
         """Find out how much there is to do."""
@@ -442,7 +452,8 @@ class _Update:
         """Compute all that is pending."""
         from analysis.fleet.engine import run
 
-        with task("computing", self.total, "trip") as step, self.options.engine() as engine:
+        engine = self._engine
+        with task("computing", self.total, "trip") as step:
             self.found.engine, self.found.workers = engine.name, engine.workers
             self._step = step
             step(0, note=FIRST)
@@ -563,7 +574,7 @@ class _Update:
             if analysis.name == EVIDENCE and analysis.is_default and counts.known + counts.done:
                 from analysis.fleet.maps import update_maps
 
-                self.found.maps = update_maps(self.catalogue, computation)
+                self.found.maps = update_maps(self.catalogue, computation, lambda: self._engine)
 
 
 def _size(path: str) -> int:

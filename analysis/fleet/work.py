@@ -11,9 +11,9 @@ import socket
 import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar
 
 import pandas as pd
 import pyarrow as pa
@@ -57,6 +57,32 @@ class Job(NamedTuple):
     name: str = ""
 
 
+Result = TypeVar("Result", covariant=True)
+
+
+class Work(Protocol[Result]):
+    """What one worker is given at once.
+
+    Attributes
+    ----------
+    jobs : tuple
+        What of it can be done alone.
+    """
+
+    @property
+    def jobs(self) -> tuple[Any, ...]:
+        """The jobs."""
+
+    def computed(self) -> Result:
+        """Do it."""
+
+    def alone(self, job: Any) -> Work[Result]:
+        """One of its jobs."""
+
+    def died(self, job: Any, reason: str) -> Result:
+        """The result of a job of which workers die."""
+
+
 @dataclass(frozen=True)
 class Batch:
     """Trips that one worker computes one after the other.
@@ -69,6 +95,45 @@ class Batch:
 
     jobs: tuple[Job, ...]
     analyses: tuple[FleetAnalysis, ...]
+
+    def computed(self) -> BatchResult:
+        """Every analysis that is asked for of each trip, by one reading of its log.
+
+        What a trip cannot give is stated with the reason, and keeps no other from being computed.
+        """
+        began, started = time.process_time(), time.time()
+        kept: list[list[tuple[str, pd.DataFrame]]] = [[] for _ in self.analyses]
+        result = BatchResult([], [[] for _ in self.analyses], [], code_version())
+        result.host, result.process = socket.gethostname(), os.getpid()
+        for job in self.jobs:
+            reason = _unreadable(job)
+            if reason:
+                result.unread.append(Unread(job.key, job.path, reason))
+                continue
+            for number, (outcome, frame) in _of_trip(job, self.analyses).items():
+                result.outcomes[number].append(outcome)
+                if frame is not None:
+                    kept[number].append((job.key, frame))
+        result.tables = [
+            analysis.arrow(frames) for analysis, frames in zip(self.analyses, kept, strict=True)
+        ]
+        result.seconds = time.process_time() - began
+        result.began, result.ended = started, time.time()
+        return result
+
+    def alone(self, job: Job) -> Batch:
+        """One of its trips."""
+        return replace(self, jobs=(job,))
+
+    def died(self, job: Job, reason: str) -> BatchResult:
+        """The result of a trip of which workers die."""
+        outcomes = [
+            [Outcome(job.key, job.sha256, "failed", reason, 0, 0.0)]
+            if number in job.analyses
+            else []
+            for number in range(len(self.analyses))
+        ]
+        return BatchResult([each.arrow([]) for each in self.analyses], outcomes)
 
 
 class Outcome(NamedTuple):
@@ -140,36 +205,15 @@ def load_analyses() -> None:
     import analysis.fleet.worker  # noqa: F401
 
 
-def computed(batch: Batch) -> BatchResult:
-    """Compute a batch: every analysis that is asked for of each trip, by one reading of its log.
-
-    What a trip cannot give is stated with the reason, and keeps no other from being computed.
-    """
-    began, started = time.process_time(), time.time()
-    kept: list[list[tuple[str, pd.DataFrame]]] = [[] for _ in batch.analyses]
-    result = BatchResult([], [[] for _ in batch.analyses], [], code_version())
-    result.host, result.process = socket.gethostname(), os.getpid()
-    for job in batch.jobs:
-        reason = _unreadable(job)
-        if reason:
-            result.unread.append(Unread(job.key, job.path, reason))
-            continue
-        for number, (outcome, frame) in _of_trip(job, batch.analyses).items():
-            result.outcomes[number].append(outcome)
-            if frame is not None:
-                kept[number].append((job.key, frame))
-    result.tables = [
-        analysis.arrow(frames) for analysis, frames in zip(batch.analyses, kept, strict=True)
-    ]
-    result.seconds = time.process_time() - began
-    result.began, result.ended = started, time.time()
-    return result
+def computed(work: Work[Result]) -> Result:
+    """Do what a worker is given."""
+    return work.computed()
 
 
-def computed_elsewhere(batch: Batch) -> BatchResult:
+def computed_elsewhere(work: Work[Result]) -> Result:
     """`computed`, in a process that was not started by us."""
     one_thread()
-    return computed(batch)
+    return work.computed()
 
 
 def _unreadable(job: Job) -> str:
@@ -254,12 +298,3 @@ def _stated(error: Exception) -> tuple[State, str]:
     place = traceback.extract_tb(error.__traceback__)[-1]
     where = f"{Path(place.filename).name}, line {place.lineno}"
     return "failed", f"{type(error).__name__}: {error} ({where})".replace("\n", " ")
-
-
-def died(job: Job, analyses: Sequence[FleetAnalysis], reason: str) -> BatchResult:
-    """The result of a trip of which workers die."""
-    outcomes = [
-        [Outcome(job.key, job.sha256, "failed", reason, 0, 0.0)] if number in job.analyses else []
-        for number in range(len(analyses))
-    ]
-    return BatchResult([each.arrow([]) for each in analyses], outcomes)

@@ -18,7 +18,7 @@ import secrets
 import sqlite3
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import reduce
@@ -71,11 +71,11 @@ _TABLES = """
 CREATE TABLE header (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE trips (
     key TEXT PRIMARY KEY, layer TEXT NOT NULL, start INTEGER, end INTEGER, first_day INTEGER,
-    last_day INTEGER, steps INTEGER NOT NULL, entry TEXT NOT NULL, identity TEXT, evidence TEXT,
+    last_day INTEGER, steps INTEGER NOT NULL, entry BLOB NOT NULL, identity BLOB, evidence TEXT,
     counted INTEGER NOT NULL, digest TEXT NOT NULL
 ) WITHOUT ROWID;
 CREATE INDEX trips_by_time ON trips (start, end);
-CREATE TABLE evidence (digest TEXT PRIMARY KEY, data BLOB NOT NULL);
+CREATE TABLE evidence (digest TEXT PRIMARY KEY, data BLOB NOT NULL) WITHOUT ROWID;
 CREATE TABLE sums (layer TEXT PRIMARY KEY, digest TEXT NOT NULL, data BLOB NOT NULL);
 CREATE TABLE estimates (layer TEXT PRIMARY KEY, made_from TEXT NOT NULL, data BLOB NOT NULL);
 CREATE TABLE files (
@@ -103,6 +103,18 @@ _TOGETHER = 200
 
 JUDGED = 500
 """The latest so many trips of a layer are compared with one another."""
+
+PERIODS = ((60, 7), (365, 28))
+"""Age [days] from which on sums of days are added up by period, and its length [days]."""
+
+USUAL = (
+    '{"common_std":0.009,"damage":"","direction":"reverse","forward","further_layers":["wet"],'
+    '"load":"assumed","load":"estimated","layer":"wet","notes":["the efforts are 0.1 s late:'
+    ' shifted by that"],"sha256":"","software":"trainlog 0.1.0","trip":"","unmeasured":1,"weather":'
+    '{"humidity":,"rain":,"sun_elevation":1,"temperature":28,"temperature_source":"log","time":'
+    '"2026-1:00Z"}}'
+)
+"""What entries of trips have in common: with their key it is the dictionary of their bytes."""
 
 
 # ------------------------------------------------------------------------------- recordings
@@ -246,9 +258,25 @@ class Row(NamedTuple):
     counted: int
 
     @property
-    def full(self) -> tuple[Any, ...]:
-        """The columns and their digest."""
-        return (*self, _sealed(self))
+    def digest(self) -> str:
+        """The checksum over the columns."""
+        return _sealed(self)
+
+    @property
+    def stored(self) -> tuple[Any, ...]:
+        """The columns as the file has them, and their digest."""
+        return (*self._texts(_deflated), self.digest)
+
+    @classmethod
+    def of_stored(cls, columns: Sequence[Any]) -> Row:
+        """The row of columns that the file has; `digest` is left out."""
+        return cls(*columns)._texts(_inflated)
+
+    def _texts(self, change: Callable[[Any, bytes], Any]) -> Row:
+        """With the long texts as bytes, or from bytes."""
+        usual = f"{USUAL}{self.key}{self.start} {self.end} ".encode()
+        identity = None if self.identity is None else change(self.identity, usual)
+        return self._replace(entry=change(self.entry, usual), identity=identity)
 
     @property
     def days(self) -> tuple[int, int]:
@@ -327,6 +355,19 @@ def _sealed(values: Sequence[Any]) -> str:
     return sha256(repr(tuple(values)).encode())[:16]
 
 
+def _deflated(text: str, usual: bytes) -> bytes:
+    """A text in few bytes, most of it being as usual."""
+    packing = zlib.compressobj(9, zlib.DEFLATED, -15, zdict=usual)
+    return packing.compress(text.encode()) + packing.flush()
+
+
+def _inflated(data: bytes | str, usual: bytes) -> str:
+    """The text of `_deflated`; earlier files have it as it is."""
+    if isinstance(data, str):
+        return data
+    return zlib.decompressobj(-15, zdict=usual).decompress(data).decode()
+
+
 def _compact_json(value: Mapping[str, Any]) -> str:
     """JSON on one line, keys in order."""
     return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
@@ -354,11 +395,14 @@ class Sums(NamedTuple):
         On trips that do not agree with the others, by key.
     layers : dict of (str, str) to str
         Where trips of a rail condition count by direction, the layer of each, by condition and key.
+    corrected : dict of (str, str) to DailyEvidence
+        What counts of trips that do not agree with the others, by condition and key.
     """
 
     evidence: dict[str, tuple[DailyEvidence, str]]
     notes: dict[str, str]
     layers: dict[tuple[str, str], str]
+    corrected: dict[tuple[str, str], DailyEvidence]
 
 
 def _pieces_of(rows: Iterable[Row]) -> dict[str, list[_Piece]]:
@@ -446,7 +490,7 @@ class MapFile:
         with found._writing() as database:
             stated["digest"] = _sealed([stated[key] for key in _HEADER])
             database.executemany("INSERT INTO header VALUES (?, ?)", stated.items())
-            database.executemany(_INSERT, (row.full for row in rows))
+            database.executemany(_INSERT, (row.stored for row in rows))
             database.executemany("INSERT INTO evidence VALUES (?, ?)", evidence)
             for layer, piece in sums.items():
                 found._insert_sums(layer, piece)
@@ -485,7 +529,7 @@ class MapFile:
         """
         with self.unchanging():
             trips = self.trips()
-            known, notes, own = self.summed(trips)
+            known, notes, own, _ = self.summed(trips)
             entries = []
             for row in (each for each in trips if each.counted):
                 entry = row.entry_whole
@@ -562,10 +606,13 @@ class MapFile:
     def rows(self, where: str = "", values: Sequence[Any] = ()) -> list[Row]:
         """Rows of the trips; each is verified."""
         found = []
-        for row in self._asked(f"{_SELECT} {where}", values):
-            if _sealed(row[:-1]) != row[-1]:
-                raise _damaged(self.path, f"trip {str(row[0])[:16]}", "its entry was changed")
-            found.append(Row(*row[:-1]))
+        for *columns, digest in self._asked(f"{_SELECT} {where}", values):
+            row = None
+            with suppress(zlib.error, UnicodeDecodeError, TypeError):
+                row = Row.of_stored(columns)
+            if row is None or row.digest != digest:
+                raise _damaged(self.path, f"trip {str(columns[0])[:16]}", "its entry was changed")
+            found.append(row)
         return found
 
     def held(self, key: str) -> Row | None:
@@ -623,6 +670,7 @@ class MapFile:
         known, pieces = self._sums(), _pieces_of(trips)
         found, notes = dict[str, tuple[DailyEvidence, str]](), dict[str, str]()
         layers: dict[tuple[str, str], str] = {}
+        corrected: dict[tuple[str, str], DailyEvidence] = {}
         for layer in sorted({*map(condition_of_layer, known), *pieces}):
             given = sorted(pieces.get(layer, []), key=lambda piece: (piece.start, piece.key))
             made_from = sorted(each.digest for each in given)
@@ -636,6 +684,7 @@ class MapFile:
                 continue
             notes |= judged.notes
             layers |= {(layer, key): name for key, name in judged.layers.items()}
+            corrected |= {(layer, key): piece for key, piece in judged.evidence.items()}
             made_from += [*sorted(judged.notes.values()), *sorted(judged.layers.values())]
             parted = parted or any(name != layer for name in judged.layers.values())
             earlier: dict[str, list[_Piece]] = {}
@@ -643,14 +692,15 @@ class MapFile:
                 own = layer_of(layer, piece.direction) if parted and piece.direction else layer
                 layers[layer, piece.key] = own
                 earlier.setdefault(own, []).append(piece)
-            for name in sorted({*judged.evidence, *sums, *earlier}):
+            for name in sorted({*judged.layers.values(), *sums, *earlier}) or [layer]:
                 start, digest = sums.get(name, (None, ""))
-                several = [judged.evidence[name]] if name in judged.evidence else []
+                several = [e for key, e in judged.evidence.items() if judged.layers[key] == name]
+                several = several or [DailyEvidence.none(self.empty.bins, self.empty.levels.size)]
                 if start is not None or name in earlier:
                     several.append(self._added_up(start, earlier.get(name, [])))
                 whole = "\n".join([name, digest, *made_from])
                 found[name] = DailyEvidence.total(several), sha256(whole.encode())
-        return Sums(found, notes, layers)
+        return Sums(found, notes, layers, corrected)
 
     def _reconciled(
         self, layer: str, pieces: Sequence[_Piece], *, apart: bool
@@ -693,16 +743,18 @@ class MapFile:
 
     def contents(self) -> dict[str, tuple[int, list[int]]]:
         """Trips that count, and the days of their evidence, by layer; it is not added up."""
-        days = {layer: set(piece.days.tolist()) for layer, piece in self.sums().items()}
+        days: dict[str, set[int]] = {}
         trips: Counter[str] = Counter()
-        for row in self.trips():
-            if row.counted:
-                trips[row.layer] += 1
-                first, last = row.days
-                for layer in row.pieces:
-                    days.setdefault(layer, set()).update(
-                        range(first, last + 1) if last >= 0 else ()
-                    )
+        rows = [row for row in self.trips() if row.counted]
+        for row in rows:
+            trips[row.layer] += 1
+            first, last = row.days
+            for layer in row.pieces or [row.layer]:
+                days.setdefault(layer, set()).update(range(first, last + 1) if last >= 0 else ())
+        dated = all(row.evidence is not None or row.last_day is not None for row in rows)
+        for layer, piece in self.sums().items():
+            if not (dated and condition_of_layer(layer) in days):
+                days.setdefault(layer, set()).update(piece.days.tolist())
         return {each: (trips[each], sorted(days.get(each, ()))) for each in sorted({*trips, *days})}
 
     def amount(self) -> tuple[int, int]:
@@ -769,11 +821,11 @@ class MapFile:
                 "INSERT OR IGNORE INTO evidence VALUES (?, ?)", (sha256(raw), zlib.compress(raw))
             )
         row = recording.row(digests)
-        database.execute(_INSERT, row.full)
+        database.execute(_INSERT, row.stored)
         changes, reasons = self._decided(row)
         changed = [row, *(each for pair in changes for each in pair)]
         (known,) = database.execute("SELECT value FROM header WHERE key = 'total'").fetchone()
-        total = f"{int(known, 16) ^ _number_of(each.full[-1] for each in changed):016x}"
+        total = f"{int(known, 16) ^ _number_of(each.digest for each in changed):016x}"
         database.execute("UPDATE header SET value = ? WHERE key = 'total'", (total,))
         replaced = tuple(old.known.name for old, _ in changes if old.counted and old.key != row.key)
         reason = reasons.get(row.key, "")
@@ -813,7 +865,7 @@ class MapFile:
         new = row._replace(**changes)
         self._database.execute(
             "UPDATE trips SET evidence = ?, counted = ?, digest = ? WHERE key = ?",
-            (new.evidence, new.counted, new.full[-1], new.key),
+            (new.evidence, new.counted, new.digest, new.key),
         )
         return new
 
@@ -866,6 +918,13 @@ class MapFile:
             self._take_out(database, rows)
         return len(rows)
 
+    def logs(self, *, summed: bool) -> set[str]:
+        """SHA-256 of the logs whose evidence is in sums of days, or of those whose is not."""
+        own = f"evidence IS {'' if summed else 'NOT '}NULL"
+        return {
+            key for (key,) in self._asked(f"SELECT key FROM trips WHERE {own}") if len(key) == 64
+        }
+
     def keep_only(self, logs: Collection[str]) -> int:
         """Take out the recordings of all other logs; returns how many.
 
@@ -876,8 +935,7 @@ class MapFile:
         logs : collection of str
             SHA-256 of each.
         """
-        known = "SELECT key FROM trips WHERE evidence IS NOT NULL AND length(key) = 64"
-        gone = [key for (key,) in self._asked(known) if key not in logs]
+        gone = sorted(self.logs(summed=False).difference(logs))
         if gone:
             with self._writing() as database:
                 self._take_out(database, [row for row in map(self.held, gone) if row is not None])
@@ -901,34 +959,66 @@ class MapFile:
         database.executemany("DELETE FROM evidence WHERE digest = ?", unused)
         self._set_total()
 
-    def compact(self, before: int) -> int:
+    def compact(self, before: int | None = None, kept: int = 0) -> int:
         """Replace the evidence of trips by sums of days; returns of how many trips.
 
-        Which recordings of these drives count is then decided: a fuller one that comes later does
-        not replace any.
+        It is what counts of it beside the other trips. Which recordings of these drives count is
+        then decided: a fuller one that comes later does not replace any.
 
         Parameters
         ----------
-        before : int
+        before : int, optional
             Day, counted from 1970-01-01 in UTC: of trips whose evidence is all of earlier days.
+        kept : int, optional
+            So many of the latest trips of each rail condition are left, and fewer than so many
+            before them: of which trips depends on those that the map holds, not on how they came.
+            Sums older than 60 days are by week then, those older than a year by four weeks
+            (`PERIODS`).
         """
         with self._writing() as database:
-            rows = self.rows("WHERE evidence IS NOT NULL AND ifnull(last_day, -1) < ?", (before,))
-            _, notes, layers = self.summed(self.rows())
+            every = self.rows()
+            rows = [row for row in every if row.evidence is not None]
+            if before is not None:
+                rows = [row for row in rows if row.days[1] < before]
+            if kept:
+                old = self.beyond(kept)
+                rows = [row for row in rows if row.key in old]
+            if not rows:
+                return 0
+            whole = self.summed(every)
             # What is set aside now may count beside later trips.
-            rows = [row for row in rows if not notes.get(row.key, "").startswith(SET_ASIDE)]
-            known, added = self.sums(), dict[str, list[_Piece]]()
+            aside = {key for key, note in whole.notes.items() if note.startswith(SET_ASIDE)}
+            rows = [row for row in rows if row.key not in aside]
+            newest = max((row.days[1] for row in every if row.key not in aside), default=-1)
+            added = {layer: [piece] for layer, piece in self.sums().items()}
             for layer, pieces in _pieces_of(rows).items():
                 for piece in pieces:
-                    added.setdefault(layers.get((layer, piece.key), layer), []).append(piece)
-            for layer in sorted(added):
-                self._insert_sums(layer, self._added_up(known.get(layer), added[layer]))
+                    own = whole.corrected.get((layer, piece.key)) or self._added_up(None, [piece])
+                    added.setdefault(whole.layers.get((layer, piece.key), layer), []).append(own)
+            for layer, several in sorted(added.items()):
+                total = DailyEvidence.total(several)
+                for age, length in PERIODS if kept else ():
+                    total = total.by_period(newest - age, length)
+                self._insert_sums(layer, total)
             for row in rows:
                 self._changed(row, evidence=None)
             self._tidy(database)
         with _refusing(self.path):
             self._database.execute("VACUUM")
         return len(rows)
+
+    def beyond(self, kept: int) -> set[str]:
+        """Keys of the recordings of which `compact` would sum evidence up, so many being kept."""
+        asked = "SELECT layer, key, evidence IS NOT NULL FROM trips ORDER BY layer, start, key"
+        by_layer: dict[str, list[tuple[str, int]]] = {}
+        for layer, key, own in self._asked(asked):
+            by_layer.setdefault(layer, []).append((key, own))
+        return {
+            key
+            for rows in by_layer.values()
+            for key, own in rows[: max(len(rows) // kept - 1, 0) * kept]
+            if own
+        }
 
     def _keep_estimates(self, estimates: Mapping[str, tuple[str, bytes]]) -> None:
         """Keep estimates for later readers, by layer with what they were made from, if possible.

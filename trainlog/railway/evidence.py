@@ -200,13 +200,43 @@ class DailyEvidence:
         used = (self.used_day >= first) & (self.used_day <= last)
         return self if own.all() and used.all() else self.chosen(own, used)
 
-    def chosen(self, own: BoolArray, used: BoolArray) -> DailyEvidence:
-        """Some rows of onsets, and some of adhesion used without slip."""
+    def chosen(self, own: BoolArray | IntArray, used: BoolArray | IntArray) -> DailyEvidence:
+        """Some rows of onsets, and some of adhesion used without slip, by choice or number."""
         return replace(
             self,
             **{name: getattr(self, name)[own] for name in (*_KEYS, *_SUMS)},
             **{name: getattr(self, name)[used] for name in (*_USED_KEYS, "used_trips")},
         )
+
+    def by_period(self, until: int, length: int) -> DailyEvidence:
+        """With days in periods that end by a day as the last day of each.
+
+        Parameters
+        ----------
+        until : int
+            Day.
+        length : int
+            Of a period [days], counted from 1970-01-01.
+
+        Examples
+        --------
+        >>> weight = np.ones(1)
+        >>> days = [DailyEvidence.of_bins(n, weight, weight, -weight, np.zeros((1, 2)))
+        ...         for n in (2, 5, 9)]
+        >>> found = DailyEvidence.total(days).by_period(8, 7)
+        >>> found.day.tolist(), found.events.tolist()
+        ([6, 9], [2.0, 1.0])
+        """
+
+        def ends(day: IntArray) -> IntArray:
+            last = day // length * length + length - 1
+            return np.where(last <= until, last, day)
+
+        own, used = ends(self.day), ends(self.used_day)
+        order = np.lexsort((self.bin, own))
+        by_level = np.lexsort((self.used_level, self.used_bin, used))
+        moved = replace(self, day=own, used_day=used).chosen(order, by_level)
+        return DailyEvidence.total([moved])
 
     def moved(self, step: int) -> DailyEvidence:
         """That of a trip that was placed wrong, so many bins further along the line."""
