@@ -17,6 +17,7 @@ from command import Shell
 pytest.importorskip("sqlalchemy")
 
 from analysis.fleet.analyses import ANALYSES, computation_of
+from analysis.fleet.checks import contradicted_dates
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Cause, Explanation, Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
@@ -147,8 +148,11 @@ def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> No
         {
             "key": keys, "name": keys, "train": 4 * ["a"] + 4 * ["b"], "reason": "",
             "start": pd.date_range("2026-10-01", periods=8, freq="D", tz="UTC"),
+            "line": "A - B", "direction": "forward", "labels": None,
         }
     )  # fmt: skip
+    trips["end"] = trips["start"] + pd.Timedelta("1h")
+    trips["added"] = trips["start"] + pd.Timedelta("1D")
     states = {
         "driving": 8 * ["done"],
         "resistance": ["done", *3 * ["refused"], *4 * ["done"]],
@@ -186,6 +190,37 @@ def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> No
     assert rows[2][2].startswith("look at its trips before and after")
     assert [row[:2] for row in rows[3:]] == [("b", 4), ("a", 1), ("b", 1)]
     assert "record the speeds of its axles" in rows[3][2]
+
+
+def test_trips_whose_dates_contradict_each_other_are_named() -> None:
+    """A train that runs to and fro; two recorders on one trip contradict nothing."""
+    hour, day = pd.Timedelta("1h"), pd.Timedelta("1D")
+    start = pd.Timestamp("2026-10-01T05:00Z") + np.arange(12) * hour
+    trips = pd.DataFrame(
+        {
+            "train": ["a", "b"] * 6, "line": ["A - B", "B - A"] * 6, "direction": "forward",
+            "start": start, "end": start + 1.5 * hour, "added": start + day, "labels": None,
+        }
+    )  # fmt: skip
+    assert contradicted_dates(trips).empty
+    doubled = pd.concat([trips, trips.iloc[:3].assign(end=trips["end"] - 0.5 * hour)])
+    assert contradicted_dates(doubled).empty
+    wrong = trips.copy()
+    wrong.loc[1, ["start", "end"]] += 5 * hour  # b is at 11:00 to 12:30 on its trip of 10:00
+    found = contradicted_dates(wrong)
+    assert (
+        found[["train", "what"]].to_numpy().tolist()
+        == [["b", "dated while the train was on another trip"]] * 2
+    )
+    wrong.loc[2, ["start", "end"]] += 30 * day
+    facts = FleetFacts(wrong, "no curve", {}, pd.DataFrame())
+    (table,) = attention_parts(facts)
+    assert isinstance(table, WordTable)
+    rows = {row["what"]: row for row in table.data}
+    later = rows["dated after its log was registered"]
+    assert (later["train"], later["trips"], later["since"]) == ("a", 1, "2026-10-31 07:00")
+    simulated = wrong.assign(labels=[{"clock": "UTC, simulated"}] * 12)
+    assert "dated after its log was registered" not in set(contradicted_dates(simulated)["what"])
 
 
 def test_doubts_of_recordings_are_counted(catalogue: Catalogue, page: Page) -> None:

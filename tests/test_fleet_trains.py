@@ -297,7 +297,8 @@ def test_a_step_that_is_no_finding_is_stated() -> None:
     checks = rows.assign(
         speed_scale=1.0 + 0.02 * (rows["start"] >= step.since), damage="", frozen=""
     )
-    (table,) = attention_parts(FleetFacts(rows, "no curve", {}, checks))
+    trips = rows.assign(end=rows["start"], added=rows["start"], labels=None)
+    (table,) = attention_parts(FleetFacts(trips, "no curve", {}, checks))
     assert "step of +2 %" in " ".join(row["what"] for row in table.data)
 
 

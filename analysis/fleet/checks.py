@@ -57,6 +57,58 @@ def checked(trip: TripView) -> Mapping[str, Any]:
     return row | {"doubts": "; ".join(doubts)}
 
 
+AT_ONCE = 60.0
+"""Seconds that two trips of a vehicle must share for their dates to contradict each other."""
+
+
+def contradicted_dates(trips: pd.DataFrame) -> pd.DataFrame:
+    """Trips whose dates cannot all be right: of each the train, its start, and what speaks for it.
+
+    A vehicle is at two places at once where two of its trips were recorded at one time, but not two
+    recorders on one trip: along one line, one way, for half of the shorter one. A trip that
+    ended after its log was registered ran in the future. Dates that contradict nothing may be
+    wrong all the same.
+
+    Parameters
+    ----------
+    trips : DataFrame
+        `Catalogue.query()`.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> start = pd.to_datetime(["2026-10-01T08:00Z", "2026-10-01T08:20Z"])
+    >>> trips = pd.DataFrame({"train": "flirt-01", "line": ["A - B", "B - A"], "start": start,
+    ...                       "direction": "forward", "end": start + pd.Timedelta("30min"),
+    ...                       "added": pd.Timestamp("2026-10-02T00:00Z"), "labels": None})
+    >>> contradicted_dates(trips)["what"].tolist()
+    ['dated while the train was on another trip']
+    """
+    found = []
+    known = trips[trips["start"].notna() & trips["end"].notna()].sort_values(["start", "end"])
+    named = known[known["train"].fillna("") != ""]
+    for _, rows in named.groupby("train"):
+        last = None
+        for row in rows.itertuples(index=False):
+            if last is not None and _are_contrary(last, row):
+                found.append((row.train, row.start, "dated while the train was on another trip"))
+            last = row if last is None or row.end > last.end else last
+    found += [
+        (row.train, row.start, "dated after its log was registered")
+        for row in known[known["end"] > known["added"]].itertuples(index=False)
+        if "simulated" not in (row.labels or {}).get("clock", "")
+    ]
+    return pd.DataFrame(found, columns=["train", "start", "what"])
+
+
+def _are_contrary(first: Any, second: Any) -> bool:
+    """Whether two trips of a vehicle, the second of which begins later, cannot both be so dated."""
+    both = (min(first.end, second.end) - second.start).total_seconds()
+    shorter = min((each.end - each.start).total_seconds() for each in (first, second))
+    alike = (first.line, first.direction) == (second.line, second.direction)
+    return both > AT_ONCE and not (alike and both >= 0.5 * shorter)
+
+
 def _is_recorded(trip: Trip, topic: str, column: str) -> bool:
     frame = trip.topics.get(topic)
     return frame is not None and column in frame and bool(frame[column].notna().any())

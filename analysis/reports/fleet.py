@@ -17,6 +17,7 @@ from analysis.charts import BLUE, GREEN, GREY, ORANGE, RED, Chart, Curve, Panel,
 from analysis.comparison.causes import CAUSES, LOST
 from analysis.fleet.analyses import ANALYSES, code_of, computation_of
 from analysis.fleet.channels import CHANNELS, raw_step
+from analysis.fleet.checks import contradicted_dates
 from analysis.fleet.diff import JUDGED, FleetDiff
 from analysis.fleet.maps import maps_folder
 from analysis.fleet.plot import channels_over_time, drift_charts, findings_charts, resistance_charts
@@ -586,7 +587,13 @@ class FleetFacts:
 
 def attention_rows(facts: FleetFacts) -> list[Row]:
     """What asks for attention, what is most urgent first."""
-    return [*_findings(facts), *_steps(facts), *_results(facts), *_recordings(facts)]
+    return [
+        *_findings(facts),
+        *_steps(facts),
+        *_results(facts),
+        *_recordings(facts),
+        *_dates(facts),
+    ]
 
 
 def attention_parts(facts: FleetFacts) -> list[Part]:
@@ -689,6 +696,16 @@ def _recordings(facts: FleetFacts) -> Iterator[Row]:
         found = rows[chosen.to_numpy(bool)]
         if len(found):
             yield _named(found["train"]), what, "", len(found), todo
+
+
+def _dates(facts: FleetFacts) -> Iterator[Row]:
+    """Trips whose dates cannot all be right."""
+    todo = (
+        "check clock and zone of the recorder, and that no two vehicles have one name; ingest again"
+    )
+    for what, rows in contradicted_dates(facts.trips).groupby("what", sort=False):
+        first = f"{rows['start'].min():%Y-%m-%d %H:%M}"
+        yield _named(rows["train"].fillna("")), str(what), first, len(rows), todo
 
 
 def _named(trains: pd.Series) -> str:
