@@ -307,11 +307,11 @@ class TestCompaction:
         np.testing.assert_array_equal(found.censored, days.censored)
         for name in ("trips", "events", "weight", "weighted_log", "weighted_square", "common"):
             np.testing.assert_allclose(found.by_bin(name), days.by_bin(name), rtol=1e-12)
-        assert found.between(newest - 59, newest) == days.between(newest - 59, newest)
-        old = found.days[found.days < newest - 60]
+        assert found.between(newest - 119, newest) == days.between(newest - 119, newest)
+        old = found.days[found.days < newest - 120]
         assert np.all((old + 1) % 7 == 0)
         assert np.all((old[old < newest - 365 - 28] + 1) % 28 == 0)
-        for day in (newest - 400, newest - 100):
+        for day in (newest - 400, newest - 200):
             assert found.between(0, day).events.sum() <= days.between(0, day).events.sum()
 
     def test_sums_that_several_maps_hold_are_added_up(self, tmp_path: Path) -> None:

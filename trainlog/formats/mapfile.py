@@ -104,7 +104,7 @@ _TOGETHER = 200
 JUDGED = 500
 """The latest so many trips of a layer are compared with one another."""
 
-PERIODS = ((60, 7), (365, 28))
+PERIODS = ((120, 7), (365, 28))
 """Age [days] from which on sums of days are added up by period, and its length [days]."""
 
 USUAL = (
@@ -972,7 +972,7 @@ class MapFile:
         kept : int, optional
             So many of the latest trips of each rail condition are left, and fewer than so many
             before them: of which trips depends on those that the map holds, not on how they came.
-            Sums older than 60 days are by week then, those older than a year by four weeks
+            Sums older than 120 days are by week then, those older than a year by four weeks
             (`PERIODS`).
         """
         with self._writing() as database:
