@@ -84,19 +84,21 @@ def contradicted_dates(trips: pd.DataFrame) -> pd.DataFrame:
     >>> contradicted_dates(trips)["what"].tolist()
     ['dated while the train was on another trip']
     """
-    found = []
+    found: list[tuple[str, pd.Timestamp, str]] = []
     known = trips[trips["start"].notna() & trips["end"].notna()].sort_values(["start", "end"])
     named = known[known["train"].fillna("") != ""]
     for _, rows in named.groupby("train"):
-        last = None
+        last: Any = None
+        row: Any
         for row in rows.itertuples(index=False):
             if last is not None and _are_contrary(last, row):
                 found.append((row.train, row.start, "dated while the train was on another trip"))
             last = row if last is None or row.end > last.end else last
+    later = known[known["end"] > known["added"]]
     found += [
-        (row.train, row.start, "dated after its log was registered")
-        for row in known[known["end"] > known["added"]].itertuples(index=False)
-        if "simulated" not in (row.labels or {}).get("clock", "")
+        (train, start, "dated after its log was registered")
+        for train, start, labels in later[["train", "start", "labels"]].to_numpy(object).tolist()
+        if "simulated" not in (labels or {}).get("clock", "")
     ]
     return pd.DataFrame(found, columns=["train", "start", "what"])
 
