@@ -215,6 +215,25 @@ def test_a_restriction_holds_while_the_train_runs(found: SferaJourney) -> None:
     assert "GuardRails: 1" in found.left_out
 
 
+def test_a_restriction_without_an_end_holds_to_that_of_its_segment(tmp_path: Path) -> None:
+    """As published journeys have them; places beyond a segment that no train calls at are left."""
+    outside = '<TimingPoint TP_ID="e" location="1800"/></SP_Points>'
+    (journey,) = read_sfera(
+        folder_with(
+            tmp_path,
+            jp=JOURNEY.replace('startLocation="200" endLocation="500"', 'startLocation="200"'),
+            c=C.replace("</SP_Points>", outside),
+        )
+    )
+    assert (3.6 * journey.line.speed_limit([2_100.0, 3_250.0, 3_400.0])).round().tolist() == [
+        40,
+        40,
+        80,
+    ]
+    assert "places outside of their segment: 1" in journey.left_out
+    assert any("for want of an end" in each for each in journey.assumed)
+
+
 def test_the_timetable_has_stops_windows_and_passing_times(found: SferaJourney) -> None:
     assert found.journey is not None
     rows = [(p.position, p.earliest, p.latest, p.highest_speed) for p in found.journey.points]

@@ -399,6 +399,7 @@ def _journey(
     for run in runs:
         points += run.timing_points(times) if times is not None else ()
         names += run.names()
+        account.left_out["places outside of their segment"] += run.outside()
     journey = None
     if len(points) < 2:
         account.left_out["journey: it has times at fewer than two timing points"] += 1
@@ -543,8 +544,22 @@ class _Run:
             elif times is not None and not times.overlap(each):
                 account.left_out["speed restrictions at other times"] += 1
             else:
-                begin, end = _extent(each, self.track.length)
+                begin, end = self._restricted(each, account)
                 self.track.limits.append(Limit(begin, end, asked.speed("ASR_Speed")))
+
+    def _restricted(self, constraint: Element, account: Account) -> tuple[float, float]:
+        """From where to where a restriction reaches [m]; without an end, to that of the segment."""
+        length, names = self.track.length, ("startLocation", "endLocation")
+        stated = {name: constraint.text(name) for name in names}
+        if all(stated.values()) and all(0.0 <= constraint.number(name) <= length for name in names):
+            return _extent(constraint, length)
+        if constraint.text("startEndQualifier", "StartsEnds") == "StartsEnds":
+            account.assumed[
+                "speed restrictions that end with their segment, for want of an end"
+            ] += 1
+            begin = constraint.number("startLocation", 0.0)
+            return min(max(begin, 0.0), length), length
+        return _extent(constraint, length)
 
     def at(self, location: float) -> float:
         """Position [m] along the journey of a location in the segment."""
@@ -608,9 +623,8 @@ class _Run:
                     if stated is None
                     else stated.text("text")
                 )
-            begin, end = _extent(each, self.track.length)
-            if name:
-                yield self.at(0.5 * (begin + end)), name
+            if name and (found := self._area(each)) is not None:
+                yield self.at(0.5 * sum(found)), name
 
     def stations(self) -> Iterator[Station]:
         """Its timing points, by the names that they or their places have."""
@@ -624,7 +638,22 @@ class _Run:
             own = each.first("TP_Name")
             code = _text(each, "TAF_TAP_LocationReference", "teltsi_LocationPrimaryCode")
             name = codes.get(code) or ("" if own is None else own.text("name"))
-            yield Station(name or each.text("TP_ID"), self.at(_place(each, self.track.length)))
+            location = each.number("location")
+            if -_SLACK <= location <= self.track.length + _SLACK:
+                yield Station(name or each.text("TP_ID"), self.at(_place(each, self.track.length)))
+
+    def _area(self, area: Element) -> tuple[float, float] | None:
+        """From where to where an area reaches [m]; None if it lies outside of the segment."""
+        with suppress(InputError):
+            return _extent(area, self.track.length)
+        return None
+
+    def outside(self) -> int:
+        """How many timing points and named areas lie outside of the segment; they are left out."""
+        points = [p.number("location") for p in self.segment.all("SP_Points", "TimingPoint")]
+        beyond = sum(not -_SLACK <= at <= self.track.length + _SLACK for at in points)
+        areas = self.segment.all("SP_Areas", "TAF_TAP_Location")
+        return beyond + sum(self._area(each) is None for each in areas)
 
 
 def _stations(places: Sequence[tuple[float, str]], points: Sequence[Station]) -> list[Station]:
