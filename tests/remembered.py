@@ -12,9 +12,12 @@ from pathlib import Path
 from typing import Any
 
 COSTLY = (
+    "trainlog.simulation.drive",
+    "trainlog.simulation.recording.drive",
     "trainlog.condition._estimated",
     "estimators.creep_curve._smoothed",
     "analysis.resistance.passport._delay_and_ratio",
+    "analysis.resistance.fit.fit_windows",
     "analysis.trajectory.optimiser._optimised",
 )
 """Functions whose results depend on their arguments and the constants of their modules alone."""
@@ -34,15 +37,19 @@ class Remembered:
 
     def of(self, dotted: str) -> Callable[..., Any]:
         """The function, each result of which is made once; what it refuses is refused anew."""
-        module, name = place_of(dotted)
-        made = getattr(module, name)
+        place, name = place_of(dotted)
+        made = getattr(place, name)
+        module = importlib.import_module(made.__module__)
 
-        def known(*given: Any) -> Any:
-            kept = self.folder / f"{name}-{_digest(module, given)}"
+        def known(*given: Any, **named: Any) -> Any:
+            try:
+                kept = self.folder / f"{name}-{_digest(module, (*given, *named.items()))}"
+            except (AttributeError, TypeError, pickle.PicklingError):  # as of a function of a test
+                return made(*given, **named)
             try:
                 return pickle.loads(kept.read_bytes())
             except FileNotFoundError:
-                found = made(*given)
+                found = made(*given, **named)
             part = kept.with_name(f"{kept.name}.{os.getpid()}")
             part.write_bytes(pickle.dumps(found))
             part.replace(kept)

@@ -25,6 +25,8 @@ from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.scenario import Scenario
 from trainlog.trip import Trip
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 TRAIN = read_train(sample(DEFAULT_TRAIN))
 OWN = TRAIN.resistance
 

@@ -34,6 +34,8 @@ from trainlog.topics import TRAIN_SUPPLY
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 from trainlog.units import clock
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 LINE = read_line(sample(DEFAULT_LINE))
 TRAIN = read_train(sample(DEFAULT_TRAIN))
 

@@ -25,6 +25,8 @@ from trainlog.catalogue import Computation
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import packed_evidence
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 SIDES = tuple(Version(name, {"made up": Computation("made up", name)}) for name in "ab")
 
 DAY = pd.Timestamp("2026-01-01", tz="UTC")

@@ -37,6 +37,8 @@ from trainlog.presentation import WordTable
 from trainlog.railway import Edge, Network, Node
 from trainlog.units import JOULES_PER_KWH
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 REASON = "the wheels' diameters <b>cannot</b> be distinguished: 3.4 of 5 samples"
 
 

@@ -27,6 +27,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "fleet"))
 
 from drawn_trains import Fault, drawn_fleet
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 SPEEDS = np.linspace(5.0, 34.0, 30)
 FAULTS = {
     "dragging brake": 2000.0,

@@ -21,6 +21,8 @@ from trainlog.railway import RunningResistance
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 TRAIN = read_train(sample(DEFAULT_TRAIN))
 
 

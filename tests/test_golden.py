@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike
 
 from trainlog.errors import TrainlogError
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 GOLDEN = Path(__file__).parent / "data" / "golden"
 
 SAMPLES = 9

@@ -14,6 +14,8 @@ from analysis.truth import truth_of
 from trainlog.formats.files import sha256_of
 from trainlog.formats.samples import copy_samples, folder, names
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 CHECKOUT = Path(__file__).parents[1]
 
 MADE = (

@@ -13,6 +13,8 @@ from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.formats.settings import MEANINGS, Settings, read_settings, set_setting
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 CHECKOUT = Path(__file__).parents[1]
 
 

@@ -21,6 +21,8 @@ from trainlog.railway.resistance import published_tunnel_coefficient
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import TRAIN_ATTACHMENT, Trip, nanoseconds
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 PUBLISHED = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 
 PAIRS = (
