@@ -36,6 +36,8 @@ from trainlog.formats.railway import (
 from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, Line, Trajectory
 
+pytestmark = pytest.mark.usefixtures("unrenewed")
+
 DWELL = 45.0
 
 

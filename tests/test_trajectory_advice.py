@@ -36,6 +36,8 @@ from trainlog.replay import write_replay
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
 from benchmark_random import random_problem
 
+pytestmark = pytest.mark.usefixtures("unrenewed")
+
 
 @pytest.fixture(scope="module")
 def hilly() -> Trajectory:

@@ -12,6 +12,8 @@ from analysis.trajectory.instructions import Phase, phases_by_switching, phases_
 from trainlog.railway import RunningResistance, Train, Trajectory
 from trainlog.units import JOULES_PER_KWH
 
+pytestmark = pytest.mark.usefixtures("unrenewed")
+
 
 @pytest.fixture(scope="module")
 def reference() -> Trajectory:

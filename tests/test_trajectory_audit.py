@@ -37,6 +37,8 @@ from trainlog.railway import (
 )
 from trainlog.units import GRAVITY
 
+pytestmark = pytest.mark.usefixtures("unrenewed")
+
 
 @pytest.fixture(scope="module")
 def hilly() -> Trajectory:

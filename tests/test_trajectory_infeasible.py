@@ -21,6 +21,8 @@ from trajectory_cases import (
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Configuration, RunningResistance, TimingPoint
 
+pytestmark = pytest.mark.usefixtures("unrenewed")
+
 
 def reported(words: str, error: pytest.ExceptionInfo[InfeasibleError]) -> float:
     found = re.search(words, str(error.value))
@@ -70,7 +72,7 @@ def test_the_least_time_of_free_traction_cannot_be_met_on_cells() -> None:
 
 
 def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can() -> None:
-    options = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 80}
+    options = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 50}
     configurations = observed(VIRM6, 0.97, 1.0, 1.03)
     with pytest.raises(InfeasibleError, match="with one braking effort for all") as error:
         optimised(level_line(), VIRM6, configurations, final_speed=0.0, **options)  # type: ignore[arg-type]
@@ -81,7 +83,7 @@ def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can() -> None:
     found = optimised(level_line(), VIRM6, configurations, final_speed=reachable + 0.1, **options)  # type: ignore[arg-type]
     assert found.certificate["audit"]["passed"]
     own = optimised(
-        level_line(), VIRM6, configurations, running_time=1541.0, initial_speed=1.0, cells=80
+        level_line(), VIRM6, configurations, running_time=1541.0, initial_speed=1.0, cells=50
     )
     assert own.speeds[:, -1].max() == 0.0
 

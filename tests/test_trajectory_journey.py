@@ -19,7 +19,7 @@ from trainlog.formats.ttobench import read_journey, read_track
 from trainlog.railway import Journey, TimingPoint, Trajectory
 
 LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
-OPTIONS = {"running_time": 450.0, "cells": 150}
+OPTIONS = {"running_time": 450.0, "cells": 100}
 PLACE = 6_000.0
 
 
@@ -61,6 +61,7 @@ def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> N
     assert certificate["bound_holds_for"] == "all trajectories"
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free: Trajectory) -> None:
     """Early at one point, late at the next: between them the train has to brake for nothing."""
     later = passing(free)[0] + 15.0
@@ -74,7 +75,7 @@ def test_windows_of_several_configurations_are_certified(free: Trajectory) -> No
     configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
     window = TimingPoint(PLACE, earliest=passing(free)[0] + 8.0)
     certificate = optimised(
-        hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=150
+        hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=100
     ).certificate
     assert certificate["gap"] <= 1e-3
     assert certificate["bound_holds_for"] == "all trajectories"
@@ -105,7 +106,7 @@ def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
     time = passing(free)[0]
     window = TimingPoint(PLACE, earliest=time, latest=time + 5.0)
     found = optimised(
-        hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=150
+        hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=100
     )
     node = int(np.flatnonzero(found.positions == PLACE)[0])
     assert np.all(found.times[:, node] >= time - 1e-4)
@@ -188,6 +189,7 @@ def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str
     assert certificate["certified"]
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_sections() -> None:
     """The worst of each section, added up, is more than any train takes."""
     plan = with_stops("line")

@@ -30,6 +30,7 @@ def set_of_twelve() -> Trajectory:
     return optimised(hilly_line(), FLIRT, drawn(FLIRT, 12, seed=1), reserve=0.1, cells=250)
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_every_configuration_keeps_the_limits(set_of_twelve: Trajectory) -> None:
     line, found = hilly_line(), set_of_twelve
     middle = 0.5 * (found.positions[1:] + found.positions[:-1])
@@ -178,6 +179,7 @@ def test_common_brakes_are_common_and_cost_no_less() -> None:
     assert common.certificate["energy"] >= own.certificate["energy"] * (1.0 - 1e-6)
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_same_question_same_answer(tmp_path: Path) -> None:
     for name in ("a.json", "b.json"):
         found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 3, seed=2), cells=100)

@@ -25,6 +25,8 @@ from trainlog.formats.railway import read_trajectory, write_trajectory
 from trainlog.formats.samples import sample
 from trainlog.railway import Trajectory
 
+pytestmark = pytest.mark.usefixtures("unrenewed")
+
 ENERGY = {
     "wheel": "worst-case energy at the wheel rims",
     "line": "worst-case energy from the line",
@@ -71,15 +73,18 @@ def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
     assert "verbose" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("share", [0.5, 1.0 + 1e-7])
-def test_the_time_that_a_refusal_names_is_accepted(share: float) -> None:
+def test_the_time_that_a_refusal_names_is_accepted() -> None:
     asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.1))
-    least = max(optimised(*asked, reserve=0.0, cells=60).certificate["least_time"])
-    with pytest.raises(InfeasibleError) as refusal:
-        optimised(*asked, running_time=share * least, cells=60)
-    named = re.fullmatch(r"allow at least (\d+) s", refusal.value.remedy or "")
-    assert named
-    found = optimised(*asked, running_time=float(named[1]), cells=60)
+    least = max(optimised(*asked, reserve=0.0, cells=40).certificate["least_time"])
+    named = set()
+    for share in (0.5, 1.0 + 1e-7):
+        with pytest.raises(InfeasibleError) as refusal:
+            optimised(*asked, running_time=share * least, cells=40)
+        named.add(refusal.value.remedy or "")
+    (words,) = named
+    time = re.fullmatch(r"allow at least (\d+) s", words)
+    assert time
+    found = optimised(*asked, running_time=float(time[1]), cells=40)
     assert found.certificate["audit"]["lateness"] <= 1e-4
 
 

@@ -92,6 +92,7 @@ def test_an_answer_that_was_tampered_with_is_not_returned(
         optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
     line, train = hilly_line(), observed(FLIRT, 1.0)
     least = optimised(line, FLIRT, train, reserve=0.0, cells=120).running_time
@@ -100,6 +101,7 @@ def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
     assert found.certificate["audit"]["passed"]
 
 
+@pytest.mark.usefixtures("unrenewed")
 @pytest.mark.parametrize("coarse", [60, pytest.param(120, marks=pytest.mark.long)])
 @pytest.mark.parametrize("objective", ["wheel", pytest.param("line", marks=pytest.mark.long)])
 def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str, coarse: int) -> None:

@@ -70,9 +70,10 @@ def test_more_time_is_never_refused_and_never_costs_more(
     assert all(each.certificate["certified"] for each in found)
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_the_judge_sees_what_is_wrong() -> None:
     """Less traction: late or short; a little more: too fast; another energy: named."""
-    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1)
+    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), end=4_000.0, reserve=0.1)
     found = answered(problem, 60)
     for factor, words in ((0.99, "short|late"), (1.01, "over|past")):
         other = replace(found, tractive_effort=factor * found.tractive_effort)
@@ -138,6 +139,7 @@ def test_a_weak_train_climbs_at_walking_pace() -> None:
     answered(TrajectoryProblem(line, train, observed(train, 0.9, 1.1), reserve=1.0))
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_a_time_just_above_the_least_is_no_refusal() -> None:
     """300 m with 3 W/kg, 0.1 per cent above the least time of its closed form."""
     mass = 100e3
@@ -178,6 +180,7 @@ def test_least_time_runs_are_close_to_their_bound(objective: Any, length: float)
     assert found.certificate["gap"] < 5e-3
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_one_configuration_with_a_common_brake_has_a_brake_of_its_own() -> None:
     """Next to the least time, where efforts that are applied as they are go past every limit."""
     own, common = (

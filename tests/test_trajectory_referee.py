@@ -22,6 +22,8 @@ from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 
+pytestmark = pytest.mark.usefixtures("unrenewed")
+
 
 @pytest.mark.parametrize("objective", ["wheel", "line"])
 def test_referee_agrees(objective: str) -> None:
