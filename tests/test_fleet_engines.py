@@ -30,6 +30,8 @@ from analysis.fleet.work import Batch
 from trainlog.catalogue import open_catalogue
 from trainlog.errors import InputError, MissingExtraError
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 TESTS = Path(__file__).parent
 Started = Callable[[Path], AbstractContextManager[tuple[str, int]]]
 
@@ -207,8 +209,9 @@ def test_a_worker_of_dask_forgets_its_profile_of_earlier_trips(
     assert min(keys) < 2 * PROFILED
 
 
-def test_a_scheduler_that_does_not_answer_is_named() -> None:
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
+    monkeypatch.setattr(engine, "PATIENCE", 0.3)
     address = f"tcp://127.0.0.1:{free_port()}"
     refused(InputError, f"no Dask scheduler answers at {address}", Dask, address)
 

@@ -53,6 +53,8 @@ from trainlog.errors import InputError
 from trainlog.formats.mapfile import MapFile, read_map
 from trainlog.version import code_version_of
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 HERE = UpdateOptions(workers=0)
 HERE_FOLDER = Path(__file__).parent
 
@@ -379,6 +381,7 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
     (name,) = (name for name in undisturbed if name.endswith(".map"))
     logs = sorted((tmp_path / "logs").glob("*.mcap"))
     updated(place, "adhesion")
+    every = [each["trip"] for each in read_map(place / "maps" / name).trips]
 
     def again() -> list[str]:
         """The trips in the map, after an update; it is that of a map made of the logs alone."""
@@ -396,7 +399,7 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
         }
         return [each["trip"] for each in found.trips]
 
-    every, content = again(), logs[0].read_bytes()
+    content = logs[0].read_bytes()
     logs[0].write_bytes(logs[1].read_bytes())
     assert len(again()) == len(every) - 1
     logs[0].write_bytes(content)
@@ -496,7 +499,8 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
 def test_an_update_killed_at_random_moments_counts_each_trip_once(
     place: Path, undisturbed: dict[str, bytes]
 ) -> None:
-    done = kill_at_random(str(place), 2, 3, "--workers", "2", "--batch", "1", each=4)
+    done = kill_at_random(str(place), 2, 28, "--workers", "2", "--batch", "1", each=4)
+    assert done["parent"] == 1, "and a worker before"
     assert done["orphans"] == 0
     found = updated(place, workers=2, retry=True)  # a trip whose workers died three times failed
     assert found.counts["checks"].pending == 0
@@ -504,6 +508,7 @@ def test_an_update_killed_at_random_moments_counts_each_trip_once(
     assert contents(place / "results") | maps_in(place / "maps") == undisturbed
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_no_worker_outlives_an_update_that_is_killed(place: Path) -> None:
     process = started(str(place), "--workers", "2", "--batch", "1")

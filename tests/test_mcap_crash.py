@@ -110,7 +110,7 @@ def kill_often(folder: Path, kills: int, longest: float) -> int:
     return total
 
 
-@pytest.mark.parametrize("moments", [5, pytest.param(25, marks=pytest.mark.long)])
+@pytest.mark.parametrize("moments", [3, pytest.param(25, marks=pytest.mark.long)])
 def test_recorders_killed_at_many_moments(tmp_path: Path, moments: int) -> None:
     assert kill_often(tmp_path, moments, longest=0.8) > 0
 
