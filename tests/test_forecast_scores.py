@@ -271,7 +271,7 @@ def test_a_forecaster_that_knows_the_rail_beats_those_that_do_not() -> None:
         assert best.brier_figure("score").value < worse.brier_figure("score").value + margin, name
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_calibrated_forecasts_are_reliable_and_others_are_not(seed: int) -> None:
     rail = drawn(seed)
     best = scored(rail, rail.knows)

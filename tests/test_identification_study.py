@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from study import ASKED, SPEEDS, beta_of, common, covered, error, grouped, proce
 STUDIES = {"pieces of 100 to 200 m": Study(), "pieces of 0.3 to 2 km": LONG}
 
 
+@cache
 def fitted(study: Study, seed: int) -> TripFit:
     return fit_trip(trip_of(draw(study, seed), study, seed), ASKED)
 

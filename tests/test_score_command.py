@@ -70,6 +70,17 @@ def scored(capsys: pytest.CaptureFixture[str], *words: object) -> dict:  # type:
     return found
 
 
+def first_days() -> TrackConditionMap:
+    """The month up to its seventh day, not estimated."""
+    known = month().layer("wet").evidence.between(0, FIRST + 6)
+    return replace(month(), layers={"wet": ConditionLayer.unestimated(known)})
+
+
+@pytest.fixture(scope="module")
+def first_scored() -> Score:
+    return score_rolling(first_days())
+
+
 @pytest.fixture(scope="module")
 def rolling() -> tuple[Score, list[tuple[int, int]]]:
     """The month scored day by day, and the days that were reported meanwhile."""
@@ -78,19 +89,12 @@ def rolling() -> tuple[Score, list[tuple[int, int]]]:
 
 
 def test_each_day_is_forecast_from_the_days_before_alone(
-    rolling: tuple[Score, list[tuple[int, int]]],
+    rolling: tuple[Score, list[tuple[int, int]]], first_scored: Score
 ) -> None:
-    whole = month()
-    cut = replace(
-        whole,
-        layers={
-            "wet": ConditionLayer.unestimated(whole.layer("wet").evidence.between(0, FIRST + 6))
-        },
-    )
     found, days = rolling
     long = found.layers["wet"]
     assert list(dict.fromkeys(days)) == [(day, 11) for day in range(1, 12)]
-    short = score_rolling(cut).layers["wet"]
+    short = first_scored.layers["wet"]
     # What came later does not change how a day was forecast; only the demand uses all days.
     np.testing.assert_allclose(long.scores["forecast"][: short.days.size], short.scores["forecast"])
     assert long.days[0] == FIRST + 1
@@ -104,19 +108,18 @@ def test_each_day_is_forecast_from_the_days_before_alone(
 
 
 def test_a_map_is_scored_day_by_day(
-    folder: Path,
-    rolling: tuple[Score, list[tuple[int, int]]],
-    capsys: pytest.CaptureFixture[str],
+    folder: Path, first_scored: Score, capsys: pytest.CaptureFixture[str]
 ) -> None:
     picture = folder / "score.png"
-    found = scored(capsys, folder / "month.map", "--rolling", "--picture", picture)
+    write_map(estimated(first_days()), folder / "first.map")
+    found = scored(capsys, folder / "first.map", "--rolling", "--picture", picture)
     assert picture.exists()
     wet = found["layers"]["wet"]
-    assert wet["days"] == 11
+    assert wet["days"] == first_scored.layers["wet"].days.size == 6
     assert wet["log_score_onsets_gain_over_prior_low"] > 0.0
     common = {"command": "map score", "status": 0, "written": [str(picture)]}
-    assert json.loads(as_json_text(rolling[0].data())) | common == found
-    printed = rolling[0]._repr_html_()
+    assert json.loads(as_json_text(first_scored.data())) | common == found
+    printed = first_scored._repr_html_()
     for words in ("gain over persistence", "slips foreseen", "Reliability", "false alarms"):
         assert words in printed
 

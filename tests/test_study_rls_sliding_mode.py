@@ -61,6 +61,7 @@ def test_the_scalar_estimator_reaches_the_published_figures(runs: dict[str, stud
     assert stop <= 0.005
 
 
+@pytest.mark.long
 def test_the_spatial_reset_stays_close_wherever_the_edges_fall(runs: dict[str, study.Run]) -> None:
     none, *others = study.edge_shifts(2)
     assert none == 0.0
@@ -106,6 +107,7 @@ def test_additional_resistance_by_hand_and_by_the_product() -> None:
     assert way(34e3) == study.line().gradients(34e3)
 
 
+@pytest.mark.long
 def test_softening_couplers_pull_a_little_more(first_pulls: study.Run) -> None:
     """The worst case of eq. (4), epsilon below 0: the same draft at more stretch."""
     train = study.eight_wagons(first_pulls=True, softening=True)
@@ -117,6 +119,7 @@ def test_softening_couplers_pull_a_little_more(first_pulls: study.Run) -> None:
     assert soft.coupler_forces.max() < float(coupler.force(0.9 / np.sqrt(600.0)))
 
 
+@pytest.mark.long
 def test_with_measured_speed_keeping_a1_and_a2_is_what_helps() -> None:
     full, part = (
         study.run(BY_NAME[name], noise=study.SPEED_NOISE)

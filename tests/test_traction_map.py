@@ -450,7 +450,7 @@ class TestTrips:
 
 class TestPicture:
     def test_it_is_drawn_whole_and_the_same_again(self, tmp_path: Path) -> None:
-        track, _ = update(empty_map(LINE), [piece(1), piece(2, "wet"), piece(3, "leaves")])
+        track, _ = update(empty_map(LINE), [piece(1), piece(2, "wet")])
         truth = {"dry": np.full(BINS, 0.3)}
         for name in ("a.png", "b.png"):
             draw(track, tmp_path / name, truth=truth)
