@@ -54,6 +54,32 @@ def faulty(seed: int = 1) -> FleetTrains:
     return fleet_trains(drawn_fleet(pool(), seed, trains=7, trips=60, faults=faults))
 
 
+@pytest.mark.parametrize(("end", "share"), [(SINCE + 9, 1.0), (None, 0.5)])
+def test_a_fault_that_goes_again_or_comes_on_some_trips_is_one_finding(
+    end: int | None, share: float
+) -> None:
+    faults = tuple(
+        Fault(what, size, n, SINCE, end, share) for n, (what, size) in enumerate(FAULTS.items())
+    )
+    rows = drawn_fleet(pool(), 2, trains=7, trips=80, faults=faults)
+    found, named = fleet_trains(rows), []
+    for number, (what, size) in enumerate(FAULTS.items(), start=1):
+        for kind in ("flirt", "kiss", "virm"):
+            train = f"{kind}-{number:02d}"
+            first, *more = found.of(train)
+            cause = first.explanation.cause
+            said = "until" in str(first), "of its trips" in str(first)
+            named += [first.what == what and not more and said == (end is not None, not end)]
+            if not named[-1]:
+                continue
+            assert cause.size == pytest.approx(size, rel=0.25)
+            assert first.share == pytest.approx(share, abs=0.25)
+            lasted = int(first.lasts(rows["start"][rows["train"] == train]).sum())
+            assert lasted == pytest.approx(9 if end else 40, abs=2 if end else 12)
+    assert sum(named) >= 12
+    assert not [each for each in found.unlike.findings if int(each.train[-2:]) > len(FAULTS)]
+
+
 def curve(one: TrainResistance) -> np.ndarray:
     return np.asarray(one.resistance(SPEEDS))
 

@@ -202,7 +202,8 @@ def _trend(
     span = float(np.ptp(months)) if when.size else 0.0
     weeks = np.unique(np.floor(when / 7.0), return_inverse=True)[1]
     count = int(weeks.max()) + 1 if when.size else 0
-    at = [each.since for each in steps if each.against == "own past"]
+    own = [each for each in steps if each.against == "own past"]
+    at = [when for each in own for when in (each.since, each.until) if when is not None]
     jumps = np.array([(each - first) / pd.Timedelta(days=1) for each in at])
     columns = [np.ones(when.size), months]
     columns += [(when >= jump).astype(np.float64) for jump in jumps if (when >= jump).any()]

@@ -209,7 +209,7 @@ def _finding(found: FleetTrains, finding: Finding, number: int) -> Chart:
     mine = (trips["train"] == finding.train).to_numpy()
     factor, unit = CHANNEL_UNITS[series.channel.unit]
     own, reach = factor * series.own[mine], 1.96 * factor * series.std[mine]
-    after = (trips["start"][mine] >= finding.since).to_numpy()
+    after = finding.lasts(trips["start"][mine])
     order = np.arange(own.size)
     points = [
         Curve("", order[rows], own[rows], colour, "points", (own - reach)[rows],

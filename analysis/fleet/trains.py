@@ -151,6 +151,8 @@ class FleetTrains(Presented):
             Column("train"),
             Column("what", of=lambda each: str(each.explanation)),
             Column("since", of=lambda each: f"{each.since:%Y-%m-%d %H:%M}"),
+            Column("until", of=lambda each: f"{each.until:%Y-%m-%d %H:%M}" if each.until else ""),
+            Column("of its trips", SHARE, key="share", of="share"),
             Column("first trip", of="trip"),
             Column("seen within trips", NUMBER, of="trips"),
             Column("compared with", key="against"),

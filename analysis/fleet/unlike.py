@@ -40,7 +40,7 @@ from analysis.fleet.channels import (
     series_of,
 )
 from analysis.fleet.resistance import KindResistance
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.display import counted
 
 PROBABLE = 0.05
@@ -269,6 +269,23 @@ NEAR = 1.5
 """Deviations of one trip, over the root of their number, below which a median is not looked at: it
 is that far off in one case of ten."""
 
+APART = 3.0
+"""Deviations of one trip from which on two levels are separated trip by trip."""
+
+ALIKE = 1.5, 0.25
+"""Trips around two levels scatter by at most so many of their deviations, or by this share of what
+the levels differ by; or there are others."""
+
+SOMETIMES = 0.15
+"""Trips at the other level that are fewer than this share of a stretch between two changes are far
+off by chance."""
+
+ALWAYS = 0.85
+"""A fault that shows on more of the trips than this shows on all of them: some are far off."""
+
+GONE = 0.01
+"""A fault has gone if its share of trips leaves out the last ones with a smaller probability."""
+
 _STEPS = 30
 """Of the search for a level, each of which weighs the trips anew."""
 
@@ -303,6 +320,10 @@ class Finding:
         That showed it first.
     p : float
         Probability that a healthy train shows as much, in that one comparison.
+    until : Timestamp or None
+        Start of the first trip after it had gone again; None if it has not.
+    share : float
+        Of the trips from then to there on which it shows.
     """
 
     train: str
@@ -316,16 +337,26 @@ class Finding:
     against: str
     channel: str
     p: float
+    until: pd.Timestamp | None = None
+    share: float = 1.0
 
     @property
     def what(self) -> str:
         """The fault's name."""
         return self.explanation.what
 
+    def lasts(self, start: pd.Series) -> BoolArray:
+        """Which trips, by their starts, are from its first to its last one, (n,)."""
+        return np.asarray((start >= self.since) & (self.until is None or start < self.until))
+
     def __str__(self) -> str:
         since = f"since {self.since:%Y-%m-%d %H:%M} (trip {self.trip})"
         if self.against == "kind":
             since = "since its first trip, against its kind"
+        if self.until is not None:
+            since += f" until {self.until:%Y-%m-%d %H:%M}"
+        if self.share < 1.0:
+            since += f", on {100.0 * self.share:.0f} % of its trips"
         return f"{self.train}: {self.explanation}, {since}; seen within {self.trips} trips"
 
 
@@ -509,20 +540,61 @@ class _Watch:
 
     def findings(self) -> list[Finding]:
         """What was found, in order of time."""
-        found: list[Finding] = []
         places = np.flatnonzero(self.mine)
         start, end = -1, int(places[-1]) + 1
-        unchanged = end
+        changes: list[tuple[Alarm, tuple[int, int, int]]] = []
         while alarm := self._alarm(_changes, self.level, start, end):
-            came = self._came(alarm, start)
-            found.append(self._finding(alarm, came, (start, end), "own past"))
-            start, unchanged = came[1], min(unchanged, came[1])
+            changes.append((alarm, self._came(alarm, start)))
+            start = changes[-1][1][1]
+        borders = [-1, *(came[1] for _, came in changes), end]
+        found, number = [], 0
+        while number < len(changes):
+            change, within, on = changes[number], (borders[number], borders[number + 2]), None
+            if number + 1 < len(changes):
+                on = self._comes_and_goes(change[0][2], borders[number:])
+            number += 1
+            if on is not None:
+                within = within[0], end
+                # Changes while it comes and goes are its own, and that by which it goes.
+                gone = places[places > np.flatnonzero(on)[-1]][:FEWEST_BEFORE]
+                last = int(gone[-1]) if gone.size else end
+                number += sum(came <= last for came in borders[number + 1 : -1])
+            found.append(self._finding(*change, within, "own past", on))
         if self.kind.compared:
-            alarm = self._alarm(_against_kind, self.once, -1, unchanged, lasting=True)
+            alarm = self._alarm(_against_kind, self.once, -1, borders[1], lasting=True)
             if alarm is not None:
                 came = (int(places[0]),) * 3
-                found.insert(0, self._finding(alarm, came, (-1, unchanged), "kind"))
+                found.insert(0, self._finding(alarm, came, (-1, borders[1]), "kind"))
         return found
+
+    def _comes_and_goes(self, name: str, borders: Sequence[int]) -> BoolArray | None:
+        """On which of the kind's trips a fault shows that comes and goes, (n,); None if none does.
+
+        All that a channel shows after its first change is then at one of two levels: that before
+        it, or another one. Where these are far apart the trips are sorted one by one, else by the
+        stretches between changes.
+        """
+        one, on = self.watched[name], np.zeros(len(self.trips), dtype=np.bool_)
+        before, after = one.between(*borders[:2]), one.between(borders[1], borders[-1])
+        usual, _ = _level(before.of(slice(-BEFORE, None)))
+        other, _ = _level(one.between(*borders[1:3]))
+        stretch = np.searchsorted(np.array(borders[1:-1]), after.place, side="right")
+        medians_of = pd.Series(after.own).groupby(stretch).transform("median").to_numpy()
+        for _ in range(_STEPS):
+            apart = abs(other - usual) / float(np.median(after.std))
+            shown = after.own if apart > APART else medians_of
+            shows = np.abs(shown - other) < np.abs(shown - usual)
+            if not shows.any():
+                return None
+            other = float(np.median(after.own[shows]))
+        if not np.any(np.abs(medians_of - usual) < np.abs(medians_of - other)):
+            return None
+        rest = robust_std(after.own - np.where(shows, other, usual))
+        often = pd.Series(shows).groupby(stretch).transform("mean").to_numpy() > SOMETIMES
+        on[after.place[shows & often]] = True
+        size, noise = abs(other - usual), float(np.median(after.std))
+        two = rest < max(ALIKE[0] * noise, ALIKE[1] * size)
+        return on if on.any() and two and size > one.series.channel.tolerance else None
 
     def _alarm(
         self,
@@ -568,12 +640,26 @@ class _Watch:
         return earliest, likeliest, latest
 
     def _finding(
-        self, alarm: Alarm, came: tuple[int, int, int], within: tuple[int, int], against: str
+        self,
+        alarm: Alarm,
+        came: tuple[int, int, int],
+        within: tuple[int, int],
+        against: str,
+        on: BoolArray | None = None,
     ) -> Finding:
-        """What an alarm is of, by the trips from one on, before another."""
+        """What an alarm is of, by the trips from one on, before another, on which it shows."""
         (seen, p, name), (earliest, since, latest) = alarm, came
         places, start = np.flatnonzero(self.mine), self.trips["start"]
-        shifts = [self._shift(one, since, within, against) for one in self.watched.values()]
+        until, share = None, 1.0
+        if on is not None:
+            shown = self.watched[name].place
+            shown = shown[shown >= since]
+            last = int(np.flatnonzero(on[shown])[-1])
+            share = float(np.mean(on[shown[: last + 1]]))
+            quiet = shown.size - 1 - last
+            if quiet >= FEWEST_BEFORE and (1.0 - share) ** quiet < GONE:
+                until = start.iloc[int(shown[last + 1])]
+        shifts = [self._shift(one, since, within, against, on) for one in self.watched.values()]
         known = [each for each in shifts if each is not None]
         return Finding(
             train=self.train,
@@ -587,13 +673,21 @@ class _Watch:
             against=against,
             channel=name,
             p=p,
+            until=until,
+            share=1.0 if share > ALWAYS else share,
         )
 
     def _shift(
-        self, one: _Watched, since: int, within: tuple[int, int], against: str
+        self,
+        one: _Watched,
+        since: int,
+        within: tuple[int, int],
+        against: str,
+        on: BoolArray | None,
     ) -> Shift | None:
         """By how much a channel moved, with its standard deviation."""
         before, after = one.between(within[0], since), one.between(since, within[1])
+        after = after if on is None else after.of(on[after.place])
         channel = one.series.channel
         if after.own.size < (2 if channel.name == "power" else 1):
             return None
@@ -610,6 +704,7 @@ class _Watch:
         """Steps that the trips show and no finding explains."""
         own = self.trips["start"][self.mine]
         known = [int((own < each.since).sum()) for each in findings]
+        came_and_went = any(each.share < 1.0 or each.until is not None for each in findings)
         found = []
         for name, one in self.watched.items():
             seen = None if name == "power" else raw_step(one.own, one.series.channel.tolerance)
@@ -618,7 +713,7 @@ class _Watch:
             at, size, deviations = seen
             since = self.trips["start"].iloc[int(one.place[at])]
             place = int((own < since).sum())
-            if any(abs(place - each) <= FEWEST_BEFORE for each in known):
+            if came_and_went or any(abs(place - each) <= FEWEST_BEFORE for each in known):
                 continue
             unit, after = one.series.channel.unit, one.own.size - at
             found.append(Step(self.train, name, unit, size, deviations, since, after))

@@ -633,7 +633,7 @@ def _findings(facts: FleetFacts) -> Iterator[Row]:
         causes = [each.explanation.cause, *each.explanation.others]
         known = [TO_DO[cause.what] for cause in causes if cause.what in TO_DO]
         todo = known if each.explanation.explained else [UNKNOWN]
-        since = by_train.get(each.train, pd.Series(dtype="datetime64[ns, UTC]")) >= each.since
+        since = each.lasts(by_train.get(each.train, pd.Series(dtype="datetime64[ns, UTC]")))
         yield (
             each.train, str(each.explanation), f"{each.since:%Y-%m-%d %H:%M}", int(since.sum()),
             "; or ".join(dict.fromkeys(todo)) or UNKNOWN,

@@ -2,7 +2,7 @@
 
     python benchmarks/fleet/benchmark_trains.py [--part PART]
 
-Parts: bands, axles, creep, faults, missing, false-alarms, drift.
+Parts: bands, axles, creep, faults, passing, missing, false-alarms, drift.
 
 Bands, axles and faults: trains of three kinds on three lines, simulated, recorded by their sensors
 and fitted (`simulated_trains`). False alarms, missing channels and drift: tables drawn from the
@@ -234,6 +234,37 @@ def missing(seeds: int) -> None:
         print(f"  alarms on the other trains: {false}")
 
 
+def passing(seeds: int) -> None:
+    """The same faults that go again after some trips, or come on a share of the trips."""
+    pool = pd.read_parquet(POOL)
+    for title, end, share in (
+        ("of 8 trips", 48, 1.0),
+        ("of 20 trips", 60, 1.0),
+        ("on half of the trips", None, 0.5),
+        ("on 30 % of the trips", None, 0.3),
+    ):
+        given = tuple(Fault(w, s, n, 40, end, share) for n, (w, s) in enumerate(FAULTS.items()))
+        scores: dict[tuple[str, str], Score] = defaultdict(Score)
+        gone, off, false = 0, list[float](), 0
+        for seed in range(seeds):
+            rows = drawn_fleet(pool, 800 + seed, trains=8, trips=100, faults=given)
+            found = fleet_trains(rows)
+            for number, (what, size) in enumerate(FAULTS.items(), start=1):
+                for kind in KINDS:
+                    train = f"{kind}-{number:02d}"
+                    scores[what, "all"].add(found, train, what, size)
+                    for each in found.of(train)[:1]:
+                        off.append(each.share - share)
+                        lasted = int(each.lasts(rows["start"][rows["train"] == train]).sum())
+                        gone += end is not None and abs(lasted - (end - 40)) <= 2
+            false += sum(int(each.train[-2:]) > len(FAULTS) for each in found.unlike.findings)
+        _print(scores, f"drawn, {title}")
+        said = f"end within two trips: {gone}; " if end else ""
+        print(
+            f"  {said}stated share off by {np.median(np.abs(off)):.2f}; alarms on others: {false}"
+        )
+
+
 def false_alarms(seeds: int) -> None:
     """Findings on healthy fleets."""
     pool = pd.read_parquet(POOL)
@@ -325,6 +356,8 @@ def main() -> None:
             for trip in range(10)
         ]
         faults(fleets, [simulated("f1", tasks)])
+    if wanted in ("all", "passing"):
+        passing(max(arguments.seeds // 2, 1))
     if wanted in ("all", "missing"):
         missing(max(arguments.seeds // 2, 1))
     if wanted in ("all", "false-alarms"):

@@ -21,12 +21,21 @@ START = pd.Timestamp("2025-01-06T05:00:00Z")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a train (its number) from a trip on."""
+    """A fault of a train (its number) from a trip on, perhaps up to another, on a share of them."""
 
     what: str
     size: float
     train: int
     trip: int
+    end: int | None = None
+    share: float = 1.0
+
+    def shown(self, trips: int, seed: list[int]) -> FloatArray:
+        """Its size on each trip, (n,): 0 where it does not show."""
+        number = np.arange(trips)
+        there = (number >= self.trip) & (number < (trips if self.end is None else self.end))
+        there &= np.random.default_rng(seed).random(trips) < self.share
+        return self.size * there
 
 
 def drawn_fleet(
@@ -95,7 +104,8 @@ def _train(
     spread[bad] += generator.uniform(-0.15, 0.25, (int(bad.sum()), 1))
     spread += season * np.sin(2.0 * np.pi * (months - 1.0) / 12.0)[:, None]
     true = own * (1.0 + spread)
-    size = {each.what: each.size * (np.arange(trips) >= each.trip) for each in faults}
+    by = [number, int(abs(1e9 * common[0]))]
+    size = {each.what: each.shown(trips, [*by, each.trip]) for each in faults}
     true[:, 0] += size.get("dragging brake", 0.0)
     heavy = np.sqrt(4.0 / generator.chisquare(4.0, trips)) / np.sqrt(2.0)
     covariance, survey = covariances_of(drawn)[:, :3, :3], surveys_of(drawn)
