@@ -64,7 +64,9 @@ from trainlog.railway.train import Consist
 from trainlog.railway.trajectory import Journey, TimingPoint
 from trainlog.trip import Trip
 
-quick = settings(max_examples=40)
+pytestmark = pytest.mark.usefixtures("remembered")
+
+quick = settings(max_examples=25)
 ROUNDING = 5e-14
 """Values that no number in the file's unit gives exactly keep 14 significant digits."""
 

@@ -38,6 +38,8 @@ from trainlog.identity import TripIdentity
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 SAMPLE = sample("CH_StGallen_Wil.map")
 
 
