@@ -575,7 +575,7 @@ def _standings(catalogue: Catalogue) -> dict[str, tuple[str, str | None, float |
     return {row["name"]: (row["standing"], names.get(row["same_as"]), row["share"]) for row in rows}
 
 
-@settings(max_examples=20)
+@settings(max_examples=12)
 @given(st.data())
 def test_what_counts_is_what_one_look_at_all_recordings_says(data: st.DataObject) -> None:
     """However many are registered at once, and in which order: chains of overlaps, and files that

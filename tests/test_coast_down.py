@@ -489,12 +489,11 @@ def test_the_command_refuses_one_trip_over_unknown_gradients(tmp_path: Path) -> 
 
 
 def test_the_picture_of_unknown_gradients_is_drawn(tmp_path: Path) -> None:
-    for both in (False, True):
-        trips, spans = coasting_over(8 if both else 4, both=both)
-        result = coast_down_without_gradient(trips, HILLY, spans)
-        draw(result, tmp_path / f"{both}.png")
-        assert (tmp_path / f"{both}.png").stat().st_size > 10_000
-        assert result.tables()[0].rows
+    trips, spans = coasting_over(8, both=True)
+    result = coast_down_without_gradient(trips, HILLY, spans)
+    draw(result, tmp_path / "both.png")
+    assert (tmp_path / "both.png").stat().st_size > 10_000
+    assert result.tables()[0].rows
 
 
 # ---------------------------------------------------------------------------------- real phones

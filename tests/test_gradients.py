@@ -60,7 +60,9 @@ def true_means(slopes: StepProfile, position: np.ndarray) -> np.ndarray:
     return slopes(position[:, None] + OVER * shares).mean(axis=1)
 
 
-@pytest.mark.parametrize("line", ["hills", "long hills", "level"])
+@pytest.mark.parametrize(
+    "line", ["hills", pytest.param("long hills", marks=pytest.mark.long), "level"]
+)
 def test_ten_rides_give_gradients_whose_band_holds(line: str) -> None:
     length = 20_000.0 if line == "long hills" else 12_000.0
     errors, inside, stated = [], [], []
@@ -80,12 +82,12 @@ def test_ten_rides_give_gradients_whose_band_holds(line: str) -> None:
 def test_better_altitudes_give_better_gradients() -> None:
     slopes = hills(8_000.0, 5)
     stds = []
-    for size in (0.3, 1.0, 4.0):
+    for size in (0.3, 2.0):
         profile = height_profile(rides_over(slopes, 8_000.0, 10, 5, size), 8_000.0)
         stds.append(float(np.mean(profile.gradient_std)))
         error = profile.gradient - true_means(slopes, profile.position)
         assert np.sqrt(np.mean(error**2)) < 1.6 * stds[-1]
-    assert stds[0] < stds[1] < stds[2]
+    assert stds[0] < stds[1]
     assert stds[0] < 0.2e-3
 
 

@@ -52,7 +52,13 @@ KILOMETRES: dict[str, tuple[LineReference, Callable[[float], float]]] = {
 """How three operators count the same line, and the same by hand from the chainage [m]."""
 
 
-@pytest.fixture(scope="module", params=KILOMETRES)
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(each, marks=[pytest.mark.long] if each == "rising" else [])
+        for each in KILOMETRES
+    ],
+)
 def counted(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, Line, Callable[[float], float]]:

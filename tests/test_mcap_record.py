@@ -351,7 +351,7 @@ def written_before_the_disk_was_full(program: str, path: Path, size: int) -> int
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
-@pytest.mark.parametrize("size", [800_000, 1_500_001])
+@pytest.mark.parametrize("size", [pytest.param(800_000, marks=pytest.mark.long), 1_500_001])
 def test_a_full_disk_is_reported_and_what_was_written_stays(size: int, tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     written = written_before_the_disk_was_full(LIMITED, path, size)

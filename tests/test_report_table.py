@@ -175,7 +175,14 @@ def test_no_truth_is_one_error() -> None:
         refused(InputError, "truth is given", judged)
 
 
-@pytest.mark.parametrize(("copies", "folder"), [(0, "october"), (1, "trips"), (3, "driven-again")])
+@pytest.mark.parametrize(
+    ("copies", "folder"),
+    [
+        pytest.param(0, "october", marks=pytest.mark.long),
+        pytest.param(1, "trips", marks=pytest.mark.long),
+        (3, "driven-again"),
+    ],
+)
 def test_a_drive_counts_once_and_its_copies_beside_it(
     tmp_path: Path, copies: int, folder: str
 ) -> None:

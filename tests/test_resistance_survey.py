@@ -49,7 +49,11 @@ def test_what_the_survey_brings_in_is_what_its_errors_do() -> None:
 
 
 @pytest.mark.parametrize(
-    "noise", [NoiseModel(0.01, 5e-4, 8.0, 0.01), NoiseModel(0.03, 1e-4, 1.0, 0.01)]
+    "noise",
+    [
+        pytest.param(NoiseModel(0.01, 5e-4, 8.0, 0.01), marks=pytest.mark.long),
+        NoiseModel(0.03, 1e-4, 1.0, 0.01),
+    ],
 )
 def test_a_covariance_scatters_as_its_degrees_of_freedom_say(noise: NoiseModel) -> None:
     """The logarithm of a variance known from n draws has the variance 2/n."""
@@ -138,14 +142,15 @@ def over_one_line(count: int, seed: int, gradients: tuple[str, ...]) -> list[Tri
 def test_the_common_band_covers_whatever_the_lines_errors_are(gradients: tuple[str, ...]) -> None:
     inside, without = [], []
     true = basis(SPEED) @ TRUE
-    for seed in range(30):
+    for seed in range(20):
         fits = over_one_line(20, seed, gradients)
         low, high = combine(fits).band(SPEED)
         inside.append(np.all((low < true) & (true < high)))
-        if seed < 15:
+        if seed < 10:
             low, high = combine([replace(fit, gradients="") for fit in fits]).band(SPEED)
             without.append(np.all((low < true) & (true < high)))
-    assert np.mean(inside) >= 0.92
+    # Of twenty, of which 95 % hold, two may miss.
+    assert np.mean(inside) >= 0.9
     assert np.mean(without) < 0.85
 
 

@@ -60,7 +60,7 @@ def stands(found: dict[str, np.ndarray]) -> np.ndarray:
     return np.unique(found["position"][found["speed"] == 0.0])
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(
     lever=st.floats(0.4, 1.0),
     margin=st.floats(0.2, 1.5),

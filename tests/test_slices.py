@@ -51,7 +51,7 @@ def messages(trip: Trip) -> list[str]:
 
 
 # ------------------------------------------------------------------------------------- by time
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(trips(), instants)
 def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
     before = trip.between(None, stamp(at))
@@ -177,7 +177,7 @@ def rides(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
 limits = st.one_of(st.integers(-20, 20).map(float), st.floats(-1e9, 1e9))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(rides(), limits, limits)
 def test_spans_hold_exactly_the_samples_within_the_limits(
     ride: tuple[np.ndarray, np.ndarray], one: float, other: float
@@ -199,7 +199,7 @@ def test_spans_hold_exactly_the_samples_within_the_limits(
         assert spans[-1, 1] <= known[-1]
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(rides(), limits, limits)
 def test_between_two_samples_the_position_is_on_the_line(
     ride: tuple[np.ndarray, np.ndarray], one: float, other: float

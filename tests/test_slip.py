@@ -780,7 +780,13 @@ def with_total_effort(trip: Trip) -> Trip:
     return replace(trip, topics=topics)
 
 
-@pytest.mark.parametrize(("seed", "number"), [(77, 10), (77, 2), (5, 10)])
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        (77, 2),
+        *(pytest.param(*each, marks=pytest.mark.long) for each in ((77, 10), (5, 10))),
+    ],
+)
 def test_driven_wheels_are_not_said_to_slip_in_braking(seed: int, number: int) -> None:
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     trip = simulate(draw_scenarios(line, train, count=12, seed=seed)[number])

@@ -54,7 +54,7 @@ def test_a_summary_says_what_the_fit_says() -> None:
     np.testing.assert_array_equal(one.covariances, other.covariances)
 
 
-@settings(max_examples=20)
+@settings(max_examples=12)
 @given(order=st.permutations(range(6)), cut=st.integers(1, 5))
 def test_order_and_pieces_do_not_matter(order: list[int], cut: int) -> None:
     whole = rows()

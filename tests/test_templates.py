@@ -33,7 +33,7 @@ from trainlog.railway import Line, Train
 from trainlog.railway.trajectory import Journey
 
 ROUNDING = 5e-14
-quick = settings(max_examples=30, suppress_health_check=list(HealthCheck))
+quick = settings(max_examples=20, suppress_health_check=list(HealthCheck))
 
 
 # ------------------------------------------------------------------ templates

@@ -48,7 +48,9 @@ def planned_time(case: str, q: int) -> float:
     return float(fastest_run(run).times.max() * (1.0 + CASES[case]["reserve"]))
 
 
-@pytest.mark.parametrize(("case", "q"), [("line", 1), ("wheel", 1), ("line", 3)])
+@pytest.mark.parametrize(
+    ("case", "q"), [("line", 1), ("wheel", 1), pytest.param("line", 3, marks=pytest.mark.long)]
+)
 def test_a_finer_plan_lies_above_the_bound_of_all(case: str, q: int) -> None:
     fine = planned(case, FINE, q=q).certificate
     for cells in (60, 150):

@@ -177,7 +177,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
         assert sum(parts) > plan.certificate["energy"]
 
 
-@pytest.mark.parametrize("objective", ["wheel", "line"])
+@pytest.mark.parametrize("objective", [pytest.param("wheel", marks=pytest.mark.long), "line"])
 def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str) -> None:
     plan, configurations = with_stops(objective), ASKED[2]
     certificate = plan.certificate

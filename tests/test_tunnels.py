@@ -72,7 +72,7 @@ def check(fit: TripFit, trip: Trip, true: Train) -> tuple[bool, bool]:
     return bool(np.mean((low <= curve) & (curve <= high)) > 0.9), all(held)
 
 
-@pytest.mark.parametrize("strength", [0.6, 2.0])
+@pytest.mark.parametrize("strength", [pytest.param(0.6, marks=pytest.mark.long), 2.0])
 def test_tunnels_spoil_no_curve_and_their_resistance_is_learned(strength: float) -> None:
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     for trip, true in trips(line, train, strength, 2):
