@@ -96,14 +96,14 @@ def test_each_day_is_forecast_from_the_days_before_alone(
     assert list(dict.fromkeys(days)) == [(day, 11) for day in range(1, 12)]
     short = first_scored.layers["wet"]
     # What came later does not change how a day was forecast; only the demand uses all days.
-    np.testing.assert_allclose(long.scores["forecast"][: short.days.size], short.scores["forecast"])
+    np.testing.assert_allclose(long.scores[: short.days.size, 0], short.scores[:, 0])
     assert long.days[0] == FIRST + 1
     # The spot of three days was not foreseen on its first day.
     spot, steady = (np.flatnonzero(long.days == FIRST + day)[0] for day in (5, 4))
     assert long.alarms[spot, 0, 4] < long.slips[spot]
     assert long.alarms[steady, 0, 4] == long.slips[steady] == 6.0
     # Nor does persistence know it before its second day.
-    persistence = long.scores["persistence"][:, 0]
+    persistence = long.scores[:, 2, 0]
     assert persistence[spot] < 0.0 < persistence[[steady, spot + 1]].min()
 
 

@@ -21,7 +21,7 @@ from analysis.charts import (
     Rule,
 )
 from analysis.verification.scoring import Score
-from analysis.verification.verify import USUAL_ALARM, Alarm, Verification
+from analysis.verification.verify import FORECASTS, USUAL_ALARM, Alarm, Verification
 from trainlog.arrays import FloatArray
 
 LABELLED = 12
@@ -138,9 +138,10 @@ def _days(found: Verification) -> Chart:
         nothing = Label(0.5, "no onset scored", 0.5)
         return Chart("", [Panel("nat per onset", [], 1.0, words, labels=[nothing])])
     days = found.days[some].astype(np.float64)
-    own = found.scores["forecast"][some, 0]
+    own = found.scores[some, 0, 0]
+    others = dict(zip(FORECASTS, found.scores.swapaxes(0, 1), strict=True))
     points = [
-        Curve(f"over {name}", days, (own - found.scores[other][some, 0]) / known[some], colour,
+        Curve(f"over {name}", days, (own - others[other][some, 0]) / known[some], colour,
               "points", width=2.0, mark=mark)
         for other, name, colour, mark in (
             ("prior", "prior", BLUE, "o"),

@@ -105,15 +105,15 @@ class Verification:
         Counted from 1970-01-01 in UTC.
     counts : (d, 2, 2) array
         Trips and bins with slip and without, where the forecast was known and where it was unknown.
-    scores : dict of str to (d, 3) array
-        By forecast: sums of the log scores of onsets and of used adhesion, and of the CRPS of
-        onsets; where the forecast under verification was known.
+    scores : (d, 4, 3) array
+        By the forecasts of `FORECASTS`: sums of the log scores of onsets and of used adhesion, and
+        of the CRPS of onsets; where the forecast under verification was known.
     inside : (d,) array
         Onsets within the forecast's 95 % band.
     pit : (d, 2, cells) array
         See `analysis.verification.scores.pit_sums`.
-    brier : dict of str to (d, 4, classes) array
-        By forecast; see `analysis.verification.scores.brier_sums`.
+    brier : (d, 4, 4, classes) array
+        By these forecasts; see `analysis.verification.scores.brier_sums`.
     alarms : (d, 2, t) array
         Slips foreseen and false alarms by the thresholds `ALARMS`.
     slips : (d,) array
@@ -127,10 +127,10 @@ class Verification:
     bin_length: float
     days: IntArray
     counts: FloatArray
-    scores: dict[str, FloatArray]
+    scores: FloatArray
     inside: FloatArray
     pit: FloatArray
-    brier: dict[str, FloatArray]
+    brier: FloatArray
     alarms: FloatArray
     slips: FloatArray
     no_demand: FloatArray
@@ -147,12 +147,7 @@ class Verification:
                 found[np.searchsorted(days, each.days)] += values
             return found
 
-        sums: dict[str, Any] = {
-            key: total([getattr(each, key) for each in every]) for key in _Sums.ARRAYS
-        }
-        for key in _Sums.TABLES:
-            tables = [getattr(each, key) for each in every]
-            sums[key] = {name: total([table[name] for table in tables]) for name in FORECASTS}
+        sums = {key: total([getattr(each, key) for each in every]) for key in SIZES}
         return Verification(every[0].name, every[0].bin_length, days, **sums)
 
     @cached_property
@@ -212,7 +207,7 @@ class Verification:
     @property
     def alarm_train_km(self) -> float:
         """Of these, where the probability of slip was scored: an alarm could have been given."""
-        return float(self.brier["forecast"][:, 0].sum()) * self.bin_length / 1e3
+        return float(self.brier[:, 0, 0].sum()) * self.bin_length / 1e3
 
     def log_score(self, what: str = "onsets", over: str | None = None) -> Ends:
         """Mean log score [nat]: of onsets, of used adhesion, or of all; or its gain over another.
@@ -223,17 +218,16 @@ class Verification:
         over : {"prior", "persistence", "place"}, optional
         """
         columns = {"onsets": (0,), "used": (1,), "all": (0, 1)}[what]
-        one = self.scores["forecast"]
+        one = self.scores[:, 0]
         if over is not None:
-            one = one - self.scores[over]
+            one = one - self.scores[:, FORECASTS.index(over)]
         total = self._sum(sum(one[:, each] for each in columns))  # type: ignore[arg-type]
         return self._figure(_ratio(total, self._sum(_columns(self.counts[:, _KNOWN], columns))))
 
     def crps(self, name: str = "forecast") -> Ends:
         """Mean CRPS of the onsets, in log adhesion."""
-        return self._figure(
-            _ratio(self._sum(self.scores[name][:, 2]), self._sum(self.counts[:, _KNOWN, 0]))
-        )
+        found = self.scores[:, FORECASTS.index(name), 2]
+        return self._figure(_ratio(self._sum(found), self._sum(self.counts[:, _KNOWN, 0])))
 
     @property
     def onsets_in_band(self) -> Ends:
@@ -265,7 +259,7 @@ class Verification:
 
     def brier_score(self, name: str = "forecast") -> BrierScore:
         """Of the probability of slip; arrays: all days first, then the draws of the bootstrap."""
-        return brier_score(self._sum(self.brier[name]))
+        return brier_score(self._sum(self.brier[:, FORECASTS.index(name)]))
 
     def brier_figure(self, part: str, name: str = "forecast") -> Ends:
         """One part of `brier_score`, or ``"skill"``."""
@@ -278,7 +272,7 @@ class Verification:
 
     def classes(self) -> list[tuple[float, float, float, float]]:
         """Of each class of slip forecasts: mean forecast, share that slipped, trips and slips."""
-        trips, events, forecast, _ = self.brier["forecast"].sum(axis=0)
+        trips, events, forecast, _ = self.brier[:, 0].sum(axis=0)
         return [
             (f / n, e / n, n, e) for n, e, f in zip(trips, events, forecast, strict=True) if n > 0
         ]
@@ -286,9 +280,7 @@ class Verification:
     def alarm_curve(self) -> list[Alarm]:
         """Slips foreseen and false alarms by the threshold of alarms; NaN where not known."""
         found, slips = self._sum(self.alarms), self._sum(self.slips)
-        passages, known_slips = (
-            self._sum(self.brier["forecast"][:, row].sum(axis=-1)) for row in (0, 1)
-        )
+        passages, known_slips = (self._sum(self.brier[:, 0, row].sum(axis=-1)) for row in (0, 1))
         km = passages * self.bin_length / 1e3
         return [
             Alarm(
@@ -470,7 +462,7 @@ def verify(
         raise InputError(
             f"{name}: no trip to compare it with", remedy="give trips of days that it does not know"
         )
-    sums: dict[str, dict[int, _Sums]] = {}
+    sums: dict[str, dict[int, Sums]] = {}
     references = _References(track, history)
     asked = asked_adhesion(track.levels)
     for each in every:
@@ -478,22 +470,19 @@ def verify(
         if forecast is None:
             forecast = _unknown(track.bins)
         several = {"forecast": forecast, **references(each.layer, each.day)}
-        into = sums.setdefault(each.layer, {}).setdefault(each.day, _Sums())
-        into.add_scores(each, several, track.levels, asked)
-        into.add_slips(each, several, demand, asked)
-    return {layer: _made(name, track.bin_length, days) for layer, days in sums.items()}
-
-
-def _made(name: str, bin_length: float, by_day: Mapping[int, _Sums]) -> Verification:
-    sums = list(by_day.values())
-    found: dict[str, Any] = {
-        key: np.array([getattr(each, key) for each in sums]) for key in _Sums.ARRAYS
+        none = {key: np.zeros(shape) for key, shape in SIZES.items()}
+        into = sums.setdefault(each.layer, {}).setdefault(each.day, none)
+        _add_scores(into, each, several, track.levels, asked)
+        _add_slips(into, each, several, demand, asked)
+    return {
+        layer: Verification(
+            name,
+            track.bin_length,
+            np.array(list(days), dtype=np.int64),
+            **{key: np.array([each[key] for each in days.values()]) for key in SIZES},
+        )
+        for layer, days in sums.items()
     }
-    for key in _Sums.TABLES:
-        found[key] = {
-            one: np.array([getattr(each, key)[one] for each in sums]) for one in FORECASTS
-        }
-    return Verification(name, bin_length, np.array(list(by_day), dtype=np.int64), **found)
 
 
 class _References:
@@ -520,70 +509,70 @@ def _unknown(bins: int) -> AdhesionEstimate:
     return AdhesionEstimate(np.zeros(bins), np.ones(bins), np.zeros(bins, dtype=np.bool_))
 
 
-class _Sums:
-    """The sums of one day."""
+Sums = dict[str, FloatArray]
+"""What a `Verification` is made of, of one day."""
 
-    ARRAYS = ("counts", "inside", "pit", "alarms", "slips", "no_demand")
-    TABLES = ("scores", "brier")
+SIZES: dict[str, tuple[int, ...]] = {
+    "counts": (2, 2),
+    "scores": (len(FORECASTS), 3),
+    "inside": (),
+    "pit": (2, LEVELS_OF_PIT.size - 1),
+    "brier": (len(FORECASTS), 4, CLASSES.size - 1),
+    "alarms": (2, ALARMS.size),
+    "slips": (),
+    "no_demand": (),
+}
 
-    def __init__(self) -> None:
-        self.counts = np.zeros((2, 2))
-        self.inside = 0.0
-        self.pit = np.zeros((2, LEVELS_OF_PIT.size - 1))
-        self.alarms = np.zeros((2, ALARMS.size))
-        self.slips = 0.0
-        self.no_demand = 0.0
-        self.scores = {name: np.zeros(3) for name in FORECASTS}
-        self.brier = {name: np.zeros((4, CLASSES.size - 1)) for name in FORECASTS}
 
-    def add_scores(
-        self,
-        met: Passages,
-        several: Mapping[str, AdhesionEstimate],
-        levels: FloatArray,
-        asked: FloatArray,
-    ) -> None:
-        """Score onsets and used adhesion where the forecast was known; count where it was not."""
-        forecast = several["forecast"]
-        measured, bore = forecast.observed[met.onset_bin], forecast.observed[met.used_bin]
-        for row, (slip, used) in enumerate(((measured, bore), (~measured, ~bore))):
-            self.counts[row] += (np.count_nonzero(slip), met.used_trips[used].sum())
-        place, value = met.onset_bin[measured], met.onset_adhesion[measured]
-        rows, level, trips = met.used_bin[bore], met.used_level[bore], met.used_trips[bore]
-        for name, estimate in several.items():
-            here, there = estimate.at_bins(place), estimate.at_bins(rows)
-            self.scores[name] += (
-                onset_score(here, value).sum(),
-                (trips * used_score(there, levels[level])).sum(),
-                crps(here, value).sum(),
-            )
-        below = forecast.at_bins(place).below(value)
-        self.inside += np.count_nonzero((below >= BAND[0]) & (below <= BAND[1]))
-        self.pit += pit_sums(below, np.ones(place.size), True)
-        self.pit += pit_sums(forecast.at_bins(rows).below(asked[level]), trips, False)
+def _add_scores(
+    into: Sums,
+    met: Passages,
+    several: Mapping[str, AdhesionEstimate],
+    levels: FloatArray,
+    asked: FloatArray,
+) -> None:
+    """Score onsets and used adhesion where the forecast was known; count where it was not."""
+    forecast = several["forecast"]
+    measured, bore = forecast.observed[met.onset_bin], forecast.observed[met.used_bin]
+    for row, (slip, used) in enumerate(((measured, bore), (~measured, ~bore))):
+        into["counts"][row] += (np.count_nonzero(slip), met.used_trips[used].sum())
+    place, value = met.onset_bin[measured], met.onset_adhesion[measured]
+    rows, level, trips = met.used_bin[bore], met.used_level[bore], met.used_trips[bore]
+    for number, name in enumerate(FORECASTS):
+        here, there = several[name].at_bins(place), several[name].at_bins(rows)
+        into["scores"][number] += (
+            onset_score(here, value).sum(),
+            (trips * used_score(there, levels[level])).sum(),
+            crps(here, value).sum(),
+        )
+    below = forecast.at_bins(place).below(value)
+    into["inside"] += np.count_nonzero((below >= BAND[0]) & (below <= BAND[1]))
+    into["pit"] += pit_sums(below, np.ones(place.size), True)
+    into["pit"] += pit_sums(forecast.at_bins(rows).below(asked[level]), trips, False)
 
-    def add_slips(
-        self,
-        met: Passages,
-        several: Mapping[str, AdhesionEstimate],
-        demand: Demand,
-        asked: FloatArray,
-    ) -> None:
-        """Score the probability of slip, given what trips of other days asked for."""
-        bins, trips, slipped = met.by_bin()
-        shares = demand.without(met.day, bins)
-        usual = np.isfinite(shares[:, 0])
-        self.no_demand += trips[~usual].sum()
-        self.slips += slipped[usual].sum()
-        known = usual & several["forecast"].observed[bins]
-        bins, trips, slipped, shares = bins[known], trips[known], slipped[known], shares[known]
-        for name, estimate in several.items():
-            chance = slip_probability(estimate.at_bins(bins), shares, asked)
-            self.brier[name] += brier_sums(chance, trips, slipped)
-            if name == "forecast":
-                alarmed = chance[:, None] >= ALARMS
-                self.alarms[0] += slipped @ alarmed
-                self.alarms[1] += (trips - slipped) @ alarmed
+
+def _add_slips(
+    into: Sums,
+    met: Passages,
+    several: Mapping[str, AdhesionEstimate],
+    demand: Demand,
+    asked: FloatArray,
+) -> None:
+    """Score the probability of slip, given what trips of other days asked for."""
+    bins, trips, slipped = met.by_bin()
+    shares = demand.without(met.day, bins)
+    usual = np.isfinite(shares[:, 0])
+    into["no_demand"] += trips[~usual].sum()
+    into["slips"] += slipped[usual].sum()
+    known = usual & several["forecast"].observed[bins]
+    bins, trips, slipped, shares = bins[known], trips[known], slipped[known], shares[known]
+    for number, name in enumerate(FORECASTS):
+        chance = slip_probability(several[name].at_bins(bins), shares, asked)
+        into["brier"][number] += brier_sums(chance, trips, slipped)
+        if name == "forecast":
+            alarmed = chance[:, None] >= ALARMS
+            into["alarms"][0] += slipped @ alarmed
+            into["alarms"][1] += (trips - slipped) @ alarmed
 
 
 def slip_probability(
