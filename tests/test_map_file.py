@@ -430,6 +430,8 @@ class TestDamage:
             ("DELETE FROM trips", "entries are missing"),
             ("UPDATE trips SET layer = 'leaves' WHERE layer = 'wet'", "its entry was changed"),
             ("UPDATE trips SET counted = 0", "its entry was changed"),
+            ("UPDATE trips SET entry = x'00'", "its entry was changed"),
+            ("UPDATE trips SET identity = 7 WHERE identity IS NOT NULL", "its entry was changed"),
             ("UPDATE header SET value = '\"far\"' WHERE key = 'line'", "its header was changed"),
             ("DELETE FROM header WHERE key = 'levels'", "database: is damaged"),
             ("DELETE FROM evidence", r"evidence [0-9a-f]{16}: is damaged"),
@@ -462,6 +464,22 @@ class TestDamage:
 
 
 class TestOtherFiles:
+    def test_entries_that_an_earlier_version_wrote_as_text_are_read(
+        self, good: bytes, tmp_path: Path
+    ) -> None:
+        path = tmp_path / "a.map"
+        path.write_bytes(good)
+        with MapFile(path) as file:
+            rows = file.trips()
+        database = sqlite3.connect(path)
+        for row in rows:
+            values = (row.entry, row.identity, row.key)
+            database.execute("UPDATE trips SET entry = ?, identity = ? WHERE key = ?", values)
+        database.commit()
+        database.close()
+        with MapFile(path) as file:
+            assert file.trips() == rows
+
     def refused(self, path: Path) -> str:
         with pytest.raises(InputError) as caught:
             read_map(path)
