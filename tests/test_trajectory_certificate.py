@@ -143,7 +143,7 @@ def test_a_run_in_its_least_time_has_cells_until_it_is_certified() -> None:
     """A second is worth a hundred times what it usually is, and so is a change of control."""
     run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.0)
     found = optimise(run, OptimiserOptions(60))
-    assert found.certificate["gap"] <= 2e-3
+    assert found.certificate["certified"]
     assert found.positions.size > 61
     kept = optimise(run, OptimiserOptions(60, tolerance=np.inf))
     assert kept.certificate["gap"] > 2e-3

@@ -34,13 +34,15 @@ def as_text(title: str, rows: Mapping[str, str]) -> str:
 
 
 def at_most(share: float, digits: int = 3) -> str:
-    """A bound as a percentage, rounded up: what is stated holds.
+    """A bound as a percentage, rounded up: what is stated holds. Beyond 100 % there is none.
 
     Examples
     --------
-    >>> at_most(0.000141), at_most(0.000141, 2)
-    ('0.015%', '0.02%')
+    >>> at_most(0.000141), at_most(0.000141, 2), at_most(4.3e6)
+    ('0.015%', '0.02%', 'no bound found')
     """
+    if share > 1.0:
+        return "no bound found"
     return f"{math.ceil(round(share * 10 ** (digits + 2), 6)) / 10 ** (digits + 2):.{digits}%}"
 
 

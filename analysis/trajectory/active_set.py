@@ -60,17 +60,26 @@ from analysis.trajectory.sqp import (
     minimise,
 )
 from trainlog.arrays import FloatArray
-from trainlog.errors import TrainlogError
+from trainlog.errors import InfeasibleError, TrainlogError
 from trainlog.progress import note
 
 _COARSE = Tolerances(energy=1e-4, lateness=0.05, smoothing=0.0)
 """On the coarse grid, where a search only prepares another."""
+
+_STAND_IN = Tolerances(energy=1e-4, lateness=0.05)
+"""Where some configurations stand for others in an expected energy."""
+
+_MANY = replace(EXACT, energy=2e-5)
+"""Where many configurations are in a program: each further one costs seconds."""
 
 _RESPONSE = Tolerances(energy=1e-4, lateness=0.02)
 """Where the brakes of configurations are sought that are not in the program."""
 
 _VIOLATION = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
+
+_REPRESENTATIVES = 8
+"""Configurations that an expected energy is taken over at first, each for those most like it."""
 
 _HALVINGS = 6
 """Of the interval of cruising speeds, where no time is left."""
@@ -121,15 +130,21 @@ def _searched(
 ) -> Answer:
     rows, plan, price = list(guess.rows), guess.plan, guess.price
     statuses, tolerances = list(guess.statuses), _COARSE if coarse else EXACT
+    if problem.run.objective == "expected" and problem.shape[0] > _REPRESENTATIVES and not coarse:
+        tolerances = _MANY
     again, even = set[int](), problem
+    expected = problem.run.objective == "expected"
+    counted = set(np.flatnonzero(problem.weights).tolist()) if expected else set[int]()
     together = cache(partial(DrivenPlan.together, problem, speeds, running_time))
     for turns in count(1):
         grid = f"{problem.shape[1]} cells" + ", to begin with" * coarse
         note(f"round {turns}: {len(rows)} of {problem.shape[0]} decide, {grid}")
         part = even.select(rows)
         start = partial(DrivenPlan.of_rows, together, tuple(rows))
+        left_out = counted - set(rows)
+        wide = _STAND_IN if left_out and not coarse else tolerances
         try:
-            solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances, start)
+            solution = _optimum(part, plan, price, speeds[rows], running_time, wide, start)
         except OutOfTimeError as stop:
             last = stop.found or unpriced(DrivenPlan(part, plan, np.inf))
             words = (*statuses, *last.statuses, "time limit")
@@ -154,9 +169,14 @@ def _searched(
         problem, part = even.tapered(solution.taper), part.tapered(solution.taper)
         everyone = _roll_out(problem, rows, part, solution.plan)
         late = delays(part, everyone.select(rows), running_time)[0]
-        overdue = max(float(late.max()), 0.0) if coarse else 0.0
+        overdue = max(float(late.max()), 0.0) if coarse or left_out else 0.0
         everyone = _brake_gently(problem, rows, everyone, running_time + overdue)
         new = _violators(problem, everyone, running_time + overdue, rows) - set(rows)
+        if left_out and not coarse:
+            # Those that stood for others have led near the optimum; now each counts by itself.
+            new |= left_out
+            others = sorted(left_out)
+            everyone.put(others, solution.plan, problem.nearest(rows)[others])
         if not new:
             return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses))
         price = np.append(solution.time_price, np.zeros(len(new)))
@@ -337,6 +357,11 @@ def _optimum(
             return solution
     except NoSolutionError:
         pass
+    if problem.common:
+        # Next to the least time the relaxation takes long to state that it has no inside.
+        safe = descend(problem, start(), running_time, tolerances)
+        if safe is not None:
+            return safe
     relaxation = Relaxation(problem, speeds)
     try:
         relaxed = relaxation.least_energy(running_time)
@@ -344,22 +369,31 @@ def _optimum(
         safe = descend(problem, start(), running_time, tolerances)
         if safe is not None:
             return safe
+        why = partial(time_explained, problem, relaxation, running_time, str(status))
         if problem.common:
-            raise brakes_explained(problem, speeds, running_time) from None
-        raise time_explained(problem, relaxation, running_time, str(status)) from None
+            why = partial(brakes_explained, problem, speeds, running_time)
+        raise NotFoundError(why) from None
     try:
         solution = minimise(problem, relaxed.plan, relaxed.time_price, running_time, tolerances)
         if solution.lateness <= max(LATE, tolerances.lateness):
             return replace(solution, statuses=(relaxed.status, *solution.statuses))
-        refusal = still_late(problem, running_time, solution.lateness)
+        why = partial(still_late, problem, running_time, solution.lateness)
     except NoSolutionError as failure:
-        refusal = unsettled(problem, running_time, f"a convex step is {failure}")
+        why = partial(unsettled, problem, running_time, f"a convex step is {failure}")
     safe = descend(problem, start(), running_time, tolerances)
     if safe is not None:
         return replace(safe, statuses=(relaxed.status, *safe.statuses))
     if problem.common:
-        raise brakes_explained(problem, speeds, running_time)
-    raise refusal
+        why = partial(brakes_explained, problem, speeds, running_time)
+    raise NotFoundError(why)
+
+
+class NotFoundError(InfeasibleError):
+    """No plan was found; `why` looks for the reason, which may take longer than the search did."""
+
+    def __init__(self, why: Callable[[], InfeasibleError]) -> None:
+        super().__init__("no trajectory was found")
+        self.why = why
 
 
 INACTIVE = 1e-3
@@ -430,10 +464,21 @@ def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: fl
     if np.isfinite(problem.earliest).any():
         rows |= {int(np.argmin(times))}
     if problem.run.objective == "expected":
-        rows |= set(np.flatnonzero(problem.weights).tolist())
+        rows |= _representatives(problem, rows)
     chosen = tuple(sorted(rows))
     part = problem.select(chosen)
     return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
+
+
+def _representatives(problem: DiscreteProblem, rows: set[int]) -> set[int]:
+    """Of those that count all, or of many those that are least alike, one after another."""
+    own, counted, found = problem.alike, problem.weights > 0.0, sorted(rows)
+    if np.count_nonzero(counted) <= _REPRESENTATIVES:
+        return set(np.flatnonzero(counted).tolist())
+    while len(found) < _REPRESENTATIVES:
+        away = ((own[:, None] - own[found]) ** 2).sum(axis=2).min(axis=1)
+        found.append(int(np.argmax(np.where(counted, away, -1.0))))
+    return set(found)
 
 
 def interpolated_guess(answer: Answer, coarse: FloatArray, problem: DiscreteProblem) -> Guess:

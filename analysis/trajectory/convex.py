@@ -2,8 +2,8 @@
 
 A program is written as sparse arrays at once, cell by cell, and stated to CVXPY as one vector of
 unknowns between its bounds: that saves most of the time that modelling with expressions takes. A
-search solves many programs of one shape, each about the solution of the one before; CVXPY states
-the first, the others give PIQP their arrays as they are.
+search solves many programs, each about the solution of the one before; CVXPY states the first of
+all, the others give PIQP their arrays as they are.
 
 In the relaxation each node has, next to ``z``, a speed ``w`` with ``w² <= 2 z``, and each cell a
 time per metre ``tau`` with ``tau (w + w') / 2 >= 1``; both are second-order cones that stay
@@ -49,6 +49,9 @@ _SETTINGS: dict[str, Any] = {
 }
 """What PIQP stops at: beyond it the rounding of large programs makes it stall."""
 
+_LONGEST = 15.0
+"""Time after which a program with cones is given up [s]: it has no inside, or nearly none."""
+
 _ROUNDING = 1e-9
 """By which rounding may have a lower bound exceed the upper one."""
 
@@ -72,23 +75,29 @@ class OutOfTimeError(Exception):
 
 _DEADLINE = ContextVar("deadline", default=np.inf)
 
-_PACE = ContextVar("pace", default=0.0)
-"""Time of the last program per unknown [s]."""
+_PACE, _SPENT = ContextVar("pace", default=0.0), ContextVar("spent", default=0.0)
+"""Time of the last program per unknown [s], by the clock and of the processor."""
 
-_STATED: ContextVar[frozenset[tuple[int, ...]]] = ContextVar("stated", default=frozenset())
-"""Unknowns and equations of the programs that CVXPY has stated in this search."""
+_WORKED = ContextVar("worked", default=0.0)
+"""Processor time that programs have taken so far [s]."""
+
+_STATED = ContextVar("stated", default=False)
+"""Whether CVXPY has stated a program: then the others are given to PIQP as they are."""
 
 
 @contextmanager
 def time_limit(seconds: float | None) -> Iterator[None]:
     """Start no program in here that would not end within so many seconds; None: no limit."""
     token = _DEADLINE.set(np.inf if seconds is None else time.monotonic() + seconds)
-    stated = _STATED.set(_STATED.get())
     try:
         yield
     finally:
         _DEADLINE.reset(token)
-        _STATED.reset(stated)
+
+
+def worked() -> float:
+    """Processor time that programs have taken so far [s]; what is compiled once does not count."""
+    return _WORKED.get()
 
 
 def time_left() -> float:
@@ -218,14 +227,31 @@ def solve(
     OutOfTimeError
         If no time is left.
     """
-    shape = (unknowns.size, equal.count)
+    begun = time.process_time()
+    try:
+        return _solved(unknowns, cost, equal, below, curvature, cones, variable)
+    finally:
+        _WORKED.set(_WORKED.get() + time.process_time() - begun)
+
+
+def _solved(
+    unknowns: Unknowns,
+    cost: FloatArray,
+    equal: Rows,
+    below: Rows,
+    curvature: sp.csc_array | None,
+    cones: Sequence[Any],
+    variable: cp.Variable | None,
+) -> ProgramSolution:
     # PIQP cannot be stopped, Clarabel can.
     if time_left() <= (0.0 if cones else _PACE.get() * unknowns.size):
         raise OutOfTimeError
-    begin, stated = time.monotonic(), not cones and shape in _STATED.get()
+    begin, stated = time.monotonic(), not cones and _STATED.get()
     if stated:
+        busy = time.process_time()
         found = _by_piqp(unknowns, cost, equal, below, curvature)
         _PACE.set((time.monotonic() - begin) / unknowns.size)
+        _SPENT.set((time.process_time() - busy) / unknowns.size)
         if found is not None:
             return found
     x = bounded(unknowns) if variable is None else variable
@@ -242,7 +268,7 @@ def solve(
             raise OutOfTimeError
         settings = _SETTINGS
         if solver == cp.CLARABEL:
-            settings = {"time_limit": left} if left < np.inf else {}
+            settings = {"time_limit": min(left, _LONGEST)}
         try:
             with warnings.catch_warnings():
                 # The status states what the warning would, and the certificate carries it.
@@ -257,7 +283,7 @@ def solve(
         status = str(program.status)
         good = (cp.OPTIMAL,) if solver == cp.PIQP else (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
         if status in good and np.all(np.isfinite(x.value)):
-            _STATED.set(_STATED.get() | {shape})
+            _STATED.set(_STATED.get() or not cones)
             return ProgramSolution(
                 np.asarray(x.value),
                 np.asarray(equations.dual_value),
@@ -277,7 +303,7 @@ def _by_piqp(
     below: Rows,
     curvature: sp.csc_array | None,
 ) -> ProgramSolution | None:
-    """The optimum of a program whose shape CVXPY has stated before; None if PIQP finds none."""
+    """The optimum of a program as CVXPY has stated one before; None if PIQP finds none."""
     _settle_bounds(unknowns)
     size = unknowns.size
     solver = piqp.SparseSolver()
@@ -467,6 +493,9 @@ class Relaxed:
     status: str
 
 
+_OVER_PROGRAM = 5.0
+"""Times the time that a program without cones takes per unknown."""
+
 _REACH = 1e-3
 """By which a configuration's fastest run may be slower than another run of it, relative."""
 
@@ -524,6 +553,11 @@ class Relaxation:
             for number, node in enumerate(problem.passed.tolist())
             if problem.earliest[number] > -np.inf
         }
+
+    @property
+    def seconds(self) -> float:
+        """About how long it takes to solve, by how long the last program of a search took."""
+        return _OVER_PROGRAM * _SPENT.get() * self.unknowns.size
 
     def least_energy(self, running_time: float) -> Relaxed:
         """Minimise the worst-case energy within `running_time` [s].

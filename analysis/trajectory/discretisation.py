@@ -308,7 +308,10 @@ class DiscreteProblem:
         return replace(self, drag0=self.drag0 - fall, taper=taper, ceiling=ceiling)
 
     def select(self, rows: Sequence[int]) -> DiscreteProblem:
-        """The same problem for some of the configurations; common limits stay those of all."""
+        """The same problem for some of the configurations; common limits stay those of all.
+
+        In an expected energy each stands for those that are left out and nearest to it.
+        """
         chosen = list(rows)
         arrays: dict[str, Any] = {
             name: getattr(self, name)[chosen]
@@ -317,6 +320,8 @@ class DiscreteProblem:
                 "weights"
             )
         }  # fmt: skip
+        if self.run.objective == "expected":
+            arrays["weights"] = np.bincount(self.nearest(chosen), self.weights, len(chosen))
         configurations = tuple(self.run.configurations[row] for row in chosen)
         run = replace(self.run, configurations=configurations, weights=())
         if self.curves is not None:
@@ -324,6 +329,20 @@ class DiscreteProblem:
         if self.dynamic_curves is not None:
             arrays["dynamic_curves"] = self.dynamic_curves.select(chosen)
         return replace(self, run=run, **arrays)
+
+    def nearest(self, rows: Sequence[int]) -> IntArray:
+        """For each configuration, the number among `rows` of the one most like it, (q,)."""
+        own = self.alike
+        return np.asarray(np.argmin(((own[:, None] - own[list(rows)]) ** 2).sum(axis=2), axis=1))
+
+    @property
+    def alike(self) -> FloatArray:
+        """Inertia and resistance of each configuration, over the mean of both, (q, 2)."""
+        speed = np.sqrt(2.0 * max(float(self.ceiling.max()), 1.0)) / 2.0
+        drag = self.drag0[:, :, 0].mean(axis=1) - (self.drag0[:, :, 0].mean(axis=1)).min()
+        drag = drag + self.drag1 * speed + self.drag2.mean(axis=1) * speed**2
+        found = np.column_stack((1.0 / self.gain, drag / self.gain))
+        return np.asarray(found / found.mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

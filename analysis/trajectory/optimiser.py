@@ -10,6 +10,7 @@ import numpy as np
 
 from analysis.trajectory.active_set import (
     Answer,
+    NotFoundError,
     initial_guess,
     interpolated_guess,
     paced_grid,
@@ -19,13 +20,13 @@ from analysis.trajectory.active_set import (
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.bound import ContinuousBound
 from analysis.trajectory.certificate import (
-    GAP_TOLERANCE,
     best_bound,
     certificate_of,
     energy_of_audit,
     gap_of,
+    tolerated,
 )
-from analysis.trajectory.convex import time_left, time_limit
+from analysis.trajectory.convex import time_left, time_limit, worked
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
     REGAINING_WEIGHT,
@@ -48,6 +49,7 @@ from analysis.trajectory.problem import (
     TrajectoryProblem,
 )
 from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
+from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY
 from trainlog.arrays import FloatArray
 from trainlog.display import at_most, counted
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
@@ -89,8 +91,15 @@ to certify. Every other time they are twice as many."""
 TOGETHER = 6_000
 """Cells of all configurations that count in the program of an expected energy, at first."""
 
-_CUT = 0.9
-"""Times the gap before, above which new cells are the last."""
+_CUT, _LOWER = 0.7, 2e-4
+"""Times what is missing before, up to which more is tried; and the part of the energy."""
+
+_LONGER = 3.0
+"""Times the time that twice as many cells take."""
+
+EFFORT, _LONGEST = 11.0, 15.0
+"""Processor time of programs after which nothing is begun that improves a plan; and no first bound
+[s]."""
 
 
 def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
@@ -146,7 +155,7 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
 
 
 def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajectory:
-    problem = asked
+    problem, begun = asked, worked()
     if len(problem.configurations) == 1:
         # One brakes for all, and so for itself: then its brake may follow the speed it meets.
         problem = replace(problem, braking="recourse")
@@ -154,8 +163,10 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
     running_time = _running_time(problem, fastest, options.cells)
     try:
         check_time(problem, fastest, running_time)
-        found = _audited(problem, fastest, running_time, _first_cells(problem, options.cells))
-        found, bound = _renewed(found, fastest, running_time, options)
+        found = _audited(
+            problem, fastest, running_time, _first_cells(problem, options.cells), begun
+        )
+        found, bound = _renewed(found, fastest, running_time, options, begun)
     except InfeasibleError as refusal:
         raise _with_time_to_allow(refusal, problem, fastest, running_time, options.cells) from None
     discrete, answer = found.problem, found.answer
@@ -290,46 +301,46 @@ class _Audited:
 
 
 def _renewed(
-    found: _Audited, fastest: Envelope, running_time: float, options: OptimiserOptions
+    found: _Audited,
+    fastest: Envelope,
+    running_time: float,
+    options: OptimiserOptions,
+    begun: float,
 ) -> tuple[_Audited, ContinuousBound]:
-    """The best plan, on cells laid anew where the bound of the last states that it loses most."""
-    cells = first = found.problem.shape[1]
-    few = _first_cells(found.problem.run, options.cells) < options.cells
-    most = options.cells if few else MOST_CELLS
-    tolerance = options.tolerance
-    if found.problem.run.objective == "expected" and np.prod(found.problem.shape) > 2 * TOGETHER:
-        # A program takes ten seconds and more there.
-        tolerance = 2.0 * tolerance
-    bound = best_bound(found.answer, fastest, running_time)
-    last, excess = found, bound.excess
+    """The best plan, on cells laid anew where the bound of the last states that it loses most.
+
+    As long as that takes away a third of what is missing, or lowers the energy, every other time on
+    twice as many cells; where it does not, on twice as many. Nothing is tried that is likely to end later than `EFFORT` after `begun`.
+    """
+    cells = found.problem.shape[1]
+    finest = max(2 * cells, options.cells) if len(found.answer.active) > 1 else MOST_CELLS
+    bound = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
+    last, excess, taken = found, bound.excess, 0.7 * (worked() - begun)
     for number in range(RENEWALS + FINER_RENEWALS):
-        gap = gap_of(found.energy, bound.value)
-        note(f"the gap is {gap:.3%}; cells are laid anew")
+        missing = found.energy - bound.value
+        enough = options.tolerance * max(abs(bound.value), NEGLIGIBLE_ENERGY)
         if number >= RENEWALS:
-            tolerance = max(tolerance, GAP_TOLERANCE)
-        if number > 0 and number % 2 == 0:
-            cells = min(2 * cells, most)
-        if gap <= tolerance or time_left() <= 0.0:
+            enough = max(enough, tolerated(bound.value, fastest))
+        now = worked()
+        if missing <= enough or time_left() <= 0.0 or now - begun + taken > EFFORT:
             break
+        note(f"the gap is {gap_of(found.energy, bound.value):.3%}; cells are laid anew")
         again = _searched_again(last, excess, cells, fastest, running_time)
         if again is None:
+            taken = worked() - now
             continue
-        other = best_bound(again.answer, fastest, running_time)
-        last, excess = again, other.excess
-        if other.value > bound.value:
-            bound = other
-        if again.energy <= found.energy:
-            found = again
-        several, less = len(found.answer.active) > 1, gap_of(found.energy, bound.value)
-        if less <= _CUT * gap or (number == 0 and not several):
+        other = best_bound(again.answer, fastest, running_time, EFFORT - (worked() - begun))
+        last, excess, taken = again, other.excess, worked() - now
+        bound = max(bound, other, key=lambda each: each.value)
+        lower = again.energy < (1.0 - _LOWER) * found.energy
+        found = min(found, again, key=lambda each: each.energy)
+        if lower or found.energy - bound.value <= _CUT * missing:
+            if number % 2 == 1 and 2 * cells <= finest:
+                cells, taken = 2 * cells, _LONGER * taken
             continue
-        # By each other's power several lose what no cells regain: more of them are tried once, but
-        # where all are in the program only if it has fewer than were asked for.
-        all_count = several and found.problem.run.objective == "expected"
-        largest = most if few else first if all_count else 2 * first
-        if less <= GAP_TOLERANCE or 2 * cells > largest:
+        if 2 * cells > finest:
             break
-        cells = min(2 * cells, most)
+        cells, taken = 2 * cells, _LONGER * taken
     return found, bound
 
 
@@ -348,7 +359,7 @@ def _searched_again(
 
 
 def _audited(
-    run: TrajectoryProblem, fastest: Envelope, running_time: float, cells: int
+    run: TrajectoryProblem, fastest: Envelope, running_time: float, cells: int, begun: float
 ) -> _Audited:
     """The optimum on a grid on which it passes its audit.
 
@@ -378,9 +389,10 @@ def _audited(
         safe = _paced(run, running_time, count)
         if safe is not None:
             return safe
-        if problem.common and isinstance(failures[-1], InfeasibleError):
+        late = worked() - begun > EFFORT
+        if late or (problem.common and isinstance(failures[-1], InfeasibleError)):
             break
-    raise failures[0]
+    raise failures[0].why() if isinstance(failures[0], NotFoundError) else failures[0]
 
 
 def _paced(run: TrajectoryProblem, running_time: float, cells: int) -> _Audited | None:

@@ -153,10 +153,20 @@ class QPSubproblem:
     """
 
     def __init__(
-        self, problem: DiscreteProblem, plan: Plan, price: FloatArray, *, given: bool = False
+        self,
+        problem: DiscreteProblem,
+        plan: Plan,
+        price: FloatArray,
+        *,
+        given: bool = False,
+        spare: float = 0.0,
     ) -> None:
-        """With a common traction that is `given` as the plan has it only the brakes are free."""
+        """With a common traction that is `given` as the plan has it only the brakes are free.
+
+        All times are kept with so many seconds to `spare`.
+        """
         self.problem, self.plan, self.price, self.given = problem, plan, price, given
+        self.spare = spare
         self.motion = Motion.about(problem, plan)
         self.speed = np.sqrt(2.0 * plan.z)
         self.scale = np.maximum(self.speed, SLOW)
@@ -249,14 +259,14 @@ class QPSubproblem:
 
     def _not_after(self, node: int, latest: float, gradient: FloatArray) -> IntArray:
         """Eq. (3) and (8), linearised: no configuration passes `node` later than it may."""
-        left = latest - self.motion.times[:, :node].sum(axis=1)
+        left = latest - self.spare - self.motion.times[:, :node].sum(axis=1)
         late = np.full(left.shape, self.late)
         slopes = (self.unknowns.z[:, : node + 1], _until(gradient, node))
         return self.below.add(left, slopes, (late, -1.0))
 
     def _not_before(self, node: int, earliest: float, gradient: FloatArray) -> IntArray:
         """Nor earlier: the tangent of a constraint that is not convex."""
-        over = self.motion.times[:, :node].sum(axis=1) - earliest
+        over = self.motion.times[:, :node].sum(axis=1) - earliest - self.spare
         late = np.full(over.shape, self.late)
         slopes = (self.unknowns.z[:, : node + 1], -_until(gradient, node))
         return self.below.add(over, slopes, (late, -1.0))
@@ -436,6 +446,9 @@ _EXCESS = 1e-6
 LATENESS_PRICE = 100.0
 """Price of lateness over the multiplier of the time; more than a feasible run would pay."""
 
+_MORE = 1.1
+"""Times what the next program would leave of a delay, by which it is to be earlier."""
+
 _FREE_ITERATIONS = 10
 """Iterations before the steps are made to shrink."""
 
@@ -500,12 +513,12 @@ def minimise(
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
-    radius, energy = 1.0, np.inf
+    radius, energy, spare, last = 1.0, np.inf, 0.0, np.inf
     statuses: list[str] = []
     solution = None
     while True:
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
-        program = QPSubproblem(tapered, plan, price, given=given)
+        program = QPSubproblem(tapered, plan, price, given=given, spare=spare)
         try:
             solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
         except OutOfTimeError:
@@ -517,12 +530,15 @@ def minimise(
         off = max(float(late.max()), float(early.max())) - solution.lateness
         changed = min(abs(solution.energy - energy), solution.moved)
         enough = tolerances.energy * max(solution.energy, NEGLIGIBLE_ENERGY)
+        if changed <= enough and off > tolerances.lateness:
+            # What is left of a delay dies out slowly; a plan that much earlier is in time at once.
+            spare += _MORE * off * min(off / last, 1.0)
         converged = changed <= enough and off <= tolerances.lateness
         # With a brake of its own each keeps to the limits however far from them its plan is.
         converged = converged and not (problem.common and _excess(tapered, driven) > _EXCESS)
         if converged or len(statuses) == iterations:
             return replace(solution, statuses=tuple(statuses), converged=converged)
-        energy = solution.energy
+        energy, last = solution.energy, max(off, tolerances.lateness)
         # The iterations contract by themselves; where they do not, ever smaller steps make them.
         if len(statuses) >= _FREE_ITERATIONS:
             radius *= 0.7

@@ -239,6 +239,7 @@ def certified(trajectory: Trajectory) -> dict[str, Any]:
         "energy_J": certificate["energy"],
         "lower_bound_J": certificate["lower_bound"],
         "gap": certificate["gap"],
+        "certified": certificate["certified"],
         "lateness_s": audit["lateness"],
         "overspeed_m_s": audit["overspeed"],
         "protected_length_m": trajectory.protected_length,

@@ -446,7 +446,9 @@ class Trajectory(Declared):
     @property
     def optimality(self) -> str:
         """How far the energy of the certificate is from the least possible at most, in words."""
-        return f"at most {at_most(self.certificate['gap'])} above the theoretical minimum"
+        gap = self.certificate["gap"]
+        words = f"at most {at_most(gap)} above the theoretical minimum"
+        return at_most(gap) if gap > 1.0 else words
 
     @property
     def latest(self) -> int:
