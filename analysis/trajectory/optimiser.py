@@ -310,7 +310,8 @@ def _renewed(
     """The best plan, on cells laid anew where the bound of the last states that it loses most.
 
     As long as that takes away a third of what is missing, or lowers the energy, every other time on
-    twice as many cells; where it does not, on twice as many. Nothing is tried that is likely to end later than `EFFORT` after `begun`.
+    twice as many cells; where it does not, on twice as many. Nothing is tried that is likely to end
+    later than `EFFORT` after `begun`.
     """
     cells = found.problem.shape[1]
     finest = max(2 * cells, options.cells) if len(found.answer.active) > 1 else MOST_CELLS
