@@ -183,13 +183,12 @@ def test_least_time_runs_are_close_to_their_bound(objective: Any, length: float)
 @pytest.mark.usefixtures("unrenewed")
 def test_one_configuration_with_a_common_brake_has_a_brake_of_its_own() -> None:
     """Next to the least time, where efforts that are applied as they are go past every limit."""
+    asked = TrajectoryProblem(
+        hilly_line(), FLIRT, observed(FLIRT, 1.0), end=6_000.0, reserve=4e-4, braking="recourse"
+    )
     own, common = (
-        answered(
-            TrajectoryProblem(
-                hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=4e-4, braking=braking  # type: ignore[arg-type]
-            ), 120,
-        )
-        for braking in ("recourse", "common")
-    )  # fmt: skip
+        answered(replace(asked, braking=each), 120)  # type: ignore[arg-type]
+        for each in ("recourse", "common")
+    )
     np.testing.assert_allclose(common.speeds, own.speeds)
     assert common.provenance["settings"]["braking"] == "common"
