@@ -14,7 +14,7 @@ reached.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Any
@@ -79,30 +79,44 @@ def interpolated(
     >>> interpolated(frame, "speed", pd.DatetimeIndex(["1970-01-01T00:00:01Z"])).tolist()
     [3.5]
     """
-    rule = column_field(topic_of_frame(frame.attrs), column).interpolation
-    if rule == "none":
+    return interpolated_columns(frame, [column], time, max_gap)[0]
+
+
+def interpolated_columns(
+    frame: pd.DataFrame,
+    columns: Sequence[str],
+    time: pd.DatetimeIndex,
+    max_gap: float | None = None,
+) -> list[FloatArray]:
+    """The values of several columns, as `interpolated` gives each."""
+    rules = [column_field(topic_of_frame(frame.attrs), name).interpolation for name in columns]
+    if "none" in rules:
         raise InputError(
-            f"{column} of {frame.attrs['topic']} has no values between its samples",
+            f"{columns[rules.index('none')]} of {frame.attrs['topic']} has no values between its"
+            " samples",
             remedy="take the rows as they are",
         )
     known = nanoseconds(frame)
     wanted = time.as_unit("ns").asi8
-    values = frame[column].to_numpy(dtype=np.float64)
+    every = [frame[name].to_numpy(dtype=np.float64) for name in columns]
     if len(known) == 0:
-        return np.full(len(wanted), np.nan)
+        return [np.full(len(wanted), np.nan) for _ in every]
     if np.array_equal(known, wanted):
-        return values.copy()
+        return [values.copy() for values in every]
     before = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, None)
     after = np.clip(before + 1, None, len(known) - 1)
     step = known[after] - known[before]
     since = np.clip(wanted - known[before], 0, step)
-    found = values[before]
-    if rule == "linear":
-        found = np.where(since == 0, found, _on_line(found, values[after], since, step))
     unknown = (wanted < known[0]) | (wanted > known[-1])
     if max_gap is not None:
         unknown |= (since > 0) & (step > max_gap * NANOSECONDS)
-    return np.where(unknown, np.nan, found)
+    all_found = []
+    for rule, values in zip(rules, every, strict=True):
+        found = values[before]
+        if rule == "linear":
+            found = np.where(since == 0, found, _on_line(found, values[after], since, step))
+        all_found.append(np.where(unknown, np.nan, found))
+    return all_found
 
 
 def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:

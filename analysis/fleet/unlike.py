@@ -551,7 +551,7 @@ class _Watch:
         while number < len(changes):
             change, within, on = changes[number], (borders[number], borders[number + 2]), None
             if number + 1 < len(changes):
-                on = self._comes_and_goes(change[0][2], borders[number:])
+                on = self._comes_and_goes(change[0], borders[number:])
             number += 1
             if on is not None:
                 within = within[0], end
@@ -567,17 +567,18 @@ class _Watch:
                 found.insert(0, self._finding(alarm, came, (-1, borders[1]), "kind"))
         return found
 
-    def _comes_and_goes(self, name: str, borders: Sequence[int]) -> BoolArray | None:
+    def _comes_and_goes(self, alarm: Alarm, borders: Sequence[int]) -> BoolArray | None:
         """On which of the kind's trips a fault shows that comes and goes, (n,); None if none does.
 
         All that a channel shows after its first change is then at one of two levels: that before
         it, or another one. Where these are far apart the trips are sorted one by one, else by the
         stretches between changes.
         """
+        seen, _, name = alarm
         one, on = self.watched[name], np.zeros(len(self.trips), dtype=np.bool_)
         before, after = one.between(*borders[:2]), one.between(borders[1], borders[-1])
         usual, _ = _level(before.of(slice(-BEFORE, None)))
-        other, _ = _level(one.between(*borders[1:3]))
+        other, _ = _level(one.between(borders[1], seen + 1))
         stretch = np.searchsorted(np.array(borders[1:-1]), after.place, side="right")
         medians_of = pd.Series(after.own).groupby(stretch).transform("median").to_numpy()
         for _ in range(_STEPS):

@@ -17,7 +17,7 @@ from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import basis, published_tunnel_coefficient
 from trainlog.railway.train import Train
-from trainlog.resampling import interpolated
+from trainlog.resampling import interpolated, interpolated_columns
 from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY
@@ -146,6 +146,15 @@ LONGEST_STEP = 1.2
 
 SMOOTHING = 1.0
 """Speed is smoothed in blocks of this length [s]; masks need no finer."""
+
+CONTROLS = (
+    "tractive_effort",
+    "dynamic_braking_effort",
+    "pneumatic_braking_effort",
+    "braking_effort_demand",
+    "lever",
+)
+"""What is read of ``/train/controls``."""
 
 DEMANDS = {
     "tractive_effort": "tractive_effort_demand",
@@ -314,12 +323,10 @@ def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
     """
     trip = sound(view) if corrected is None else corrected
     of, train, controls = view.once(_course), view.train, trip["/train/controls"]
-    traction, dynamic, pneumatic = (
-        interpolated(controls, name, of.index)
-        for name in ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
-    )
+    columns = interpolated_columns(controls, CONTROLS, of.index)
+    traction, dynamic, pneumatic, demand, lever = columns
     gap = _gaps(of.time, [trip["/train/state"], controls], of.index[0]) | ~np.isfinite(traction)
-    braked = _braking(controls, of.index, dynamic, pneumatic, of.acceleration + of.track, train)
+    braked = _braking(dynamic, pneumatic, demand, lever, of.acceleration + of.track, train)
     traction, dynamic = np.nan_to_num(traction), np.nan_to_num(dynamic)
     protected = _protected(of.time, traction - dynamic, of.wheels.shape[1], train)
     masks = {
@@ -615,7 +622,7 @@ def _wheel_speeds(trip: Trip, index: pd.DatetimeIndex) -> FloatArray:
         return np.empty((len(index), 0))
     axles = trip["/train/axles"]
     names = [name for name in axles.columns if name.startswith("wheel_speed_")]
-    columns = [interpolated(axles, name, index) for name in names]
+    columns = interpolated_columns(axles, names, index)
     known = [column for column in columns if np.isfinite(column).any()]
     return np.column_stack(known) if known else np.empty((len(index), 0))
 
@@ -643,10 +650,10 @@ def _rotating_momentum(
 
 
 def _braking(
-    controls: pd.DataFrame,
-    index: pd.DatetimeIndex,
     dynamic: FloatArray,
     pneumatic: FloatArray,
+    demand: FloatArray,
+    lever: FloatArray,
     acceleration: FloatArray,
     train: Train,
 ) -> BoolArray:
@@ -659,8 +666,6 @@ def _braking(
     threshold = PNEUMATIC * GRAVITY * train.mass
     mask = np.nan_to_num(pneumatic) > threshold
     unknown = ~np.isfinite(dynamic) | ~np.isfinite(pneumatic)
-    demand = interpolated(controls, "braking_effort_demand", index)
-    lever = interpolated(controls, "lever", index)
     asked = (np.nan_to_num(demand) > threshold) | (np.nan_to_num(lever) < -0.02)
     unrecorded = ~np.isfinite(demand) & ~np.isfinite(lever)
     return np.asarray(mask | (unknown & np.where(unrecorded, acceleration < -BRAKED, asked)))

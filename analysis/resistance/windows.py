@@ -20,6 +20,7 @@ trip on long pieces of gradient is then known a fifth less well.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -105,7 +106,10 @@ class Windows:
         return Windows(*(getattr(self, item.name)[kept] for item in fields(self)))
 
     def merged(self) -> Windows:
-        """Neighbours that join made into windows of `MERGED`, or as near as the stretch allows."""
+        """Neighbours that join made into windows of `MERGED`, or as near as the stretch allows.
+
+        Without `sections` and `edges`, which only their noise needs.
+        """
         if not self.count:
             return self
         joined = np.append(False, self.start[1:] - self.end[:-1] < 1e-6)
@@ -117,10 +121,12 @@ class Windows:
         summing = csr_array(
             (np.ones(self.count), np.arange(self.count), np.append(first, self.count))
         )
-        ends = {
+        ends: dict[str, Any] = {
             "start": self.start[first],
             "end": self.end[last],
             "end_speed": self.end_speed[last],
+            "sections": self.sections[:0],
+            "edges": self.edges[:0],
         }
         sums = {
             item.name: summing @ getattr(self, item.name)

@@ -137,14 +137,15 @@ def long_runs(seconds: FloatArray, values: Column, gap: float) -> Runs | None:
     jump[at[first[1:]] - at[last[:-1]] > gap] = np.nan
     moved = jump[jump > 0.0]
     others = samples[~long]
+    small, large = np.percentile(moved, (5.0, 99.0)).tolist() if moved.size else (0.0, 0.0)
     return Runs(
         known[first[long]],
         known[last[long]],
         column[first[long]],
         np.concatenate(([np.nan], jump))[long],
         np.concatenate((jump, [np.nan]))[long],
-        float(np.percentile(moved, 5.0)) if moved.size else 0.0,
-        float(np.percentile(moved, 99.0)) if moved.size > 20 else 0.0,
+        small,
+        large if moved.size > 20 else 0.0,
         float(np.percentile(others, 95.0)) if others.size else 1.0,
         samples[long],
     )
