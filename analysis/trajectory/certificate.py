@@ -15,6 +15,7 @@ from analysis.trajectory.convex import (
     NoSolutionError,
     OutOfTimeError,
     Relaxation,
+    relaxation_seconds,
     time_left,
     time_limit,
 )
@@ -62,12 +63,11 @@ def best_bound(
     found = bound(solution.multipliers)
     if gap_of(solution.energy, found.value) <= _CLOSE:
         return found
-    relaxation = Relaxation(part, speeds)
-    if relaxation.seconds > seconds:
+    if relaxation_seconds(part) > seconds:
         return found
     try:
         with time_limit(max(time_left(), _BOUND_TIME)):
-            relaxed = relaxation.least_energy(running_time)
+            relaxed = Relaxation(part, speeds).least_energy(running_time)
     except (NoSolutionError, OutOfTimeError):
         return found
     other = replace(bound(relaxed.multipliers), source=f"cone relaxation: {relaxed.status}")

@@ -500,6 +500,12 @@ _REACH = 1e-3
 """By which a configuration's fastest run may be slower than another run of it, relative."""
 
 
+def relaxation_seconds(problem: DiscreteProblem) -> float:
+    """About how long the relaxation takes, by how long the last program of a search took [s]."""
+    q, n = problem.shape
+    return _OVER_PROGRAM * _SPENT.get() * (Unknowns(problem).size + q * (2 * n + 1) + 1)
+
+
 class Relaxation:
     """The relaxed problem, scaled by speeds.
 
@@ -553,11 +559,6 @@ class Relaxation:
             for number, node in enumerate(problem.passed.tolist())
             if problem.earliest[number] > -np.inf
         }
-
-    @property
-    def seconds(self) -> float:
-        """About how long it takes to solve, by how long the last program of a search took."""
-        return _OVER_PROGRAM * _SPENT.get() * self.unknowns.size
 
     def least_energy(self, running_time: float) -> Relaxed:
         """Minimise the worst-case energy within `running_time` [s].
