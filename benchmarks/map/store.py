@@ -121,7 +121,7 @@ def many_trips(folder: Path, count: int) -> None:
         merging.append((process_time() - used, perf_counter() - begin))
         begin, used = perf_counter(), process_time()
         with MapFile(both) as file:
-            total = file.layers(file.trips())["wet"][0]
+            total = file.summed(file.trips()).evidence["wet"][0]
         adding.append((process_time() - used, perf_counter() - begin))
     together = sorted(one[0] + other[0] for one, other in zip(merging, adding, strict=True))
     print(
