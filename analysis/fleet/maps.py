@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -118,8 +118,9 @@ def update_maps(
         return MapsUpdate(work.standing, trips, tuple(sorted(edges | left)), work.finish())
 
 
-class EdgeJob(NamedTuple):
-    """What is to be done with the map of an edge.
+@dataclass(frozen=True)
+class EdgeWork:
+    """What one worker is to do with the map of an edge.
 
     Attributes
     ----------
@@ -135,7 +136,12 @@ class EdgeJob(NamedTuple):
     rows: pd.DataFrame | None = None
     kept: int = 0
 
-    def do(self) -> None:
+    @property
+    def jobs(self) -> tuple[EdgeWork]:
+        """All of it is one."""
+        return (self,)
+
+    def computed(self) -> None:
         """Do it."""
         if self.rows is None:
             with MapFile(self.path) as file:
@@ -145,28 +151,11 @@ class EdgeJob(NamedTuple):
         with MapFile(self.path, empty_map_of(edge, float(length), float(bin_length))) as file:
             file.append_all([_recording(each) for _, each in self.rows.groupby(["key", "trip"])])
 
+    def alone(self, job: EdgeWork) -> EdgeWork:
+        """It by itself."""
+        return job
 
-@dataclass(frozen=True)
-class EdgeBatch:
-    """Maps that one worker brings up to date.
-
-    Attributes
-    ----------
-    jobs : tuple of EdgeJob
-    """
-
-    jobs: tuple[EdgeJob, ...]
-
-    def computed(self) -> None:
-        """Bring them up to date."""
-        for job in self.jobs:
-            job.do()
-
-    def alone(self, job: EdgeJob) -> EdgeBatch:
-        """One of them."""
-        return EdgeBatch((job,))
-
-    def died(self, job: EdgeJob, reason: str) -> None:
+    def died(self, job: EdgeWork, reason: str) -> None:
         """Refuse to go on without an edge."""
         raise InputError(
             f"cannot be brought up to date: {reason}",
@@ -227,8 +216,8 @@ class _Maps:
             while several := list(islice(pages, PAGES)):
                 rows = pd.concat([rows for rows, _ in several])
                 parts = {str(edge): part for edge, part in rows.groupby("edge", sort=True)}
-                jobs = [EdgeJob(edge_map_path(folder, edge), parts[edge]) for edge in parts]
-                self._do(jobs, few=len(several) == 1)
+                work = [EdgeWork(edge_map_path(folder, edge), parts[edge]) for edge in parts]
+                self._do(work, few=len(several) == 1)
                 edges |= set(parts)
                 for _, outcomes in several:
                     self.catalogue.record(self.own, outcomes)
@@ -255,19 +244,17 @@ class _Maps:
 
     def compact(self) -> None:
         """Replace the evidence of old trips by sums of days."""
-        jobs = []
+        work = []
         for path in map_files(self._folder()):
             with MapFile(path) as file:
                 if file.beyond(KEPT):
-                    jobs.append(EdgeJob(path, kept=KEPT))
-        self._do(jobs, few=len(jobs) <= SEVERAL)
+                    work.append(EdgeWork(path, kept=KEPT))
+        self._do(work, few=len(work) <= SEVERAL)
 
-    def _do(self, jobs: Sequence[EdgeJob], *, few: bool) -> None:
+    def _do(self, work: Sequence[EdgeWork], *, few: bool) -> None:
         """Do what is to be done of each edge, side by side where it is not little."""
-        engine = InProcess() if few or len(jobs) < 2 else self._engine()
-        if not engine.is_here:
-            engine = InProcess()
-        run(engine, (EdgeBatch((job,)) for job in jobs), lambda *_: None)
+        engine = InProcess() if few or len(work) < 2 else self._engine()
+        run(engine if engine.is_here else InProcess(), iter(work), lambda *_: None)
 
     def _folder(self) -> Path:
         """The folder whose maps are of this code; begun anew if there is none."""
