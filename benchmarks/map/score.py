@@ -40,6 +40,7 @@ from trainlog.cli.terminal import console
 from trainlog.condition import layer_before
 from trainlog.presentation import new_table
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.units import NANOSECONDS
 
 DAY = 86_400 * NANOSECONDS
@@ -107,6 +108,7 @@ def scored(track: TrackConditionMap, every: int) -> dict[str, Verification]:
         if each.day > first and (each.day - first) % every == 0
     ]
     demand = Demand(known.values(), track.levels)
+    held = known | {"": DailyEvidence.total(known.values())}
     lasting, expected = by_map(track)
     several = in_common({"pooled": pooled(track), "lasting estimate": lasting, "the map": expected})
     several["the map, all it knows"] = expected
@@ -117,7 +119,7 @@ def scored(track: TrackConditionMap, every: int) -> dict[str, Verification]:
                 track,
                 met,
                 forecaster,
-                lambda layer, day: known[layer].between(first, day - 1),
+                lambda layer, day: held[layer].between(first, day - 1),
                 demand,
             )
         )
