@@ -80,6 +80,14 @@ def test_a_fault_that_goes_again_or_comes_on_some_trips_is_one_finding(
     assert not [each for each in found.unlike.findings if int(each.train[-2:]) > len(FAULTS)]
 
 
+def test_a_change_that_goes_again_is_no_noise_of_a_train_on_its_own() -> None:
+    fault = Fault("effort gain", 0.03, 0, 22, 35)
+    rows = drawn_fleet(pool("kiss"), 1, trains=1, trips=50, faults=(fault,))
+    (found,) = fleet_trains(rows).unlike.findings
+    assert found.what == "effort gain"
+    assert int(found.lasts(rows["start"]).sum()) == pytest.approx(13, abs=2)
+
+
 def curve(one: TrainResistance) -> np.ndarray:
     return np.asarray(one.resistance(SPEEDS))
 

@@ -9,6 +9,7 @@ line and in that period, show too; what is left is the train's own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -67,6 +68,9 @@ by the change, if noise alone would show such a change with this probability."""
 
 FEWEST_AT_LEVEL = 3
 """A level holds for at least so many trips."""
+
+LONGEST_AWAY = 200
+"""A level that goes back to the one before is sought over at most so many trips."""
 
 RAW_STEP = 5.0
 """A step of so many of the trips' own deviations is stated, whether or not it is a finding."""
@@ -288,9 +292,10 @@ def _levels(own: FloatArray, known: FloatArray, train: IntArray) -> IntArray:
         parts = [(0, mine.size)]
         while parts:
             first, end = parts.pop()
-            at = _parting(value[first:end], known[mine[first:end]])
-            if at:
-                parts += [(first + at, end), (first, first + at)]
+            cuts = _parting(value[first:end], known[mine[first:end]])
+            if cuts:
+                borders = [first, *(first + cut for cut in cuts), end]
+                parts += reversed(list(pairwise(borders)))
             else:
                 level[mine[first:end]] = count
                 count += 1
@@ -322,15 +327,38 @@ def medians(x: FloatArray, before: int, after: int = 0) -> FloatArray:
     return np.asarray(0.5 * (ordered[each, (count - 1) // 2] + ordered[each, count // 2]))
 
 
-def _parting(value: FloatArray, known: FloatArray) -> int:
-    """The trip at which the level changes; 0 where it does not."""
+def _parting(value: FloatArray, known: FloatArray) -> tuple[int, ...]:
+    """The trips at which the level changes; where it does not once, to where and back, if it does.
+
+    Olshen et al. (2004) part a circle, so that a change which goes again is found.
+    """
     n = value.size
     if n < 2 * FEWEST_AT_LEVEL:
-        return 0
+        return ()
     # Values that are all alike show no smaller noise than each is known with.
-    at, t, _ = _parted(value, float(np.median(known)) / np.sqrt(n))
+    least = float(np.median(known)) / np.sqrt(n)
+    at, t, _ = _parted(value, least)
     chance = 2.0 * (n - 2 * FEWEST_AT_LEVEL + 1) * float(beyond(np.array([t]), n - 2.0)[0])
-    return at if chance < LEVEL_CHANGE else 0
+    if chance < LEVEL_CHANGE:
+        return (at,)
+    longest = min(n - 2 * FEWEST_AT_LEVEL, LONGEST_AWAY)
+    value = value - np.median(value)
+    sums, square = np.append(0.0, np.cumsum(value)), float(value @ value)
+    best, tried = (0.0, 0, 0), 0
+    for length in range(FEWEST_AT_LEVEL, longest + 1):
+        inside = sums[length:] - sums[:-length]
+        outside = (sums[-1] - inside) / (n - length)
+        rest = square - inside**2 / length - (n - length) * outside**2
+        deviation = np.sqrt(np.maximum(rest / (n - 2), least**2))
+        apart = np.abs(inside / length - outside)
+        t = apart / (deviation * np.sqrt(1.0 / length + 1.0 / (n - length)))
+        inner = t[FEWEST_AT_LEVEL : n - length - FEWEST_AT_LEVEL + 1]
+        tried += inner.size
+        if inner.size and float(inner.max()) > best[0]:
+            start = FEWEST_AT_LEVEL + int(np.argmax(inner))
+            best = float(inner.max()), start, start + length
+    chance = 2.0 * max(tried, 1) * float(beyond(np.array([best[0]]), n - 2.0)[0])
+    return best[1:] if chance < LEVEL_CHANGE else ()
 
 
 def _parted(value: FloatArray, least: float) -> tuple[int, float, float]:
