@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
@@ -18,6 +19,7 @@ from analysis.trajectory.instructions import Phase, rounded_down
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.csv_tables import read_forecast
+from trainlog.formats.declared import built
 from trainlog.formats.files import atomic_write, write_bytes
 from trainlog.formats.railway import line_of, line_of_plan, read_parameters, read_trajectory
 from trainlog.formats.sfera import (
@@ -136,6 +138,7 @@ def advised(
                 f" '{line.name}'",
                 remedy="plan on the line that 'trainlog import' makes of the journey",
             )
+        _check_limits(section, own, line)
     found = list[Advised]()
     for each in _divided(advice, line):
         if each.end <= passed + _SHORT:
@@ -149,7 +152,28 @@ def advised(
             part = replace(slower, begin=last.begin, time=last.time, end=part.end)
             found.pop()
         found.append(part)
+    if not found:
+        end = max(float(each.positions[-1]) for each in advice.sections)
+        raise InputError(
+            f"the train is at km {passed / 1e3:.3f}, the plan ends at km {end / 1e3:.3f}",
+            remedy="give a place before the plan's end with --passed",
+        )
     return found
+
+
+def _check_limits(section: Trajectory, planned: Line, line: Line) -> None:
+    """Refuse a plan that counts on higher limits than the journey has."""
+    ends = section.positions[[0, -1]]
+    places = np.concatenate((planned.speed_limits.positions, line.speed_limits.positions, ends))
+    places = np.unique(places[(places >= ends[0]) & (places < ends[1])])
+    over = places[planned.speed_limit(places) > line.speed_limit(places) + 0.1 / KMH]
+    if over.size:
+        was, now = (KMH * float(each.speed_limit(over[0])) for each in (planned, line))
+        raise InputError(
+            f"the trajectory is planned for {was:.0f} km/h at km {over[0] / 1e3:.3f}, the"
+            f" journey's limit is {now:.0f} km/h",
+            remedy="import the journey again, and plan on its line",
+        )
 
 
 _SHORT = 1.0
@@ -268,8 +292,9 @@ def _along(
         length = journey.line.length
         return lambda at: np.where((at >= 0.0) & (at <= length), at, np.nan)
     if own is None or own.name != name:
+        but = "" if own is None else f", the line given is '{own.name}'"
         raise InputError(
-            f"it is of line '{name}', the journey's is '{journey.line.name}'",
+            f"it is of line '{name}', the journey's is '{journey.line.name}'{but}",
             remedy=f"give the line file of '{name}' with --line",
         )
     return places_along(journey.line, own)
@@ -393,6 +418,7 @@ def write_sfera(
     own = found[0]
     first = Path(sources[0])
     kind = "forecast" if first.suffix.lower() == ".csv" else content_of(first)
+    _check_options(options, kind)
     if len(sources) > 1 and kind != "trajectory":
         raise InputError("several files are given", remedy=f"name one {kind or 'file'}")
     wanted = ".zip" if kind == "trip" else ".xml"
@@ -404,9 +430,11 @@ def write_sfera(
         return _write_advice([read_trajectory(each) for each in sources], own, output, options)
     if kind == "forecast":
         forecast = read_forecast(first)
-        rows = low_adhesion(
-            forecast, own, options.line, layer=options.layer, probability=options.probability
-        )
+        of = partial(
+            low_adhesion, forecast, own, options.line,
+            layer=options.layer, probability=options.probability,
+        )  # fmt: skip
+        rows = built(of, first)
         write_bytes(
             output, xml_of(with_constraints(own.profile, own.segments, rows, "Low_Adhesion"))
         )
@@ -420,6 +448,16 @@ def write_sfera(
         file=first,
         remedy="give trajectories, a forecast (.csv), a parameter set or a trip (.mcap)",
     )
+
+
+def _check_options(options: SferaOptions, kind: str) -> None:
+    """Refuse options that say nothing of what is given."""
+    for name, of in (("passed", "trajectory"), ("layer", "forecast")):
+        if getattr(options, name) not in (None, "") and kind != of:
+            raise InputError(
+                f"--{name} goes with a {of}, given is a {kind or 'file of no such kind'}",
+                remedy=f"leave --{name} out",
+            )
 
 
 def _write_advice(
@@ -479,4 +517,6 @@ def _write_reports(
         for number, each in enumerate(reports, 1):
             message = status_report(each, own.segments, own.profile, SENDER)
             archive.writestr(f"report-{number:05d}.xml", xml_of(message))
-    return {"journey": own.name, "reports": len(reports)}
+    said: dict[str, object] = {"journey": own.name, "reports": len(reports)}
+    day, runs = f"{reports[0].time:%Y-%m-%d}", own.name.rpartition(" ")[2]
+    return said if day == runs else said | {"dated": f"{day}, the journey is of {runs}"}

@@ -15,6 +15,7 @@ from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.formats.railml import Element, parsed_xml
+from trainlog.formats.railway import read_line
 from trainlog.formats.sfera import LARGEST, SferaJourney, filled, read_sfera
 from trainlog.formats.sfera_messages import (
     Constraint,
@@ -246,6 +247,16 @@ def test_the_timetable_has_stops_windows_and_passing_times(found: SferaJourney) 
     ]
 
 
+def test_times_that_nobody_can_keep_are_no_timetable(tmp_path: Path) -> None:
+    """As in published journeys; line and train come in."""
+    late = JOURNEY.replace("T06:38:00Z", "T06:33:30Z")
+    (journey,) = read_sfera(folder_with(tmp_path, jp=late))
+    assert journey.journey is None
+    assert journey.train is not None
+    said = "it asks the train to be at km 4.400 by 210 s, and not to leave a place before until 240"
+    assert any(said in each for each in journey.left_out)
+
+
 def test_the_train_is_that_of_its_characteristics(found: SferaJourney) -> None:
     train = found.train
     assert train is not None
@@ -278,7 +289,7 @@ def test_too_few_characteristics_are_named(tmp_path: Path) -> None:
     poor = UNIT.replace('rolloutCoefficientA="2300"', "")
     (journey,) = read_sfera(folder_with(tmp_path, tc=poor))
     assert journey.train is None
-    assert "train 'unit': its characteristics lack rollout coefficient A: 1" in journey.left_out
+    assert "train 'unit': its characteristics lack rollout coefficient A" in journey.left_out
 
 
 TWICE = '"B" SP_VersionMajor="1" SP_Direction="Reverse"'
@@ -299,6 +310,10 @@ ENTITY = '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><JourneyProfile/
         ({"jp": JOURNEY.replace('TP_ID="d"', 'TP_ID="x"')}, "refers to the timing point 'x'"),
         ({"jp": JOURNEY.replace('"C" SP_VersionMajor="2"', TWICE)}, "twice in the same direction"),
         ({"jp": ENTITY}, "declares the entity"),
+        ({"b": B.replace('SSP_Speed="80"', 'SSP_Speed="0"')}, "SSP_Speed 0 km/h lets no train run"),
+        ({"jp": JOURNEY.replace('"Reverse"', '"Backward"')}, "SP_Direction 'Backward' is unknown"),
+        ({"jp": JOURNEY.replace('"Valid"', '"Invalid"')}, "states JP_Status 'Invalid'"),
+        ({"b": "<Segment/>"}, "which is not given; b.xml holds none"),
     ],
 )  # fmt: skip
 def test_malformed_documents_are_one_line(
@@ -307,6 +322,31 @@ def test_malformed_documents_are_one_line(
     error = refused(InputError, said, read_sfera, folder_with(tmp_path, **changed))
     assert error.file is not None
     assert error.remedy
+
+
+def test_the_file_that_holds_the_fault_is_named(tmp_path: Path) -> None:
+    far = A.replace('TP_ID="a" location="100"', 'TP_ID="a" location="9000"')
+    error = refused(InputError, "9000 m is not in its", read_sfera, folder_with(tmp_path, a=far))
+    assert str(error.file).endswith("a.xml")
+
+
+def test_two_journeys_of_one_name_do_not_overwrite_each_other(tmp_path: Path, shell: Shell) -> None:
+    """The second is refused, a third comes in."""
+    folders = [tmp_path / name for name in ("one", "two", "three")]
+    for number, folder in enumerate(folders):
+        folder.mkdir()
+        jp = JOURNEY.replace("4711", "../../17") if number == 2 else JOURNEY
+        folder_with(folder, jp=jp, b=B.replace('"80"', f'"{80 - number}"'))
+    words = ["import", *map(str, folders), "-o", str(tmp_path / "out")]
+    status, shown, complaint = shell(*words)
+    assert status == 1
+    assert "two: would be written as 1099-4711-2026-05-17.line.json" in complaint
+    assert sorted(each.name for each in (tmp_path / "out").glob("*.line.json")) == [
+        "1099-..-..-17-2026-05-17.line.json", "1099-4711-2026-05-17.line.json",
+    ]  # fmt: skip
+    line = read_line(tmp_path / "out" / "1099-4711-2026-05-17.line.json")
+    assert round(3.6 * float(line.speed_limit([3_450.0])[0])) == 80
+    assert "GuardRails" in shown
 
 
 def test_a_huge_document_is_refused(tmp_path: Path) -> None:
@@ -450,3 +490,26 @@ def test_reports_of_a_train_are_a_recording(tmp_path: Path, found: SferaJourney)
     (event,) = trip["/events"].query("name == 'slip protection'").index
     assert state.position.loc[event] == pytest.approx(2_100.0)
     assert trip.metadata["line"] == found.line.name
+
+
+def test_reports_of_others_and_broken_ones_are_counted(tmp_path: Path, found: SferaJourney) -> None:
+    archive = reports_of(found, tmp_path)
+    time = datetime.datetime(2026, 5, 17, 6, 31, tzinfo=datetime.UTC)
+    message = xml_of(
+        status_report(Report(time, 900.0, 20.0), found.segments, found.profile, "unit 17")
+    )
+    with ZipFile(archive, "a") as more:
+        more.writestr("other.xml", message.replace(b"4711", b"4712"))
+        more.writestr("old.xml", message.replace(b'JP_Version="3"', b'JP_Version="2"'))
+        more.writestr("broken.xml", message[:-30])
+    trip = ingest(archive)
+    stated = trip.metadata["not_used"]
+    assert "reports of other trains (1)" in stated
+    assert "reports by another version than 3 (1)" in stated
+    assert trip.metadata["repair.damaged_messages"] == "1"
+
+
+def test_reports_are_not_put_on_another_line(tmp_path: Path, found: SferaJourney) -> None:
+    other = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    archive = reports_of(found, tmp_path)
+    refused(InputError, "count along the journey's line 'Amstad - d'", ingest, archive, line=other)

@@ -150,6 +150,34 @@ def test_there_is_no_advice_for_what_lies_behind(plan: Path, wil: Path, tmp_path
     assert "optimalSpeed" not in every[-1].attributes
 
 
+@pytest.mark.parametrize("passed", [20_086.1, 40_000.0])
+def test_a_train_behind_the_plan_gets_no_empty_message(
+    plan: Path, wil: Path, tmp_path: Path, passed: float
+) -> None:
+    options = sfera.SferaOptions(passed=passed)
+    said = "the plan ends at km 20.086"
+    refused(InputError, said, write_sfera, [plan], wil, tmp_path / "x.xml", options)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_plan_for_higher_limits_is_refused(plan: Path, tmp_path: Path) -> None:
+    """The journey has the same name and length, and a limit of 40 km/h on its way."""
+    line = trainlog.read_line("sample")
+    limits = line.speed_limits.values.copy()
+    limits[3] = 40.0 / KMH
+    slower = replace(line, speed_limits=replace(line.speed_limits, values=limits))
+    folder = write_journey(tmp_path / "in", slower, CUTS, trainlog.read_train("sample"))
+    said = "the journey's limit is 40 km/h"
+    error = refused(InputError, said, write_sfera, [plan], folder, tmp_path / "x.xml")
+    assert "plan on its line" in str(error.remedy)
+
+
+def test_options_of_other_results_are_refused(plan: Path, wil: Path, tmp_path: Path) -> None:
+    options = sfera.SferaOptions(layer="wet")
+    said = "--layer goes with a forecast"
+    refused(InputError, said, write_sfera, [plan], wil, tmp_path / "x.xml", options)
+
+
 def test_advice_replaces_that_of_the_version_before(plan: Path, wil: Path, tmp_path: Path) -> None:
     write_sfera([plan], wil, tmp_path / "once.xml")
     for file in wil.glob("[!j]*.xml"):
@@ -248,6 +276,7 @@ def test_a_trip_becomes_reports_and_a_trip_again(wil: Path, tmp_path: Path) -> N
     found = write_sfera([log], wil, tmp_path / "reports.zip")
     trip, again = trainlog.read("sample_logs/nonstop.mcap"), ingest(tmp_path / "reports.zip")
     assert found["reports"] == len(again["/train/state"])
+    assert found["dated"] == "2024-10-07, the journey is of 2026-05-17"
     state, own = again["/train/state"], trip["/train/state"]
     when, known = (each.index.as_unit("ns").asi8 for each in (state, own))
     place = np.interp(when, known, own.position)

@@ -153,13 +153,24 @@ def import_(
     with output_folder(output):
         if formation is not None:
             wrote(import_formation(files, vehicles, output, options, name.strip() or None).path)
+        taken, failed = set[Path](), 0
         for file in files if formation is None else ():
-            for each in import_file(file, output, options):
+            try:
+                found = import_file(file, output, options, taken)
+            except TrainlogError as error:
+                if len(files) == 1:
+                    raise
+                print_error(str(error))
+                failed += 1
+                continue
+            for each in found:
+                taken.add(each.path)
                 wrote(each.path)
                 if each.dropped:
                     console.print(f"  not taken over: {'; '.join(each.dropped)}")
                 if each.assumed:
                     console.print(f"  assumed: {'; '.join(each.assumed)}")
+    end_in_part(failed, len(files))
 
 
 new_app = typer.Typer(

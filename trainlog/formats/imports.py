@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -152,7 +153,10 @@ def with_curves(
 
 
 def import_file(
-    path: str | Path, folder: str | Path, options: ImportOptions | None = None
+    path: str | Path,
+    folder: str | Path,
+    options: ImportOptions | None = None,
+    taken: Collection[Path] = (),
 ) -> list[Imported]:
     """Write a file of TTOBench, OSRD, railtoolkit or railML anew in the project's own formats.
 
@@ -167,12 +171,14 @@ def import_file(
     folder : str or Path
         For the files, for example ``CH_StGallen_Wil.line.json``.
     options : ImportOptions, optional
+    taken : collection of Path
+        Files that must not be written again, such as those of another source.
 
     Raises
     ------
     InputError
         If the file cannot be read or used, the new one cannot be written, or an option does not
-        fit it.
+        fit it. Nothing is written then.
 
     Examples
     --------
@@ -183,14 +189,23 @@ def import_file(
     options = options or ImportOptions()
     stem = Path(path).stem.removesuffix(".train").removesuffix(".line")
     found = _things(path, options)
-    written = []
+    written, things = [], dict[Path, Thing]()
     for name, thing, dropped, assumed in found:
         thing = built(lambda thing=thing: options.applied(thing, path), path)  # type: ignore[misc]
+        built(partial(check_plausible, thing), path)
         kind = type(thing).__name__.lower()
         target = Path(folder) / f"{stem if len(found) == 1 else name}.{kind}.json"
-        built(lambda thing=thing, target=target: _write(thing, target), path)  # type: ignore[misc]
+        if target in taken or target in things:
+            raise InputError(
+                f"would be written as {target.name}, as another one was",
+                file=path,
+                remedy="give them in two calls, with different folders",
+            )
+        things[target] = thing
         known = [each for each in assumed if each.startswith(LEVEL) and options.gradients_known]
         written.append(Imported(target, dropped, [each for each in assumed if each not in known]))
+    for target, thing in things.items():
+        built(partial(_write, thing, target), path)
     return written
 
 
@@ -302,6 +317,8 @@ def _things(
     path: str | Path, options: ImportOptions
 ) -> list[tuple[str, Thing, list[str], list[str]]]:
     """Everything in the file: a name, the thing, what it does not hold, and what is assumed."""
+    if Path(path).is_dir() and not sfera.is_source(path):
+        raise InputError("is a folder without documents of SFERA", file=path, remedy="name a file")
     if sfera.is_source(path):
         _refuse(path, options, "loaded")
         return [row for each in _journeys(path, options) for row in each]
@@ -347,7 +364,7 @@ def _journeys(
         line, said = found.line, list[str]()
         if options.line is not None:
             line, said = built(partial(sfera.filled, line, options.line), path)
-        name = found.name.replace(" ", "-")
+        name = re.sub(r"[^\w.-]+", "-", found.name).lstrip(".")
         yield [(name, line, found.left_out, [*found.assumed, *said])] + [
             (name, thing, [], []) for thing in (found.journey, found.train) if thing is not None
         ]

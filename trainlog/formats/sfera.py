@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,11 @@ ROOTS = re.compile(
     rb"<(SFERA_\w+|[BG]2[BG]_\w+|JourneyProfile|SegmentProfile|TrainCharacteristics)\b"
 )
 """How a document of SFERA begins."""
+
+_REPORT = re.compile(rb"<(SFERA_B2G|B2G)_")
+"""How a message of a train begins."""
+
+_NO_TIMES = "journey: it has times at fewer than two timing points"
 
 _SLACK = 1.0
 """A location may lie so far outside of its segment [m]: lengths are rounded."""
@@ -249,6 +255,10 @@ class Documents:
         Reports of trains.
     times : dict of int to datetime
         Of the messages, by the `id` of their element: that of the header.
+    ignored : list of str
+        Names of XML files that are no documents of SFERA.
+    damaged : int
+        Messages of trains that cannot be read.
     """
 
     journeys: list[tuple[str, Element]] = field(default_factory=list)
@@ -256,6 +266,8 @@ class Documents:
     trains: dict[_Key, dict[tuple[str, str], tuple[str, Element]]] = field(default_factory=dict)
     messages: list[Element] = field(default_factory=list)
     times: dict[int, datetime.datetime] = field(default_factory=dict)
+    ignored: list[str] = field(default_factory=list)
+    damaged: int = 0
 
     @staticmethod
     def of(path: str | Path) -> Documents:
@@ -264,8 +276,22 @@ class Documents:
         whole = of.is_dir() or of.suffix.lower() == ".zip"
         for name, data in documents_in(of):
             named = name == str(path)
-            if named or is_sfera(data):
-                found.take(name, data, journeys=whole or named)
+            if is_sfera(data):
+                try:
+                    found.take(name, data, journeys=whole or named)
+                except InputError:
+                    # One broken report of many stops nothing; journeys and segments are needed.
+                    if not _REPORT.search(data[:4000]):
+                        raise
+                    found.damaged += 1
+            elif named:
+                raise InputError(
+                    "is no document of SFERA (XML)",
+                    file=path,
+                    remedy="give a journey (JourneyProfile), a folder or zip archive with one",
+                )
+            else:
+                found.ignored.append(Path(name).name)
         return found
 
     def time_of(self, message: Element) -> int:
@@ -337,8 +363,9 @@ class Documents:
             return known[version]
         what = _named(prefix, key)
         if not known:
+            but = f"; {', '.join(self.ignored)} holds none" if self.ignored else ""
             raise reference.error(
-                f"refers to {what}, which is not given", "add its document to the folder"
+                f"refers to {what}, which is not given{but}", "add its document to the folder"
             )
         given = ", ".join(".".join(each) for each in sorted(known))
         raise reference.error(
@@ -376,6 +403,7 @@ def _journey(
     element: Element, documents: Documents, limits: LimitChoice, electrification: str | None
 ) -> SferaJourney:
     account = Account()
+    _check_status(element, "JP_Status")
     name = _train_number(element)
     references = list(element.all("SegmentProfileReference"))
     if not references:
@@ -401,17 +429,22 @@ def _journey(
         names += run.names()
         account.left_out["places outside of their segment"] += run.outside()
     journey = None
-    if len(points) < 2:
-        account.left_out["journey: it has times at fewer than two timing points"] += 1
+    wrong = _NO_TIMES if len(points) < 2 else _contradicted(points)
+    if wrong:
+        account.left_out[wrong] += 1
     stations = _stations(names, [station for run in runs for station in run.stations()])
     ends = stations[:1] + stations[-1:]
     title = " - ".join(dict.fromkeys(each.name for each in ends)) or name
-    if len(points) > 1:
+    if not wrong:
         journey = Journey(name, title, tuple(points), f"SFERA {name}")
     line = replace(composed(title, placed, stations), source=f"SFERA {name}")
     characteristics, train = _train(references, documents, electrification, account)
     account.left_out.update(_unused(element, "JourneyProfile"))
-    left_out = [f"{what}: {number}" for what, number in account.left_out.items() if number]
+    left_out = [
+        what if what.startswith(("journey:", "train")) else f"{what}: {number}"
+        for what, number in account.left_out.items()
+        if number
+    ]
     segments = tuple(
         Placed(run.reference, run.begin, run.track.length, run.reverse) for run in runs
     )
@@ -419,6 +452,19 @@ def _journey(
         name, line, journey, train, left_out, account.assumed_words(), element, segments,
         characteristics,
     )  # fmt: skip
+
+
+def _contradicted(points: Sequence[TimingPoint]) -> str:
+    """Where times cannot be kept, in words; empty if they can."""
+    since = 0.0
+    for point in points:
+        since = max(since, point.earliest or since)
+        if point.latest is not None and point.latest < since:
+            return (
+                f"journey: it asks the train to be at km {point.position / 1e3:.3f} by"
+                f" {point.latest:.0f} s, and not to leave a place before until {since:.0f} s"
+            )
+    return ""
 
 
 def _train_number(element: Element) -> str:
@@ -436,7 +482,17 @@ def _train_number(element: Element) -> str:
 
 
 def _reverse(reference: Element) -> bool:
-    return reference.text("SP_Direction", "Nominal") == "Reverse"
+    stated = reference.text("SP_Direction", "Nominal")
+    if stated not in ("Nominal", "Reverse"):
+        raise reference.error(f"SP_Direction '{stated}' is unknown", "give Nominal or Reverse")
+    return stated == "Reverse"
+
+
+def _check_status(element: Element, name: str) -> None:
+    """Refuse a document that states that it is not valid."""
+    stated = element.text(name, "Valid")
+    if stated in ("Invalid", "Unavailable"):
+        raise element.error(f"states {name} '{stated}'", "give the version that is valid")
 
 
 def _time(element: Element, name: str) -> datetime.datetime | None:
@@ -511,6 +567,8 @@ class _Run:
     track : TrackData
         In the segment's nominal direction.
     reverse : bool
+    file : str
+        Of the segment.
     begin : float [m]
         Where it begins along the journey.
     """
@@ -519,6 +577,7 @@ class _Run:
     segment: Element
     track: TrackData
     reverse: bool
+    file: str
     begin: float = 0.0
 
     @staticmethod
@@ -529,7 +588,7 @@ class _Run:
         key = _zone(reference), reference.text("SP_ID")
         file, segment = documents.found(reference, key, "SP")
         track = built(lambda: _track(segment, account), file)
-        run = _Run(reference, segment, track, _reverse(reference))
+        run = _Run(reference, segment, track, _reverse(reference), file)
         run._restrict(times, account)
         account.left_out.update(_unused(reference, "SegmentProfileReference"))
         return run
@@ -568,7 +627,9 @@ class _Run:
     def timing_points(self, times: _Times) -> Iterator[TimingPoint]:
         """When the train has to be where."""
         for each in self.reference.all("TimingPointConstraints"):
-            place = self.at(_place(self._point(each), self.track.length))
+            point = self._point(each)
+            within = built(partial(_place, point, self.track.length), self.file)
+            place = self.at(within)
             leaves = each.first("StoppingPointDepartureDetails")
             arrives = times.seconds(_time(each, "TP_latestArrivalTime"))
             window = _duration(each, "arrivalWindow")
@@ -734,6 +795,7 @@ def _curve(element: Element) -> float:
 
 def _track(segment: Element, account: Account) -> TrackData:
     """What lies along a segment."""
+    _check_status(segment, "SP_Status")
     length = segment.number("SP_Length")
     if length <= 0.0:
         raise segment.error(f"SP_Length {length:g} m is not positive", "give the segment's length")
@@ -780,8 +842,13 @@ def _limits(profile: Element, length: float, account: Account) -> Iterator[Limit
     )
     for (begin, each), (end, _) in pairwise([*rows, (length, profile)]):
         if end <= begin:
+            account.left_out["speed limits that another one at the same place replaces"] += 1
             continue
         base = each.number("SSP_Speed", np.nan)
+        if base <= 0.0:
+            raise each.error(
+                "SSP_Speed 0 km/h lets no train run", "give the limit, or leave it out"
+            )
         if base > 0.0:
             yield Limit(begin, end, base / KMH)
         for other in each.all("SpecificSSP"):

@@ -704,6 +704,12 @@ def metadata_of(
 ) -> dict[str, str]:
     """What is known of the trip but for its files and its report."""
     options = profile.trip
+    own = recording.metadata.get("line") if "journey" in recording.metadata else None
+    if own is not None and line is not None and line.name != own:
+        raise InputError(
+            f"its positions count along the journey's line '{own}', given is '{line.name}'",
+            remedy="leave the line out, or give that of the journey",
+        )
     known = {
         "train": _agreed("train", options.train, train.name if train else None),
         "line": _agreed("line", options.line, line.name if line else None),

@@ -47,6 +47,14 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
         If there is no report, or none of the journeys knows where one was.
     """
     documents = Documents.of(path)
+    if path.suffix.lower() != ".zip" and not any(
+        name == str(path) for name, _ in documents.journeys
+    ):
+        raise InputError(
+            "holds no journey, which the places of reports refer to",
+            file=path,
+            remedy="pack the journey, its segments and the reports into one zip archive",
+        )
     reports = [each for each in documents.messages if each.tag == "B2G_StatusReport"]
     if not reports:
         raise InputError(
@@ -58,7 +66,7 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
     for journey in journeys_of(documents):
         own = [each for each in reports if is_of(each, journey)]
         if own:
-            found.append(_recording(own, journey, documents))
+            found.append(_recording(own, journey, documents, len(reports) - len(own)))
     if not found:
         raise InputError(
             "holds status reports, but not the journey of their train",
@@ -79,7 +87,9 @@ def _words(element: Element) -> list[tuple[str, str]]:
     return [(each.tag, each.content.strip()) for each in element.every() if each.content.strip()]
 
 
-def _recording(reports: list[Element], journey: SferaJourney, documents: Documents) -> Recording:
+def _recording(
+    reports: list[Element], journey: SferaJourney, documents: Documents, others: int
+) -> Recording:
     timed = sorted(
         ((documents.time_of(each), each.line, each) for each in reports), key=itemgetter(0)
     )
@@ -87,8 +97,16 @@ def _recording(reports: list[Element], journey: SferaJourney, documents: Documen
     unused = Counter(
         part.tag for report in reports for part in report.children if part.tag not in USED
     )
+    version = journey.profile.text("JP_Version")
+    stated = [each.first("JP_InUse") for each in reports]
+    apart = sum(each is not None and each.text("JP_Version", version) != version for each in stated)
+    unused |= Counter({"reports of other trains": others} if others else {})
+    unused |= Counter({f"reports by another version than {version}": apart} if apart else {})
     placeless = int(np.isnan(tables[0].signals["/train/state.position"]).sum())
-    findings = [Finding("damaged_messages", placeless, (), "", "reports without a place")]
+    findings = [
+        Finding("damaged_messages", placeless, (), "", "reports without a place"),
+        Finding("damaged_messages", documents.damaged, (), "", "reports that cannot be read"),
+    ]
     metadata = {"line": journey.line.name, "journey": journey.name}
     if np.isfinite(margins).any():
         metadata["position_margin"] = f"{np.nanmedian(margins):.3g} m"
