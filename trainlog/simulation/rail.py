@@ -32,7 +32,7 @@ CORRELATION_LENGTH = 120.0
 """Distance over which adhesion varies [m] (Ornstein-Uhlenbeck)."""
 
 BASE = {"dry": (0.325, 0.04), "wet": (0.175, 0.08)}
-"""Median of the base map and standard deviation of its logarithm, by weather."""
+"""Median of the base map and standard deviation of its logarithm, by weather; a new one goes last."""
 
 SPOTS = {"dry": (0.1, 0.16), "wet": (0.06, 0.12)}
 """Range of the maximum adhesion in slippery spots, by weather."""
@@ -92,7 +92,7 @@ def base_map(line: Line, weather: str, seed: int) -> FloatArray:
     """
     # The same places are slippery in the dry and in the wet, more so in the wet.
     where = np.random.default_rng([seed, 1])
-    generator = np.random.default_rng([seed, 2, sorted(BASE).index(weather)])
+    generator = np.random.default_rng([seed, 2, list(BASE).index(weather)])
     centres = bin_centres(int(np.ceil(line.length / BIN_LENGTH)))
     median, spread = BASE[weather]
     logarithm = np.log(median) + spread * smooth_variation(centres.size, generator)
