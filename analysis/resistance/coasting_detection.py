@@ -35,6 +35,7 @@ from numba import njit
 from analysis.resistance.recording import SpeedScale, increasing_seconds, speed_scale
 from analysis.resistance.windows import integral_between
 from estimators.motion import smooth_motion
+from estimators.regression import Free, regress
 from trainlog.arrays import BoolArray, FloatArray, robust_std
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.resistance import TYPICAL, TYPICAL_STD, basis
@@ -534,15 +535,15 @@ def _maximised(
     """Expectation maximisation from a beginning: the curve and its log-likelihood."""
     previous = likelihood = -np.inf
     for _ in range(ROUNDS):
-        information, vector = np.diag(1.0 / spread**2), mean / spread**2
-        likelihood = 0.0
+        likelihood, rows = 0.0, []
         for each in trips:
             probability, part = each.posterior(theta)
             likelihood += part
-            weighted = each.rows.T * (probability / each.spread(theta) ** 2)
-            information += weighted @ each.rows
-            vector += weighted @ each.acceleration
-        theta = np.asarray(np.linalg.solve(information, vector), dtype=np.float64)
+            weight = np.sqrt(probability) / each.spread(theta)
+            rows.append(weight[:, None] * np.column_stack([each.rows, each.acceleration]))
+        *columns, left = np.concatenate(rows).T
+        known = zip(columns, spread.tolist(), mean.tolist(), strict=True)
+        theta = regress(left, [Free("", *each) for each in known]).estimate
         if likelihood - previous < 1e-3:
             break
         previous = likelihood

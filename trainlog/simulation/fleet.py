@@ -111,6 +111,11 @@ class FleetScenario(Scenario):
     conditions: dict[str, str] = field(default_factory=dict)
 
     @property
+    def load(self) -> float:
+        """Mass above that of the empty train as it is [kg]: by that air springs are tared."""
+        return super().load if self.condition is None else self.mass - self.condition.mass
+
+    @property
     def ground(self) -> Line:
         """The line in the direction of travel as it truly lies."""
         return super().ground if self.route is None else self.route.ground
