@@ -97,7 +97,7 @@ _CUT, _LOWER = 0.7, 2e-4
 _LONGER = 3.0
 """Times the time that twice as many cells take."""
 
-EFFORT, _LONGEST = 11.0, 15.0
+EFFORT, _LONGEST = 14.0, 18.0
 """Processor time of programs after which nothing is begun that improves a plan; and no first bound
 [s]."""
 
@@ -310,13 +310,13 @@ def _renewed(
     """The best plan, on cells laid anew where the bound of the last states that it loses most.
 
     As long as that takes away a third of what is missing, or lowers the energy, every other time on
-    twice as many cells; where it does not, on twice as many. Nothing is tried that is likely to end
-    later than `EFFORT` after `begun`.
+    twice as many cells; where it does not, on twice as many, and on until it is certified. Nothing
+    is tried that is likely to end later than `EFFORT` after `begun`.
     """
     cells = found.problem.shape[1]
     finest = max(2 * cells, options.cells) if len(found.answer.active) > 1 else MOST_CELLS
     bound = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
-    last, excess, taken = found, bound.excess, 0.7 * (worked() - begun)
+    last, excess, taken = found, bound.excess, 0.5 * (worked() - begun)
     for number in range(RENEWALS + FINER_RENEWALS):
         missing = found.energy - bound.value
         enough = options.tolerance * max(abs(bound.value), NEGLIGIBLE_ENERGY)
@@ -330,7 +330,7 @@ def _renewed(
         if again is None:
             taken = worked() - now
             continue
-        other = best_bound(again.answer, fastest, running_time, EFFORT - (worked() - begun))
+        other = best_bound(again.answer, fastest, running_time, _LONGEST - (worked() - begun))
         last, excess, taken = again, other.excess, worked() - now
         bound = max(bound, other, key=lambda each: each.value)
         lower = again.energy < (1.0 - _LOWER) * found.energy
@@ -340,7 +340,9 @@ def _renewed(
                 cells, taken = 2 * cells, _LONGER * taken
             continue
         if 2 * cells > finest:
-            break
+            if found.energy - bound.value <= tolerated(bound.value, fastest):
+                break
+            continue
         cells, taken = 2 * cells, _LONGER * taken
     return found, bound
 
