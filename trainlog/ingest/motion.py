@@ -390,14 +390,16 @@ def braked_masses(
     rate, (traction, *brakes) = rate_of(seconds, speed), map(np.nan_to_num, efforts)
     known = np.isfinite(speed) & np.isfinite(rate) & (speed > MOVING)
     columns = np.column_stack([*brakes, basis(speed)])[known]
-    scale = np.maximum(np.max(np.abs(columns), axis=0, initial=0.0), 1e-9)
+    largest = np.max(np.abs(columns), axis=0, initial=0.0)
+    scale = np.where(largest > 0.0, largest, 1.0)
     left = (traction - mass * rate)[known]
     solution = np.linalg.lstsq(columns / scale, left, rcond=None)[0]
     rest = left - columns / scale @ solution
     spread = np.diag(np.linalg.pinv((columns / scale).T @ (columns / scale))) * (
         rest @ rest / max(rest.size, 1)
     )
-    sure = np.abs(solution) > SURE * np.sqrt(np.abs(spread))
+    # A brake that never acts shows nothing.
+    sure = (np.abs(solution) > SURE * np.sqrt(np.abs(spread))) & (largest > 0.0)
     shown = np.divide(mass * scale, solution, out=np.full(scale.size, np.nan), where=sure)
     return [float(each) for each in shown[: len(brakes)]]
 
