@@ -32,7 +32,7 @@ CORRELATION_LENGTH = 120.0
 """Distance over which adhesion varies [m] (Ornstein-Uhlenbeck)."""
 
 BASE = {"dry": (0.325, 0.04), "wet": (0.175, 0.08)}
-"""Median of the base map and standard deviation of its logarithm, by weather; a new one goes last."""
+"""Median of the base map, standard deviation of its logarithm, by weather; a new one goes last."""
 
 SPOTS = {"dry": (0.1, 0.16), "wet": (0.06, 0.12)}
 """Range of the maximum adhesion in slippery spots, by weather."""
