@@ -524,7 +524,7 @@ def test_what_is_expected_may_as_well_be_taken_off_the_left_hand_side() -> None:
         white = White(windows, 130e3, free, left, Expected())
         estimate = regress(white, free).estimate + (1.0 - factor) * means
         found.append((white.noise.sizes, estimate))
-    np.testing.assert_allclose(*(sizes for sizes, _ in found), rtol=1e-5)
+    np.testing.assert_allclose(*(sizes for sizes, _ in found), rtol=1e-6)
     np.testing.assert_allclose(*(estimate for _, estimate in found), rtol=1e-6)
 
 

@@ -53,9 +53,6 @@ FLOOR = 1e-4
 """Smallest standard deviation of a window [m/s], so that exact data stay solvable."""
 
 
-FURTHEST = 8.0
-"""Standard deviations of what is expected up to which a size is sought."""
-
 LONGEST_APART = 600.0
 """A piece that the train comes back to after more than this [s] counts as another piece, as it
 does in another trip: the errors of a line that a train runs up and down all day would otherwise
@@ -286,12 +283,12 @@ def estimate_noise(likelihood: Likelihood) -> NoiseModel:
     """Size of each cause of noise by restricted maximum likelihood."""
     from scipy.optimize import minimize
 
+    start = np.concatenate((np.zeros((1, 4)), -0.5 * np.eye(4)))
     found = minimize(
         likelihood.deviance,
-        np.zeros(4),
-        method="L-BFGS-B",
-        bounds=[(-FURTHEST, FURTHEST)] * 4,
-        options={"ftol": 1e-5, "gtol": 0.05, "eps": 1e-3},
+        start[0],
+        method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 0.02, "maxfev": 400, "initial_simplex": start},
     )
     return likelihood.sizes(np.asarray(found.x))
 

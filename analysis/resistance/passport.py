@@ -84,9 +84,8 @@ DELAY_STD = 0.25
 DELAYS = -0.5, 2.5
 """Delays [s] between which the least squares are sought."""
 
-SAME_DELAY = 0.01
-"""A change of the delay [s] in a step that ends the search: a next one would be below a
-thousandth."""
+SAME_DELAY = 0.002
+"""A change of the delay [s] in a step that ends the search."""
 
 STEPS = 8
 """Most steps of the search."""
