@@ -215,7 +215,8 @@ class _Maps:
             pages = self._pages()
             while several := list(islice(pages, PAGES)):
                 rows = pd.concat([rows for rows, _ in several])
-                parts = {str(edge): part for edge, part in rows.groupby("edge", sort=True)}
+                by_edge = () if rows.empty else rows.groupby("edge", sort=True)
+                parts = {str(edge): part for edge, part in by_edge}
                 work = [EdgeWork(edge_map_path(folder, edge), parts[edge]) for edge in parts]
                 self._do(work, few=len(several) == 1)
                 edges |= set(parts)
