@@ -27,7 +27,7 @@ from trainlog.formats.sfera import (
     documents_in,
     is_sfera,
     places_along,
-    read_sfera,
+    read_journey,
 )
 from trainlog.formats.sfera_messages import (
     DRY,
@@ -408,14 +408,7 @@ def write_sfera(
     InputError
         If the journey or a source cannot be read, does not fit the journey, or is of no such kind.
     """
-    found = read_sfera(journey)
-    if len(found) > 1:
-        raise InputError(
-            f"holds {len(found)} journeys",
-            file=journey,
-            remedy="name the file of one; documents beside it are found",
-        )
-    own = found[0]
+    own = read_journey(journey)
     first = Path(sources[0])
     kind = "forecast" if first.suffix.lower() == ".csv" else content_of(first)
     _check_options(options, kind)

@@ -399,14 +399,9 @@ def _source(origin: str, address: str | None) -> Source:
 
 def _journey(line: Path | None) -> SferaJourney | None:
     """The journey of SFERA that is given in place of a line's file."""
-    from trainlog.formats.sfera import is_source, read_sfera
+    from trainlog.formats.sfera import is_source, read_journey
 
-    if line is None or not line.exists() or not is_source(line):
-        return None
-    found = read_sfera(line)
-    if len(found) > 1:
-        raise InputError(f"holds {len(found)} journeys", file=line, remedy="name the file of one")
-    return found[0]
+    return read_journey(line) if line is not None and is_source(line) else None
 
 
 @contextmanager

@@ -198,6 +198,24 @@ def read_sfera(
     return journeys_of(documents, limits, electrification)
 
 
+def read_journey(path: str | Path) -> SferaJourney:
+    """The only journey of SFERA documents; parameters as `read_sfera`.
+
+    Raises
+    ------
+    InputError
+        As `read_sfera`, and if there are several.
+    """
+    found = read_sfera(path)
+    if len(found) > 1:
+        raise InputError(
+            f"holds {len(found)} journeys",
+            file=path,
+            remedy="name the file of one; documents beside it are found",
+        )
+    return found[0]
+
+
 def journeys_of(
     documents: Documents, limits: LimitChoice | None = None, electrification: str | None = None
 ) -> list[SferaJourney]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from xml.etree import ElementTree as Xml
 
@@ -61,8 +61,6 @@ class Constraint:
         Of this element; default: the type.
     start, until : datetime, optional
         While it holds.
-    reason : str
-        In words; empty: none.
     """
 
     begin: float
@@ -72,7 +70,6 @@ class Constraint:
     tag: str = ""
     start: datetime.datetime | None = None
     until: datetime.datetime | None = None
-    reason: str = ""
 
 
 def utc(time: datetime.datetime) -> str:
@@ -161,38 +158,39 @@ def with_constraints(
             or child.text("temporaryConstraintType") not in kinds
         ]
     for constraint in constraints:
-        for each in segments:
-            end = each.begin + each.length
-            if constraint.begin < end - 1e-6 and constraint.end > each.begin + 1e-6:
-                _insert(each.reference, _constraint(constraint, each, end))
+        for each, extent in _reached(constraint, segments):
+            _insert(each.reference, _constraint(constraint, extent))
     version = int(journey.number("JP_Version", 0.0)) + 1
     journey.attributes["JP_Version"] = str(version)
     return journey
 
 
-def _constraint(constraint: Constraint, segment: Placed, end: float) -> Element:
-    found = new("TemporaryConstraints", _extent(constraint, segment, end))
+def _constraint(constraint: Constraint, extent: Mapping[str, str]) -> Element:
+    found = new("TemporaryConstraints", extent)
     for name, time in (("startTime", constraint.start), ("endTime", constraint.until)):
         if time is not None:
             found.attributes[name] = utc(time)
     found.attributes["temporaryConstraintType"] = constraint.kind
     found.children.append(new(constraint.tag or constraint.kind, constraint.attributes))
-    if constraint.reason:
-        words = {"language": "en", "text": constraint.reason}
-        found.children.append(new("TemporaryConstraintReason", words))
     return found
 
 
-def _extent(constraint: Constraint, segment: Placed, end: float) -> dict[str, str]:
-    """From where to where a constraint reaches in a segment that ends at `end` [m]."""
-    starts, ends = constraint.begin >= segment.begin, constraint.end <= end
-    qualifier = {(True, True): "StartsEnds", (True, False): "Starts", (False, True): "Ends"}
-    found = {"startEndQualifier": qualifier.get((starts, ends), "WholeSP")}
-    if starts:
-        found["startLocation"] = f"{segment.location(constraint.begin):.10g}"
-    if ends:
-        found["endLocation"] = f"{segment.location(constraint.end):.10g}"
-    return found
+def _reached(
+    constraint: Constraint, segments: Iterable[Placed]
+) -> Iterator[tuple[Placed, dict[str, str]]]:
+    """The segments that a constraint reaches, with from where to where it does in each."""
+    qualifiers = {(True, True): "StartsEnds", (True, False): "Starts", (False, True): "Ends"}
+    for segment in segments:
+        end = segment.begin + segment.length
+        if constraint.begin >= end - 1e-6 or constraint.end <= segment.begin + 1e-6:
+            continue
+        starts, ends = constraint.begin >= segment.begin, constraint.end <= end
+        extent = {"startEndQualifier": qualifiers.get((starts, ends), "WholeSP")}
+        if starts:
+            extent["startLocation"] = f"{segment.location(constraint.begin):.10g}"
+        if ends:
+            extent["endLocation"] = f"{segment.location(constraint.end):.10g}"
+        yield segment, extent
 
 
 def _insert(reference: Element, constraint: Element) -> None:
@@ -229,16 +227,12 @@ def advice_message(
     for number, each in enumerate(constraints, 1):
         stated = {"identifier": str(number), **each.attributes}
         found = new("C_DAS_C_Advice", stated, train)
-        for placed in segments:
-            end = placed.begin + placed.length
-            if each.begin < end - 1e-6 and each.end > placed.begin + 1e-6:
-                own = placed.reference.attributes
-                names = ("SP_ID", "SP_VersionMajor", "SP_VersionMinor", "SP_Direction")
-                where = {name: own[name] for name in names if name in own}
-                zone = placed.reference.all("SP_Zone")
-                found.children.append(
-                    new("SegmentProfileInfo", where | _extent(each, placed, end), *zone)
-                )
+        for placed, extent in _reached(each, segments):
+            own = placed.reference.attributes
+            names = ("SP_ID", "SP_VersionMajor", "SP_VersionMinor", "SP_Direction")
+            where = {name: own[name] for name in names if name in own}
+            zone = placed.reference.all("SP_Zone")
+            found.children.append(new("SegmentProfileInfo", where | extent, *zone))
         payload.children.append(found)
     header = _header(time, sender, journey, payload, from_train=False)
     return new("SFERA_G2B_EventMessage", None, header, payload)
