@@ -328,7 +328,10 @@ def _renewed(
         note(f"the gap is {gap_of(found.energy, bound.value):.3%}; cells are laid anew")
         again = _searched_again(last, excess, cells, fastest, running_time)
         if again is None:
-            taken = worked() - now
+            # The same cells would end as badly again.
+            if 2 * cells > finest:
+                break
+            cells, taken = 2 * cells, _LONGER * (worked() - now)
             continue
         other = best_bound(again.answer, fastest, running_time, _LONGEST - (worked() - begun))
         last, excess, taken = again, other.excess, worked() - now

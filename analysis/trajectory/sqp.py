@@ -533,7 +533,8 @@ def minimise(
         off = max(float(late.max()), float(early.max())) - solution.lateness
         changed = min(abs(solution.energy - energy), solution.moved)
         enough = tolerances.energy * max(solution.energy, NEGLIGIBLE_ENERGY)
-        if changed <= enough and off > tolerances.lateness:
+        # One that stands on the way as it is driven is late by no number of seconds.
+        if changed <= enough and tolerances.lateness < off < np.inf:
             # What is left of a delay dies out slowly; a plan that much earlier is in time at once.
             spare += _MORE * off * min(off / last, 1.0)
         converged = changed <= enough and off <= tolerances.lateness
@@ -542,7 +543,7 @@ def minimise(
         if converged or len(statuses) == iterations:
             return replace(solution, statuses=tuple(statuses), converged=converged)
         energy, last = solution.energy, max(off, tolerances.lateness)
-        ahead = _AHEAD * max(off, 0.0)
+        ahead = _AHEAD * max(off, 0.0) if np.isfinite(off) else 0.0
         # The iterations contract by themselves; where they do not, ever smaller steps make them.
         if len(statuses) >= _FREE_ITERATIONS:
             radius *= 0.7
