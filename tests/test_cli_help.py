@@ -132,30 +132,6 @@ def test_a_word_alone_shows_the_help_of_its_commands(words: list[str], shell: Sh
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["fit", "x"], "Missing option '--output' / '-o'; for example: trainlog fit efforts"),
-        (["map", "update", "x"], "for example: trainlog map update results/trips --map"),
-        (["advice"], "Missing argument 'TRAJECTORIES'; for example: trainlog advice results/"),
-        (["pln", "x"], "No such command 'pln'. Did you mean 'plan'?"),
-        (["optimise", "x"], "'optimise' is now 'trainlog plan'"),
-        (["catalogue", "list"], "'catalogue list' is now 'trainlog fleet show'"),
-        (["fleet", "status"], "'fleet status' is now 'trainlog fleet show'"),
-        (["simulate", "--count", "2"], "'simulate' is now 'trainlog simulate drive"),
-        (["map", "udate"], "Did you mean 'update'?; see 'trainlog map --help'"),
-        (["fit", "x", "--cvr", "3"], "No such option: --cvr (Possible options: --cover)"),
-    ],
-)
-def test_wrong_words_are_answered_with_what_was_meant(
-    words: list[str], message: str, shell: Shell
-) -> None:
-    status, shown, complaint = shell(*words)
-    assert (status, shown, complaint.count("\n")) == (2, "", 1)
-    assert message in complaint
-    assert "--help'" in complaint
-
-
-@pytest.mark.parametrize(
     "words",
     ["show none.mcap", "fit none.mcap -o x.json", "map update none.mcap --map x.map"],
 )

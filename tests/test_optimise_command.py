@@ -141,64 +141,6 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
     assert stated == {"layer": "wet", "risk": 0.001, "time": "2024-10-08T06:00:00+00:00"}
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--stops", "j.json", "--km", "1:2"), "--km cannot be taken: --stops gives"),
-        (("--stops", "j.json", "--set", "initial-speed=0"), "leave out --set initial-speed"),
-        (("--stops", "j.json", "--set", "final-speed=9"), "leave out --set final-speed"),
-        (("--stops", "St.Gallen,Gossau SG,Wil"), "is one file, but 2 sections are planned"),
-        (("--stops", "Gossau SG,Wil", "--running-time", "9", "--reserve", "3"), "gives the time"),
-        (("--running-time", "9", "--reserve", "3"), "leave out --reserve"),
-        (("--stops", "Wil,Gosau SG"), "did you mean 'Gossau SG'?"),
-        (("--stops", "Wil"), "name at least two with commas between them"),
-        (("--stops", "Wil,St.Gallen"), "order them so, or add --reverse"),
-        (("--set", "dwel=3"), "did you mean dwell?"),
-        (("--set", "braking=hard"), "is not one of recourse, common"),
-        (
-            ("--km", "1:2", "--running-time", "x.mcap"),
-            "from end to end of the line; leave out --km",
-        ),
-        (("--set", "sigmas=1"), "leave out --set sigmas or give a map"),
-        (("--set", "assumed-adhesion=0.1"), "leave out --set assumed-adhesion or give a map"),
-        (("--set", "dwell=30"), "leave out --set dwell or give them"),
-        (("--running-time", "1200", "--reserve", "5"), "leave out --reserve"),
-        (("--reserve", "nan"), "--reserve 'nan' is not a valid share; write it as 7 or 7%"),
-        (("--reserve", "-5%"), "--reserve '-5%' must be at least 0 %; write it as 7 or 7%"),
-        ((*MAP, "--set", "assumed-adhesion=8"), "above 0 and at most 1, not 8"),
-        (("--km", "5:3"), "from km 5.000 to km 3.000 is no section"),
-        (("--km", "29:31"), "has no km 31; its kilometres are 0.000 to 29.556"),
-        (("--km", "Gossau"), "write kilometres as 3.2:7.5"),
-        (("--km", "1:9", "--set", "initial-speed=400"), "400.0 km/h is above the"),
-        (("--set", "initial-speed=-1"), "must be finite and not negative"),
-        (
-            ("--set", "final-speed=inf"),
-            "--set final-speed 'inf' is not a valid speed; write it as 80",
-        ),
-        (("--running-time", "20:75"), "--running-time '20:75' is not a valid time; write it as"),
-        ((*MAP, "--set", "sigmas=-1"), "give 0 or more"),
-        ((*MAP, "--set", "sigmas=nan"), "is not a valid number"),
-        ((*MAP, "--set", "sigmas=1", "--set", "risk=0.1"), "leave out --set sigmas"),
-        ((*MAP, "--set", "risk=0"), "a risk must be between 0 and 1, not 0"),
-        ((*MAP, "--set", "risk=5"), "one trip in twenty"),
-        (("--set", "risk=0.05"), "leave out --set risk or give a map"),
-        (("--at", "2026-11-22"), "leave out --at or give a map"),
-        ((*MAP, "--at", "soon"), "'soon' is not a time"),
-        ((*MAP, "--at", "2024-10-07T06:00Z"), "no evidence of a day before 2024-10-07"),
-        (("--layer", "dry"), "leave out --layer or give a map"),
-    ],
-    ids=lambda given: " ".join(map(str, given[-2:])) if isinstance(given, tuple) else "",
-)
-def test_bad_input_is_refused_before_anything_is_written(
-    words: tuple[object, ...], message: str, observed: Path, tmp_path: Path
-) -> None:
-    output = tmp_path / "t.json"
-    with pytest.raises(InputError) as refusal:
-        cli.run([str(word) for word in ("plan", observed, *SAMPLES, *words, "-o", output)])
-    assert message in str(refusal.value)
-    assert not output.exists()
-
-
 def test_what_is_counted_on_is_stated(
     observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
