@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
-from ingest_logs import PLAIN, clean_run, plain_profile, plain_rows, plain_text, ublox, write
+from ingest_logs import clean_run, plain_profile, plain_rows, plain_text, ublox, write
 
 from trainlog.errors import InputError
 from trainlog.formats.samples import sample
-from trainlog.ingest import ingest, ingest_each, propose_profile, report_of
+from trainlog.ingest import ingest, propose_profile, report_of
 
 
 def refused(path: Path, message: str, **options: object) -> str:
@@ -84,21 +83,51 @@ def test_each_unusable_file_gives_one_line(tmp_path: Path, data: bytes, message:
     refused(path, message)
 
 
-def test_missing_files_and_folders(tmp_path: Path) -> None:
-    refused(tmp_path / "none.csv", "does not exist; check the path")
-    refused(tmp_path, "is a folder; name a file in it")
-    for format in ("csv", "parquet", "ublox"):
-        refused(tmp_path / "none.csv", "does not exist", format=format)
-        refused(tmp_path, "is a folder", format=format)
+def units(speed: str, position: str, sign: int = 1) -> dict[str, object]:
+    """Options of a call that takes the columns in these units."""
+    columns = {
+        "/train/state.speed": {"column": "v", "unit": speed},
+        "/train/state.position": {"column": "s", "unit": position, "sign": sign},
+    }
+    return {"profile": plain_profile(columns=columns)}
 
 
-@pytest.mark.parametrize("old", [b"\r\n", b"\n"])
-def test_a_log_with_converted_line_ends_is_recognised(tmp_path: Path, old: bytes) -> None:
-    new = {b"\r\n": b"\n", b"\n": b"\r\n"}[old]
-    path = tmp_path / "run.mcap"
-    path.write_bytes(sample("stopping.mcap").read_bytes().replace(old, new))
-    refused(path, "byte 0: is an MCAP file whose line ends were converted.*binary mode")
-    refused(path, "byte 0: is an MCAP file whose line ends were converted", profile=None)
+LOG = sample("stopping.mcap").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("data", "options", "message"),
+    [
+        (None, {}, "does not exist; check the path"),
+        *((None, {"format": each}, "does not exist") for each in ("csv", "parquet", "ublox")),
+        (LOG.replace(b"\r\n", b"\n"), {}, "byte 0: is an MCAP file whose line ends .*binary mode"),
+        (LOG.replace(b"\n", b"\r\n"), {"profile": None}, "byte 0: is an MCAP file whose line ends"),
+        ("", {"profile": None}, "layout that trainlog does not know; give a profile"),
+        ("", {"profile": sample("recorder.profile.toml")}, "; correct the profile .*profile.toml$"),
+        ("", units("km/h", "m"), "position moves .* m, /train/state.speed gives .* m; check the"),
+        ("", units("m/s", "km"), "position: .* values are impossible|position moves"),
+        ("", units("m/s", "mm"), "position moves"),
+        ("", units("m/s", "m", -1), "falls by .* set sign = -1"),
+        ("3", {}, r"row \d+: /train/state.speed: \d+ of 200 values are impossible.*check the unit"),
+    ],
+)
+def test_calls_that_do_not_fit_a_file_give_one_line(
+    tmp_path: Path, data: bytes | str | None, options: dict[str, object], message: str
+) -> None:
+    """A file of these bytes, or a good one whose speeds begin with a digit more; None: no file."""
+    path = tmp_path / "run.csv"
+    if isinstance(data, str):
+        write(path, [row.replace("Z,", f"Z,{data}") for row in plain_rows(200)])
+    elif data is not None:
+        path.write_bytes(data)
+    refused(path, message, **options)
+
+
+def test_folders_and_formats_that_are_not_there(tmp_path: Path) -> None:
+    for options in ({}, *({"format": each} for each in ("csv", "parquet", "ublox"))):
+        refused(tmp_path, "is a folder; name a file in it", **options)
+    with pytest.raises(InputError, match="no format 'parket'; did you mean 'parquet'"):
+        ingest(write(tmp_path / "run.csv", plain_rows()), format="parket")
 
 
 def test_rows_that_run_backwards_in_time(tmp_path: Path) -> None:
@@ -115,18 +144,6 @@ def test_rows_that_run_backwards_in_time(tmp_path: Path) -> None:
     assert any("newest row first" in line for line in proposed.lines())
 
 
-def test_a_wrong_column_names_the_profile_to_correct(tmp_path: Path) -> None:
-    profile = tmp_path / "mine.profile.toml"
-    wrong = (
-        sample("recorder.profile.toml")
-        .read_text()
-        .replace('columns = ["Date"', 'columns = ["xDate"', 1)
-    )
-    profile.write_text(wrong)
-    message = f"no column 'x.*; correct the profile {re.escape(str(profile))}$"
-    refused(sample("recorder.csv"), message, profile=profile)
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_all_columns_that_are_missing_are_named_at_once(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
@@ -140,56 +157,6 @@ def test_all_columns_that_are_missing_are_named_at_once(tmp_path: Path, suffix: 
             pa.table({"t": stamps, "speed": run.speed, "way": run.position}), path
         )
     refused(path, r"2 problems: \(1\) .*no column 'v'; .*t, speed, way; \(2\) .*no column 's'; ")
-
-
-def test_the_profile_may_be_given_by_position(tmp_path: Path) -> None:
-    path = write(tmp_path / "run.csv", plain_rows())
-    assert ingest(path, plain_profile()).name == "run"
-    assert [trip.name for trip in ingest_each(path, plain_profile())] == ["run"]
-
-
-def test_unknown_formats_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no format 'parket'; did you mean 'parquet'"):
-        ingest(write(tmp_path / "run.csv", plain_rows()), format="parket")
-
-
-def test_text_without_a_profile(tmp_path: Path) -> None:
-    path = write(tmp_path / "run.csv", plain_rows())
-    refused(path, "layout that trainlog does not know; give a profile", profile=None)
-
-
-@pytest.mark.parametrize(
-    ("position", "speed", "message"),
-    [
-        ("m", "km/h", "position moves .* m, /train/state.speed gives .* m; check the units"),
-        ("km", "m/s", "position: .* values are impossible|position moves"),
-        ("mm", "m/s", "position moves"),
-    ],
-)
-def test_units_that_contradict_each_other(
-    tmp_path: Path, position: str, speed: str, message: str
-) -> None:
-    path = write(tmp_path / "run.csv", plain_rows(200))
-    columns = {
-        "/train/state.speed": {"column": "v", "unit": speed},
-        "/train/state.position": {"column": "s", "unit": position},
-    }
-    refused(path, message, profile=plain_profile(columns=columns))
-
-
-def test_an_impossible_unit_is_doubted(tmp_path: Path) -> None:
-    rows = [row.replace("Z,", "Z,3") for row in plain_rows(30)]
-    complaint = refused(write(tmp_path / "run.csv", rows), "values are impossible")
-    assert re.search(r"row \d+: /train/state.speed: \d+ of 30.*check the unit", complaint)
-
-
-def test_position_against_the_direction_of_travel(tmp_path: Path) -> None:
-    columns = {
-        **PLAIN["columns"],
-        "/train/state.position": {"column": "s", "unit": "m", "sign": -1},
-    }
-    path = write(tmp_path / "run.csv", plain_rows(200))
-    refused(path, "falls by .* set sign = -1", profile=plain_profile(columns=columns))
 
 
 def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path: Path) -> None:

@@ -36,9 +36,8 @@ def read_drive(tmp_path: Path, run: Drive, *, speed: bool = True) -> tuple[np.nd
     return trip["/gnss/fix"]["latitude"].isna().to_numpy(), report_of(trip)
 
 
-@pytest.mark.parametrize("rate", [1.0, 5.0, 10.0])
 @pytest.mark.parametrize("speed", [True, False])
-@pytest.mark.parametrize("metres", [234.0, -400.0, 3_000.0])
+@pytest.mark.parametrize(("rate", "metres"), [(1.0, 234.0), (5.0, -400.0), (10.0, 3_000.0)])
 def test_fixes_beside_the_way_go(tmp_path: Path, rate: float, speed: bool, metres: float) -> None:
     """234 m beside it with a stated accuracy of 713 m; single ones and runs of several."""
     run = drive(round(600 * rate), rate, 2)
@@ -87,8 +86,9 @@ def test_a_frozen_speed_makes_no_fix_a_jump(tmp_path: Path) -> None:
     assert report.count("frozen", "/gnss/motion.speed") > 250
 
 
-@pytest.mark.parametrize("length", [1, 2, 3, 4, 5, 7])
-@pytest.mark.parametrize("size", [30.0, 60.0, -15.0])
+@pytest.mark.parametrize(
+    ("length", "size"), [(1, 30.0), (2, -15.0), (3, 60.0), (4, 30.0), (5, -15.0), (7, 60.0)]
+)
 def test_runs_of_wild_speeds_go_and_the_sample_after_stays(
     tmp_path: Path, length: int, size: float
 ) -> None:
