@@ -31,12 +31,12 @@ def trip_of(
 
 def values_of(topic: Topic, rows: int, axles: int, seed: int) -> dict[str, object]:
     if topic is EVENTS:
+        slips = [f"slip of axle {row} at km 3.1 – größer" * (row % 3) for row in range(rows)]
+        drivers = ["driver" if row % 2 else "" for row in range(rows)]
         return {
             "level": np.arange(rows) % 6,
-            "message": [
-                f"slip of axle {row} at km 3.1 – größer" * (row % 3) for row in range(rows)
-            ],
-            "name": ["driver" if row % 2 else "" for row in range(rows)],
+            "message": pd.array(slips, dtype="str"),
+            "name": pd.array(drivers, dtype="str"),
         }
     random = np.random.default_rng(seed)
     data = {}

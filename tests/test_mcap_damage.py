@@ -127,21 +127,6 @@ def test_a_file_cut_anywhere_gives_its_whole_chunks_or_says_why_not(
         assert described.count == (0 if isinstance(found, LogError) else 36)
 
 
-def test_a_cut_file_keeps_its_whole_chunks(trip: Trip, data: bytes, tmp_path: Path) -> None:
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    assert len(summary.chunk_indexes) == 3
-    path = tmp_path / "cut.mcap"
-    ends = [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
-    for whole, end in enumerate(ends, start=1):
-        path.write_bytes(data[:end])
-        assert describe(path).count == whole * 100 * 3
-        path.write_bytes(data[: end - 1])
-        assert describe(path).count == (whole - 1) * 100 * 3
-    assert describe(path).metadata == trip.metadata
-    assert [each.name for each in describe(path).attachments] == sorted(trip.attachments)
-
-
 @pytest.mark.parametrize("count", TRIES)
 def test_flipped_bytes_are_noticed(trip: Trip, data: bytes, tmp_path: Path, count: int) -> None:
     random = np.random.default_rng(3)
