@@ -51,6 +51,23 @@ def recording(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def tiled(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With places on the globe."""
+    path = tmp_path_factory.mktemp("replay") / "tiles.rrd"
+    write_replay([trip], path, options=ReplayOptions(tiles=True))
+    return path
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A trip each way over the map."""
+    path = tmp_path_factory.mktemp("replay") / "map.rrd"
+    both = [made_trip(), made_trip("down", "reverse")]
+    write_replay(both, path, condition_map=condition_of())
+    return path
+
+
 def curve(path: Path, entity: str, component: str = "Scalars:scalars") -> np.ndarray:
     """Values of a curve without the unknown one that every curve begins with."""
     values = rows(path, entity)[component]
@@ -143,23 +160,18 @@ def test_a_train_that_only_goes_on_is_where_it_said(position: np.ndarray) -> Non
     assert clock.position_at(time) == pytest.approx(forward, abs=1e-9)
 
 
-def test_unknown_values_break_the_line(trip: Trip, tmp_path: Path) -> None:
+def test_unknown_values_and_missing_rows_break_the_line(trip: Trip, tmp_path: Path) -> None:
     state = trip["/train/state"].copy()
     state.iloc[100:150, state.columns.get_loc("speed")] = np.nan
+    kept = trip["/train/state"].drop(state.index[100:150])
+    kept.attrs = trip["/train/state"].attrs
+    lacking = replace(trip, metadata={**trip.metadata, "trip": "lacking"})
     path = tmp_path / "gap.rrd"
-    write_replay([trip.with_topic(state)], path)
+    write_replay([trip.with_topic(state), lacking.with_topic(kept)], path)
     shown = curve(path, "/trips/up/speed/measured")[:, 0]
     assert np.isnan(shown[100:150]).all()
     assert np.isfinite(np.delete(shown, np.s_[100:150])).all()
-
-
-def test_missing_rows_break_the_line(trip: Trip, tmp_path: Path) -> None:
-    state = trip["/train/state"]
-    kept = state.drop(state.index[100:150])
-    kept.attrs = state.attrs
-    path = tmp_path / "gap.rrd"
-    write_replay([trip.with_topic(kept)], path)
-    shown = curve(path, "/trips/up/speed/measured")[:, 0]
+    shown = curve(path, "/trips/lacking/speed/measured")[:, 0]
     assert shown.size == len(kept) + 1
     assert np.flatnonzero(np.isnan(shown)).tolist() == [100]
 
@@ -215,15 +227,13 @@ def test_events_keep_their_words_and_levels(recording: Path) -> None:
     assert list(found["TextLog:level"]) == ["INFO", "WARN"]
 
 
-def test_places_lie_on_the_line(trip: Trip, tmp_path: Path) -> None:
-    path = tmp_path / "tiles.rrd"
-    write_replay([trip], path, options=ReplayOptions(tiles=True))
-    found = rows(path, "/trips/up/place/train")
+def test_places_lie_on_the_line(trip: Trip, tiled: Path) -> None:
+    found = rows(tiled, "/trips/up/place/train")
     latitude, longitude = LINE.geometry.at(clock_of(trip).position_at(found["time"]))
     assert found["GeoPoints:positions"] == pytest.approx(
         np.column_stack((latitude, longitude)), abs=1e-8
     )
-    fixes = rows(path, "/trips/up/place/satellites")["GeoPoints:positions"]
+    fixes = rows(tiled, "/trips/up/place/satellites")["GeoPoints:positions"]
     frame = trip["/gnss/fix"].dropna(subset=["latitude"])
     assert fixes == pytest.approx(frame[["latitude", "longitude"]].to_numpy())
 
@@ -258,13 +268,11 @@ def test_a_line_without_coordinates_is_drawn_straight(tmp_path: Path) -> None:
     assert np.ptp(np.array(ends)[:, 0]) == pytest.approx(LENGTH, rel=1e-3)
 
 
-def test_stations_and_track_are_there_at_all_times(trip: Trip, tmp_path: Path) -> None:
-    recording = tmp_path / "tiles.rrd"
-    write_replay([trip], recording, options=ReplayOptions(tiles=True))
-    found = entities(recording)
+def test_stations_and_track_are_there_at_all_times(tiled: Path) -> None:
+    found = entities(tiled)
     for name in ("/lines/hill/track", "/lines/hill/stations/A", "/lines/hill/stations/B\\ town"):
         assert found[name] == set()
-    place = static(recording, "/lines/hill/stations/B\\ town", "GeoPoints:positions")[0]
+    place = static(tiled, "/lines/hill/stations/B\\ town", "GeoPoints:positions")[0]
     assert place == pytest.approx([float(x) for x in LINE.geometry.at(LENGTH)])
 
 
@@ -338,12 +346,10 @@ def test_each_trip_has_its_own_subtree(trip: Trip, tmp_path: Path) -> None:
     assert (first, second) == (pytest.approx(72.0, abs=0.1), pytest.approx(108.0, abs=0.1))
 
 
-def test_the_map_lies_under_a_trip_in_its_own_direction(tmp_path: Path) -> None:
+def test_the_map_lies_under_a_trip_in_its_own_direction(mapped: Path) -> None:
     condition = condition_of()
-    path = tmp_path / "map.rrd"
-    write_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
-    up = rows(path, "/trips/up/adhesion/map/dots")
-    down = rows(path, "/trips/down/adhesion/map/dots")
+    up = rows(mapped, "/trips/up/adhesion/map/dots")
+    down = rows(mapped, "/trips/down/adhesion/map/dots")
     seen = np.flatnonzero(condition.layers["dry"].observed)
     assert (up["position_m"] == np.rint(condition.centres[seen])).all()
     assert up["Scalars:scalars"][:, 0] == pytest.approx(
@@ -353,11 +359,9 @@ def test_the_map_lies_under_a_trip_in_its_own_direction(tmp_path: Path) -> None:
     assert (down["Scalars:scalars"] == up["Scalars:scalars"][::-1]).all()
 
 
-def test_bins_without_evidence_are_not_shown(tmp_path: Path) -> None:
+def test_bins_without_evidence_are_not_shown(mapped: Path) -> None:
     condition = condition_of()
-    path = tmp_path / "map.rrd"
-    write_replay([made_trip()], path, condition_map=condition)
-    found = rows(path, "/trips/up/adhesion/map/bins")
+    found = rows(mapped, "/trips/up/adhesion/map/bins")
     values = found["Measurements:values"][:, 0]
     assert np.isnan(values).sum() == 1 + condition.layers["dry"].observed.sum()
     shown = ~np.isnan(values)
@@ -365,26 +369,25 @@ def test_bins_without_evidence_are_not_shown(tmp_path: Path) -> None:
     assert condition.layers["dry"].observed[bins].mean() > 0.5
     deviation = np.sqrt(found["Measurements:variances"][shown, 0])
     assert deviation / values[shown] == pytest.approx(0.05)
-    assert len(static(path, "/lines/hill/condition/dry", "Points2D:positions")) == 3
-    assert "/lines/hill/condition/wet" not in entities(path)
+    assert len(static(mapped, "/lines/hill/condition/dry", "Points2D:positions")) == 3
+    assert "/lines/hill/condition/wet" not in entities(mapped)
 
 
-@pytest.mark.parametrize(
-    ("weather", "legend"),
-    [("dry", ["map, dry"]), ("wet", None), ("snow", None), (None, ["map, dry"])],
-)
-def test_the_map_of_other_weather_is_not_shown(
-    trip: Trip, tmp_path: Path, weather: str | None, legend: list[str] | None
-) -> None:
+def test_the_map_of_other_weather_is_not_shown(trip: Trip, tmp_path: Path) -> None:
     known = {key: value for key, value in trip.metadata.items() if key != "weather"}
-    if weather is not None:
-        known["weather"] = weather
+    legends = {"dry": ["map, dry"], "wet": None, "snow": None, "": ["map, dry"]}
+    trips = [
+        replace(trip, metadata=known | {"trip": f"in {name}"} | ({"weather": name} if name else {}))
+        for name in legends
+    ]
     path = tmp_path / "map.rrd"
-    write_replay([replace(trip, metadata=known)], path, condition_map=condition_of())
-    if legend is None:
-        assert "/trips/up/adhesion/map/dots" not in entities(path)
-    else:
-        assert static(path, "/trips/up/adhesion/map/dots", "SeriesPoints:names") == legend
+    write_replay(trips, path, condition_map=condition_of())
+    for name, legend in legends.items():
+        dots = f"/trips/in\\ {name}/adhesion/map/dots"
+        if legend is None:
+            assert dots not in entities(path)
+        else:
+            assert static(path, dots, "SeriesPoints:names") == legend
 
 
 def test_a_map_of_another_line_is_refused(trip: Trip, tmp_path: Path) -> None:
@@ -447,13 +450,16 @@ def test_other_content_has_another_id(trip: Trip, tmp_path: Path) -> None:
     ids = set()
     changed = trip.with_topic(trip["/train/state"] * 1.0)
     changed.topics["/train/state"].iloc[5, 1] += 1e-9
+    forecast = spotted()
+    layers = {"dry": replace(forecast.layers["dry"], spots=())}
+    maps = (condition_of(), forecast, replace(forecast, layers=layers))
     for number, (each, condition) in enumerate(
-        ((trip, None), (changed, None), (trip, condition_of()))
+        ((trip, None), (changed, None), *((trip, each) for each in maps))
     ):
         path = tmp_path / f"{number}.rrd"
         write_replay([each], path, condition_map=condition)
         ids.add(RrdReader(path).recordings()[0].recording_id)
-    assert len(ids) == 3
+    assert len(ids) == 5
 
 
 @pytest.mark.parametrize(
@@ -608,28 +614,17 @@ def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(tmp_path: 
     assert np.allclose(places[0], places[1])
 
 
-def test_another_forecast_is_another_recording(tmp_path: Path) -> None:
-    condition, ids = spotted(), set()
-    for number, spots in enumerate((condition.layers["dry"].spots, ())):
-        layers = {"dry": replace(condition.layers["dry"], spots=spots)}
-        path = tmp_path / f"{number}.rrd"
-        write_replay([made_trip()], path, condition_map=replace(condition, layers=layers))
-        ids.add(RrdReader(path).recordings()[0].recording_id)
-    assert len(ids) == 2
-
-
-def test_the_colours_of_adhesion_have_a_legend_that_shows_on_a_dark_ground(tmp_path: Path) -> None:
-    path = tmp_path / "map.rrd"
-    write_replay([made_trip()], path, condition_map=condition_of())
+def test_the_colours_of_adhesion_have_a_legend_that_shows_on_a_dark_ground(mapped: Path) -> None:
     entity = "/lines/hill/condition/dry"
-    labels = static(path, f"{entity}/legend", "Points2D:labels")
+    labels = static(mapped, f"{entity}/legend", "Points2D:labels")
     assert list(labels) == ["< 0.05", "< 0.08", "< 0.12", "< 0.20", "≥ 0.20"]
     # Of each class enough light, against a ground that is nearly black.
     light = CLASS_COLOURS @ np.array([0.299, 0.587, 0.114])
     assert light.min() > 90.0
-    course = static(path, "/lines/hill/track", "LineStrips2D:strips")
+    course = static(mapped, "/lines/hill/track", "LineStrips2D:strips")
     south = np.vstack(list(course[0]))[:, 1].max()
-    assert min(place[1] for place in static(path, f"{entity}/legend", "Points2D:positions")) > south
+    legend = static(mapped, f"{entity}/legend", "Points2D:positions")
+    assert min(place[1] for place in legend) > south
 
 
 def test_lateness_has_its_sign_at_the_cursor(tmp_path: Path) -> None:
