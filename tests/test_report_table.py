@@ -13,8 +13,6 @@ from refusals import refused
 from rich.console import Console
 
 from analysis.adhesion.condition_map import adhesion_map
-from analysis.adhesion.slip import slip
-from analysis.comparison.groups import compare_groups
 from analysis.reports.build import write_report
 from analysis.reports.summary import report
 from analysis.resistance.coast_down import coast_down
@@ -75,31 +73,6 @@ def test_headings_are_broken_before_names_and_figures() -> None:
 def test_a_table_that_fits_stands_in_lines_of_its_own() -> None:
     assert any(" ".join(HEADINGS[2:3]) in line for line in printed(150))
     assert any(ROW[0] in line for line in printed(150))
-
-
-def test_results_print_a_few_lines_and_are_tables_in_a_notebook(tmp_path: Path) -> None:
-    log = sample("nonstop.mcap")
-    trip = read_log(log)
-    followed = replace(trip, metadata={**trip.metadata, "configuration": trip.name})
-    fits = fit(log)
-    write_parameters(fits.parameters, tmp_path / "parameters.json")
-    results = {
-        "accepted": fits,
-        "outliers": fits.trips[0],
-        "braking": slip(log),
-        "bins observed": adhesion_map(trip),
-        "mass over inertia": coast_down(trip),
-        "kWh": compare_groups([trip], followed),
-        "1 configuration": report(tmp_path),
-    }
-    for words, result in results.items():
-        lines = repr(result).splitlines()
-        assert 2 <= len(lines) <= 10
-        assert max(map(len, lines)) <= 140
-        assert words in repr(result)
-        html = result._repr_html_()  # type: ignore[attr-defined]
-        assert html.startswith("<")
-        assert 200 < len(html) < 20_000
 
 
 def test_what_cannot_be_compared_is_stated_among_the_results(tmp_path: Path) -> None:

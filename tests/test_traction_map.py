@@ -1,4 +1,4 @@
-"""The track-condition map: the field's mathematics, additive evidence, files and refusals."""
+"""The track-condition map: the field's spread, additive evidence, files and refusals."""
 
 from __future__ import annotations
 
@@ -9,13 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from gaussian_field import solve_field
 from hypothesis import given, settings, strategies as st
 from map_bytes import map_from_bytes
 from refusals import refused
 from rich.console import Console
-from scipy.optimize import minimize
-from scipy.stats import norm
 from simulated_line import flirt, hilly_line, level_line
 
 from analysis.adhesion.condition_map import (
@@ -32,7 +29,7 @@ from analysis.adhesion.evidence import Evidence, evidence, evidence_of
 from analysis.adhesion.map_state import map_words, summary
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.charts import draw
-from estimators.condition_field import Prior
+from estimators.condition_field import Prior, common_std, onset_std
 from trainlog.arrays import FloatArray
 from trainlog.condition import prior_of
 from trainlog.errors import InputError, LogError
@@ -73,61 +70,24 @@ def piece(seed: int, layer: str = "dry", name: str | None = None) -> Evidence:
 
 
 class TestField:
+    """By dense matrices, of which the product makes none."""
+
+    distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
+    covariance = 0.3**2 * np.exp(-distance / 120.0)
+
     def test_the_precision_is_that_of_an_exponential_covariance(self) -> None:
         diagonal, off = PRIOR.precision(BINS, BIN)
         precision = np.diag(diagonal) + off * (np.eye(BINS, k=1) + np.eye(BINS, k=-1))
-        distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
-        covariance = 0.3**2 * np.exp(-distance / 120.0)
-        np.testing.assert_allclose(precision @ covariance, np.eye(BINS), atol=1e-9)
+        np.testing.assert_allclose(precision @ self.covariance, np.eye(BINS), atol=1e-9)
 
-    def test_without_evidence_the_prior_comes_back(self) -> None:
-        found = solve_field(PRIOR, BIN, NOTHING, NOTHING, NO_LEVELS, np.log(LEVELS), 0.1)
-        np.testing.assert_allclose(found.mean, PRIOR.mean, atol=1e-9)
-        np.testing.assert_allclose(found.std, 0.3, rtol=1e-9)
-
-    def test_onsets_alone_give_the_gaussian_posterior(self) -> None:
+    def test_onsets_alone_leave_the_spread_of_the_gaussian_posterior(self) -> None:
         rng = np.random.default_rng(1)
         weight = np.where(rng.uniform(size=BINS) < 0.3, rng.uniform(10.0, 500.0, BINS), 0.0)
-        logs = np.log(rng.uniform(0.1, 0.3, BINS))
-        found = solve_field(PRIOR, BIN, weight, weight * logs, NO_LEVELS, np.log(LEVELS), 0.1)
-        distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
-        covariance = 0.3**2 * np.exp(-distance / 120.0)
-        seen = weight > 0
-        gain = covariance[:, seen] @ np.linalg.inv(
-            covariance[np.ix_(seen, seen)] + np.diag(1.0 / weight[seen])
-        )
-        np.testing.assert_allclose(
-            found.mean, PRIOR.mean + gain @ (logs[seen] - PRIOR.mean), atol=1e-9
-        )
-        variance = np.diag(covariance - gain @ covariance[seen])
-        np.testing.assert_allclose(found.std**2, variance, rtol=1e-7)
-        np.testing.assert_allclose(found.events_std, found.std, rtol=1e-12)
-
-    def test_with_levels_it_is_the_mode_of_the_tobit_posterior(self) -> None:
-        rng = np.random.default_rng(2)
-        bins = 6
-        weight = np.array([0.0, 80.0, 0.0, 0.0, 40.0, 0.0])
-        logs = np.log([1.0, 0.2, 1.0, 1.0, 0.25, 1.0])
-        censored = rng.integers(0, 3, (bins, LEVELS.size)).astype(np.float64)
-        censored[:, 45:] = 0.0
-        found = solve_field(PRIOR, BIN, weight, weight * logs, censored, np.log(LEVELS), 0.12)
-        distance = BIN * np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
-        precision = np.linalg.inv(0.3**2 * np.exp(-distance / 120.0))
-
-        def cost(f: FloatArray) -> float:
-            d = f - PRIOR.mean
-            tail = norm.logcdf((f[:, None] - np.log(LEVELS)) / 0.12)
-            measured = 0.5 * np.sum(weight * (f - logs) ** 2)
-            return float(0.5 * d @ precision @ d + measured - np.sum(censored * tail))
-
-        best = minimize(cost, found.mean + 0.05, method="BFGS", options={"gtol": 1e-9})
-        np.testing.assert_allclose(found.mean, best.x, atol=1e-4)
-        step = 1e-4
-        for i in range(bins):
-            plus, minus = found.mean.copy(), found.mean.copy()
-            plus[i] += step
-            minus[i] -= step
-            assert abs(cost(plus) - cost(minus)) / (2.0 * step) < 1e-4
+        exact = np.linalg.inv(np.linalg.inv(self.covariance) + np.diag(weight))
+        np.testing.assert_allclose(onset_std(PRIOR, BIN, weight) ** 2, np.diag(exact), rtol=1e-7)
+        np.testing.assert_allclose(onset_std(PRIOR, BIN, NOTHING), 0.3, rtol=1e-9)
+        alone = onset_std(PRIOR, BIN, np.array([100.0]))
+        np.testing.assert_allclose(alone, (100.0 + 1.0 / 0.09) ** -0.5)
 
     @pytest.mark.parametrize("trips", [1, 4])
     def test_what_all_onsets_of_a_trip_err_by_alike_widens_the_band(self, trips: int) -> None:
@@ -135,48 +95,14 @@ class TestField:
         rng = np.random.default_rng(3)
         weights = rng.uniform(20.0, 60.0, (trips, BINS)) * (rng.uniform(size=(trips, BINS)) < 0.4)
         variances = rng.uniform(0.01, 0.1, trips) ** 2
-        logs = np.full(BINS, np.log(0.15))
-        args = (weights.sum(axis=0), weights.sum(axis=0) * logs, NO_LEVELS, np.log(LEVELS), 0.12)
-        alone = solve_field(PRIOR, BIN, *args)
-        found = solve_field(PRIOR, BIN, *args, common=variances @ weights**2)
-        distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
-        precision = np.linalg.inv(0.3**2 * np.exp(-distance / 120.0)) + np.diag(args[0])
+        weight = weights.sum(axis=0)
+        added = common_std(PRIOR, BIN, weight, variances @ weights**2) ** 2
+        precision = np.linalg.inv(self.covariance) + np.diag(weight)
         exact = variances @ np.linalg.solve(precision, weights.T).T ** 2
-        added = found.std**2 - alone.std**2
         assert np.all(added >= exact - 1e-12)
         assert np.all(added <= trips * exact.max() + 1e-12)
         if trips == 1:
             np.testing.assert_allclose(added, exact, rtol=1e-6)
-        np.testing.assert_array_equal(found.mean, alone.mean)
-
-    @settings(max_examples=30)
-    @given(st.integers(0, 10_000), st.integers(0, BINS - 1), st.integers(0, LEVELS.size - 1))
-    def test_a_bound_from_below_never_lowers_the_estimate(
-        self, seed: int, place: int, level: int
-    ) -> None:
-        known = piece(seed).daily
-        weights, args = known.by_bin("weight"), (np.log(LEVELS), 0.12)
-        logs = known.by_bin("weighted_log")
-        before = solve_field(PRIOR, BIN, weights, logs, known.censored, *args)
-        more = known.censored.copy()
-        more[place, level] += 1.0
-        after = solve_field(PRIOR, BIN, weights, logs, more, *args)
-        assert np.all(after.mean >= before.mean - 1e-9)
-
-    def test_bounds_far_out_of_reach_do_not_upset_it(self) -> None:
-        censored = NO_LEVELS.copy()
-        censored[:, -1] = 1000.0
-        found = solve_field(PRIOR, BIN, NOTHING, NOTHING, censored, np.log(LEVELS), 0.05)
-        assert np.all(found.mean > np.log(0.55))
-        assert np.all(np.isfinite(found.std))
-
-    def test_one_bin_is_a_line_too(self) -> None:
-        one = np.ones(1)
-        found = solve_field(
-            PRIOR, BIN, 100.0 * one, 100.0 * np.log(0.2) * one, NO_LEVELS[:1], np.log(LEVELS), 0.1
-        )
-        share = 100.0 / (100.0 + 1.0 / 0.09)
-        assert found.mean[0] == pytest.approx(share * np.log(0.2) + (1 - share) * np.log(0.28))
 
 
 class TestBounds:
