@@ -1,4 +1,8 @@
-"""Processes that are killed: forked from one that has imported everything; what they passed."""
+"""The harness of kills: processes forked from one that has imported everything, and what they did.
+
+`Forked` is a process that works; what a `Piped` one prints is read from a pipe, and a `Watched` one
+notes the points that it passes in a file that outlasts it, and may be ordered to end at one.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 PATIENCE = 600.0
 """How long anything may take on the busiest machine [s]; longer takes only what hangs."""
@@ -56,6 +61,47 @@ class Forked:
         return status
 
 
+class Piped(Forked):
+    """A process that does some work; what it prints is read from a pipe.
+
+    This process keeps no end to write: of one that fails nothing is read, and nobody waits.
+    """
+
+    def __init__(self, work: Callable[[], object], complaints: Path | None = None) -> None:
+        self.shown = b""
+        self.pipe, write = os.pipe()
+        errors = -1 if complaints is None else os.open(complaints, os.O_WRONLY | os.O_CREAT)
+
+        def printing() -> object:
+            os.dup2(write, 1)
+            if errors >= 0:
+                os.dup2(errors, 2)
+            return work()
+
+        super().__init__(printing)
+        os.close(write)
+        if errors >= 0:
+            os.close(errors)
+
+    def read(self) -> bool:
+        """Read what it has printed; False when it has ended."""
+        data = os.read(self.pipe, 65_536)
+        self.shown += data
+        return bool(data)
+
+    def end(self) -> int:
+        """Read the rest; its exit status, negative if it was killed."""
+        while self.read():
+            pass
+        os.close(self.pipe)
+        return self.wait()
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines that it printed whole."""
+        return self.shown.decode().split("\n")[:-1]
+
+
 class Passed:
     """How often a process passed each point, and the last of them, in a file that outlasts it."""
 
@@ -74,6 +120,20 @@ class Passed:
         self._view[len(self._points)] = number
         if self.order == (point, self._view[number]):
             os.kill(os.getpid(), signal.SIGKILL)
+
+    def note(self, owner: Any, name: str, point: str, *, after: bool = True) -> None:
+        """Note the point after each call of a function of `owner`, or before it."""
+        inner = getattr(owner, name)
+
+        def outer(*given: Any, **named: Any) -> Any:
+            if not after:
+                self.at(point)
+            found = inner(*given, **named)
+            if after:
+                self.at(point)
+            return found
+
+        setattr(owner, name, outer)
 
     @property
     def total(self) -> int:

@@ -67,16 +67,6 @@ def watch(passed: Passed) -> None:
     """Let this process note what it passes."""
     recording = [False]
 
-    def noted(owner: Any, name: str, point: str) -> None:
-        inner = getattr(owner, name)
-
-        def outer(*given: Any, **named: Any) -> Any:
-            found = inner(*given, **named)
-            passed.at(point)
-            return found
-
-        setattr(owner, name, outer)
-
     inner_record, inner_writing = results.Computed.record, Database.writing
 
     def record(*given: Any) -> int:
@@ -94,8 +84,8 @@ def watch(passed: Passed) -> None:
         if not recording[0]:
             passed.at("logs registered")
 
-    noted(reading, "read_file", "a log looked at")
-    noted(results, "write_table", "a file written, its rows not")
+    passed.note(reading, "read_file", "a log looked at")
+    passed.note(results, "write_table", "a file written, its rows not")
     results.Computed.record = record  # type: ignore[method-assign,assignment]
     Database.writing = writing  # type: ignore[method-assign,assignment]
 

@@ -79,20 +79,6 @@ def watch(passed: Passed) -> None:
     def patch(owner: Any, name: str, made: Callable[[Any], Any]) -> None:
         setattr(owner, name, made(getattr(owner, name)))
 
-    def noted(point: str, *, after: bool = False) -> Callable[[Any], Any]:
-        def made(inner: Any) -> Any:
-            def outer(*given: Any, **named: Any) -> Any:
-                if not after:
-                    passed.at(point)
-                found = inner(*given, **named)
-                if after:
-                    passed.at(point)
-                return found
-
-            return outer
-
-        return made
-
     def record(inner: Any) -> Any:
         def outer(self: Any, of: Any, *given: Any) -> Any:
             is_map = of.analysis == maps.MAPS
@@ -176,8 +162,8 @@ def watch(passed: Passed) -> None:
 
         return outer
 
-    patch(update._Update, "prepare", noted("asking what is pending"))
-    patch(work, "_of_trip", noted("reading and computing a trip"))
+    passed.note(update._Update, "prepare", "asking what is pending", after=False)
+    passed.note(work, "_of_trip", "reading and computing a trip", after=False)
     patch(results.Computed, "record", record)
     patch(results.Computed, "compact", compact)
     patch(results, "write_bytes", write_bytes)
@@ -186,10 +172,10 @@ def watch(passed: Passed) -> None:
     patch(Database, "writing", writing)
     patch(pathlib.Path, "unlink", unlink)
     patch(pathlib.Path, "rename", rename)
-    patch(maps._Maps, "_folder", noted("maps begun anew", after=True))
-    patch(mapfile, "begin", noted("a map begun", after=True))
-    patch(mapfile.MapFile, "_append", noted("a trip in a map, not committed", after=True))
-    patch(mapfile.MapFile, "append_all", noted("a map committed", after=True))
+    passed.note(maps._Maps, "_folder", "maps begun anew")
+    passed.note(mapfile, "begin", "a map begun")
+    passed.note(mapfile.MapFile, "_append", "a trip in a map, not committed")
+    passed.note(mapfile.MapFile, "append_all", "a map committed")
 
 
 def remember() -> None:

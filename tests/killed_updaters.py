@@ -15,13 +15,13 @@ import selectors
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from killed import Forked
+from killed import Piped
 from test_map_file import part
 from test_traction_map import LINE, piece
 
@@ -42,44 +42,7 @@ def recording_of(seed: int) -> Recording:
     return condition_map.recording_of(SHARED.get(seed) or piece(seed, ("dry", "wet")[seed % 2]))
 
 
-class Updater(Forked):
-    """A process that does some work; what it prints is read from a pipe."""
-
-    def __init__(self, work: Callable[[], object], complaints: Path) -> None:
-        self.shown = b""
-        self.complaints = complaints
-        self.pipe, write = os.pipe()
-        errors = os.open(complaints, os.O_WRONLY | os.O_CREAT)
-
-        def printing() -> object:
-            os.dup2(write, 1)
-            os.dup2(errors, 2)
-            return work()
-
-        super().__init__(printing)
-        os.close(write)
-        os.close(errors)
-
-    def read(self) -> bool:
-        """Read what it has printed; False when it has ended."""
-        data = os.read(self.pipe, 65_536)
-        self.shown += data
-        return bool(data)
-
-    def end(self) -> int:
-        """Read the rest; its exit status, negative if it was killed."""
-        while self.read():
-            pass
-        os.close(self.pipe)
-        return self.wait()
-
-    @property
-    def lines(self) -> list[str]:
-        """The lines that it printed whole."""
-        return self.shown.decode().split("\n")[:-1]
-
-
-def wait_for(running: Sequence[Updater], lines: int) -> None:
+def wait_for(running: Sequence[Piped], lines: int) -> None:
     """Until all updaters together have printed so many lines, or have ended."""
     with selectors.DefaultSelector() as selector:
         for each in running:
@@ -90,7 +53,7 @@ def wait_for(running: Sequence[Updater], lines: int) -> None:
                     selector.unregister(key.fileobj)
 
 
-def kill(running: Sequence[Updater], rng: np.random.Generator, within: float) -> int:
+def kill(running: Sequence[Piped], rng: np.random.Generator, within: float) -> int:
     """Kill all, one after the other at random instants; how many had not ended."""
     for each in running:
         time.sleep(float(rng.uniform(0.0, within)))
@@ -120,7 +83,7 @@ def kill_and_append(folder: Path, updaters: int, kills: int, each: int) -> dict[
         for _ in range(updaters):
             own = list(range(1000 + each * number, 1000 + each * (number + 1)))
             seeds = [*own[:2], *SHARED, *own[2:]]
-            running.append(Updater(partial(append, path, seeds), folder / f"{number}"))
+            running.append(Piped(partial(append, path, seeds), folder / f"{number}"))
             number += 1
         if kills:
             wait_for(running, int(rng.integers(updaters * each // 2)))
@@ -148,13 +111,17 @@ def kill_and_update(folder: Path, logs: Path, updaters: int, rounds: int) -> lis
     for number in range(rounds):
         path = folder / f"killed-{number}.map"
         words = ["map", "update", str(logs), "--map", str(path)]
-        running = [Updater(partial(run, words), folder / f"{number}-{n}") for n in range(updaters)]
+        running = [Piped(partial(run, words), folder / f"{number}-{n}") for n in range(updaters)]
         wait_for(running, 1)
         killed = kill(running, rng, 0.05)
         with MapFile(path) as file:
             counted = [row.known.name for row in file.trips() if row.counted]
-        again = [Updater(partial(run, words), folder / f"{number}+{n}") for n in range(updaters)]
-        ended = [(each.end(), each.lines, each.complaints.read_text()) for each in again]
+        texts = [folder / f"{number}+{n}" for n in range(updaters)]
+        again = [Piped(partial(run, words), text) for text in texts]
+        ended = [
+            (each.end(), each.lines, text.read_text())
+            for each, text in zip(again, texts, strict=True)
+        ]
         stated = [line for each in running for line in each.lines]
         found.append(
             {"map": str(path), "killed": killed, "stated": stated, "counted": counted}

@@ -61,6 +61,7 @@ COMMANDS: dict[str, list[str]] = {
     "map show": ["map", "show", "BAD", "--picture", "OUT.png"],
     "replay": ["replay", "BAD", "-o", "OUT.rrd"],
     "compare groups": ["compare", "groups", "BAD", "--with", "BAD"],
+    "compare trips": ["compare", "trips", "BAD"],
     "ingest": ["ingest", "BAD", "-o", "OUT"],
     "import": ["import", "BAD", "-o", "OUT"],
     "optimise": ["plan", "BAD", *BOTH, "-o", "OUT.json"],

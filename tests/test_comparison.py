@@ -14,11 +14,9 @@ import pandas as pd
 import pytest
 from refusals import refused
 
-from analysis.charts import figure_of
 from analysis.comparison.compare import Comparison, compare, section_table, sections_between
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
-from analysis.comparison.plot import comparison_charts
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -95,13 +93,6 @@ def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
     assert (again.table["lost"] == 0.0).all()
     assert again.energy is not None
     assert again.energy.value == again.energy.recorded
-
-
-def test_a_comparison_draws_itself() -> None:
-    both = compare([stopping(), nonstop()])
-    (direction,) = both.directions
-    assert len(both.charts()) == len(comparison_charts(direction)) > 0
-    assert both.plot().axes
 
 
 def test_the_summary_shows_the_largest_causes_gains_among_them() -> None:
@@ -233,6 +224,8 @@ def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(
     energy, share = each.recorded_energy("traction")
     assert share == pytest.approx(np.ptp(moving) / whole.running[-1], abs=0.02)
     assert 0.0 < energy < whole.sums["traction"][-1]
+    if last < 2000:
+        assert each.table["traction"].isna().tolist() == [True, False, False, False]
     assert any(
         f"{share:.1%} missing" in str(cell) for cell in found.directions[0].trips_table().rows[0]
     )
@@ -242,12 +235,7 @@ def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(
     assert not np.isnan(whole.drawn_work).any()
 
 
-def test_unknown_efforts_leave_the_energy_unknown_where_they_are_missing() -> None:
-    controls = stopping()["/train/controls"].copy()
-    controls.iloc[1500:1700, controls.columns.get_loc("tractive_effort")] = np.nan
-    controls.attrs = stopping()["/train/controls"].attrs
-    table = compare(stopping().with_topic(controls)).trip("trip-03").table
-    assert table["traction"].isna().tolist() == [True, False, False, False]
+def test_without_efforts_the_energy_is_unknown() -> None:
     none = replace(
         stopping(), topics={k: v for k, v in stopping().topics.items() if k != "/train/controls"}
     )
@@ -453,23 +441,6 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
     own = driven_trip(stopping())
     until = float(own.time[np.searchsorted(own.position, metres - 20.0)])
     assert found.trip("trip-03").lost.total == pytest.approx(until - duration, abs=15.0)
-
-
-def test_the_figure_and_the_data_hold_every_trip() -> None:
-    found = compare([stopping(), nonstop()])
-    figure = figure_of(comparison_charts(found.directions[0]))
-    assert len(figure.axes) == 4
-    names = [trip["trip"] for trip in found.data()["trips"]]
-    assert names == ["trip-03", "trip-01"]
-    assert "trip-03" in repr(found)
-    assert "Gossau" in found._repr_html_()
-
-
-@pytest.mark.parametrize("words", ["LOG", "groups LOG --with"])
-def test_the_command_refuses_a_log_that_does_not_exist(words: str) -> None:
-    given = words.replace("LOG", str(sample("stopping.mcap"))).split()
-    with pytest.raises(InputError, match=r"nowhere\.mcap: does not exist"):
-        cli.run(["compare", *given, "nowhere.mcap"])
 
 
 def test_the_command_prints_json_and_saves_a_picture(
