@@ -1250,9 +1250,14 @@ def _check_alike(first: TrackConditionMap | None, second: TrackConditionMap, pat
     """Refuse to merge maps that differ in more than their trips."""
     for name in ("line", "length", "bin_length", "settings", "levels"):
         if first is not None and not np.array_equal(getattr(first, name), getattr(second, name)):
+            stated = [
+                f"{value.size} from {value[0]:g} to {value[-1]:g}"
+                if isinstance(value, np.ndarray)
+                else str(value)
+                for value in (getattr(each, name) for each in (first, second))
+            ]
             raise InputError(
-                f"track-condition maps differ in {name}:"
-                f" {getattr(first, name)} and {getattr(second, name)}",
+                f"track-condition maps differ in {name}: {' and '.join(stated)}",
                 file=str(path),
                 remedy="merge maps of one line that were made with the same settings",
             )
