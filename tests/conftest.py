@@ -32,7 +32,7 @@ limit_threads()
 # other runs go on looking for new ones.
 settings.register_profile(
     "trainlog",
-    max_examples=50,
+    max_examples=30,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
     derandomize=bool(os.environ.get("CI")),

@@ -110,7 +110,7 @@ def test_what_one_day_alone_showed_may_have_passed() -> None:
     assert layer_of([*normal, *often]).quantile(0.975)[91] < 0.11
 
 
-@pytest.mark.parametrize("place_from", [None, 7])
+@pytest.mark.parametrize("place_from", [pytest.param(None, marks=pytest.mark.long), 7])
 def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: int | None) -> None:
     """Every trip bears 0.13 and all slip is at 0.16, but for a place that is slippery later.
 

@@ -30,7 +30,7 @@ import pages  # noqa: E402
 import sources  # noqa: E402
 
 PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
-LONG = ("gallery.md", "planner.md")
+LONG = ("engineer.md", "gallery.md", "planner.md")
 """Pages whose code takes tens of seconds."""
 TUTORIAL = DOCS / "tutorials" / "developer.md"
 PAINTED = Figure.savefig

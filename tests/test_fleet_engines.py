@@ -244,7 +244,8 @@ def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(
         refused(InputError, "has no workers any more", dask.check)
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("workers", [1, 2])
 def test_mpi_gives_the_same_bytes_as_one_process(
     place: Path, tmp_path: Path, fleet_logs: Path, workers: int
 ) -> None:

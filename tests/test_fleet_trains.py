@@ -298,7 +298,7 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
     ("kind", "what", "size", "trips", "since"),
     [
         ("flirt", "dragging brake", 4e3, 18, 9),
-        ("kiss", "effort gain", 0.1, 18, 9),
+        pytest.param("kiss", "effort gain", 0.1, 18, 9, marks=pytest.mark.long),
         ("virm", "wheel diameter", 0.03, 7, 4),
     ],
 )

@@ -131,7 +131,10 @@ def slippery() -> StepProfile:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("weather", "name"), [("dry", LIGHT), ("wet", HEAVY)])
+@pytest.mark.parametrize(
+    ("weather", "name"),
+    [pytest.param("dry", LIGHT, marks=pytest.mark.long), ("wet", HEAVY)],
+)
 def test_it_is_on_time_at_its_place_and_below_the_limits(weather: str, name: str) -> None:
     train, trajectory = plan()
     rail = steps((0.0, 0.3)) if weather == "dry" else slippery()
@@ -182,19 +185,19 @@ def test_what_creeping_wheels_hold_is_kept_below_the_limit() -> None:
     assert prediction.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can) < free
 
 
-def test_masses_at_both_ends_of_the_set_and_a_brake_that_takes_its_time() -> None:
+@pytest.mark.parametrize("name", ONE_MASS)
+def test_masses_at_both_ends_of_the_set_and_a_brake_that_takes_its_time(name: str) -> None:
     """Friction brake alone, 2 s of dead time and 1.5 s of lag."""
     train, trajectory = plan("friction")
-    for name in (LIGHT, HEAVY):
-        (scenario,) = trajectory_scenarios(
-            trajectory, hilly_line(), train, [name],
-            lambda: Follower(trajectory, hilly_line(), train), seed=3,
-        )  # fmt: skip
-        found = driven(replace(scenario, maximum_adhesion=steps((0.0, 0.3))))
-        assert abs(found["position"][-1] - hilly_line().length) < 0.3
-        assert found["over"] <= 0.0
-        # What such a brake is not trusted with costs a little time at every lower limit.
-        assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 3.0
+    (scenario,) = trajectory_scenarios(
+        trajectory, hilly_line(), train, [name],
+        lambda: Follower(trajectory, hilly_line(), train), seed=3,
+    )  # fmt: skip
+    found = driven(replace(scenario, maximum_adhesion=steps((0.0, 0.3))))
+    assert abs(found["position"][-1] - hilly_line().length) < 0.3
+    assert found["over"] <= 0.0
+    # What such a brake is not trusted with costs a little time at every lower limit.
+    assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 3.0
 
 
 def test_a_late_train_catches_up_as_far_as_physics_allow() -> None:

@@ -61,7 +61,8 @@ def true_means(slopes: StepProfile, position: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "line", ["hills", pytest.param("long hills", marks=pytest.mark.long), "level"]
+    "line",
+    ["hills", *(pytest.param(line, marks=pytest.mark.long) for line in ("long hills", "level"))],
 )
 def test_ten_rides_give_gradients_whose_band_holds(line: str) -> None:
     length = 20_000.0 if line == "long hills" else 12_000.0

@@ -41,7 +41,13 @@ def size(covariance: FloatArray, study: Study) -> float:
     return float(np.sqrt(np.mean(np.einsum("ki,ij,kj->k", at, covariance, at))))
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("pieces of 100 to 200 m", marks=pytest.mark.long),
+        "pieces of 0.3 to 2 km",
+    ],
+)
 def test_a_trip_is_known_as_well_as_the_bound_allows(name: str) -> None:
     study = STUDIES[name]
     ratios = []

@@ -92,12 +92,12 @@ def kill_and_add(folder: Path, updaters: int, kills: int, each: int) -> None:
 @pytest.fixture(scope="module")
 def appended(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Of five updaters that begin one map at once and end, and of such that are killed."""
-    return of_killed_updaters("append", tmp_path_factory.mktemp("appended"), 5, 0, 6, 6, 8)
+    return of_killed_updaters("append", tmp_path_factory.mktemp("appended"), 5, 0, 6, 3, 8)
 
 
 class TestProcesses:
     def test_killed_updaters_lose_nothing_that_they_acknowledged(self, appended: Any) -> None:
-        check_killed(appended[1], kills=6)
+        check_killed(appended[1], kills=3)
 
     @pytest.mark.long
     def test_a_hundred_kills_of_five_updaters(self, tmp_path: Path) -> None:

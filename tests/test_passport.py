@@ -82,7 +82,7 @@ def test_a_stated_load_that_the_motion_contradicts_is_stated_by_the_fit() -> Non
 
 @pytest.mark.parametrize(
     "rail",
-    [None, polach_curve("wet")],
+    [pytest.param(None, marks=pytest.mark.long), polach_curve("wet")],
     ids=["slip speed", "Polach, wet"],
 )
 def test_creep_of_unrecorded_wheels_is_in_the_band_of_the_delay(

@@ -98,6 +98,7 @@ def test_on_the_level_without_limits_the_answer_is_the_analytic_one() -> None:
     assert found.cost == pytest.approx(6.0 * (mass / 60e3 * way) ** 2 / time**3, rel=1e-3)
 
 
+@pytest.mark.long
 def test_more_time_costs_less() -> None:
     costs = [reference(section(time, length=1_500.0)).cost for time in (95.0, 105.0)]
     assert all(more > less for more, less in pairwise(costs))

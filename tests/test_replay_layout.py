@@ -107,8 +107,17 @@ def trips() -> list[Trip]:
     return [made_trip(), made_trip("down", "reverse"), made_trip("up again")]
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
-@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize(
+    ("count", "beside"),
+    [
+        (1, False),
+        (3, True),
+        *(
+            pytest.param(*each, marks=pytest.mark.long)
+            for each in ((2, False), (3, False), (1, True), (2, True))
+        ),
+    ],
+)
 def test_every_view_has_something_to_show(
     trips: list[Trip], tmp_path: Path, count: int, beside: bool
 ) -> None:

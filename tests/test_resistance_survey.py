@@ -138,7 +138,9 @@ def over_one_line(count: int, seed: int, gradients: tuple[str, ...]) -> list[Tri
     return fits
 
 
-@pytest.mark.parametrize("gradients", [("there",), ("there", "back")])
+@pytest.mark.parametrize(
+    "gradients", [pytest.param(("there",), marks=pytest.mark.long), ("there", "back")]
+)
 def test_the_common_band_covers_whatever_the_lines_errors_are(gradients: tuple[str, ...]) -> None:
     inside, without = [], []
     true = basis(SPEED) @ TRUE

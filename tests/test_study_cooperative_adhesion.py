@@ -126,6 +126,7 @@ def test_case_4_the_others_give_more_while_a_motor_fails(literal: dict[int, stud
     assert restored == pytest.approx([4_125.0] * 4, abs=2.0)
 
 
+@pytest.mark.long
 def test_the_coarse_step_of_the_paper_and_a_fine_one_come_to_rest_at_the_same(
     literal: dict[int, study.Run], exact: dict[int, study.Run]
 ) -> None:
@@ -410,6 +411,7 @@ def test_before_anything_is_seen_the_estimator_says_that_it_knows_nothing() -> N
     refused(InputError, "noise", RailEstimator, LOCOMOTIVE, Tuning(), -1.0, 0.02)
 
 
+@pytest.mark.long
 def test_a_rail_that_is_learnt_pulls_nearly_as_much_as_one_that_is_known() -> None:
     case, total = study.CASES[1], study.SCARCE
     pulled = {}

@@ -131,9 +131,9 @@ def test_the_page_has_the_tables_that_the_study_prints(
 @pytest.mark.parametrize(
     ("name", "speed"),
     [
-        ("freight_24_wagons", 80.0),
+        pytest.param("freight_24_wagons", 80.0, marks=pytest.mark.long),
         pytest.param("passenger_8_coaches", 120.0, marks=pytest.mark.long),
-        pytest.param("multiple_unit_8_cars", 120.0, marks=pytest.mark.long),
+        ("multiple_unit_8_cars", 120.0),
     ],
 )
 def test_the_page_has_the_forces_of_the_sample_consists(name: str, speed: float) -> None:

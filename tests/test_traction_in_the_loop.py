@@ -134,7 +134,9 @@ def test_a_heavy_train_that_starts_slowly_stays_near_the_peak(maximum: float) ->
     assert found.gained > 0.97 * most
 
 
-@pytest.mark.parametrize("count", [1, 6, 8, 12])
+@pytest.mark.parametrize(
+    "count", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (6, 8)), 12]
+)
 def test_any_number_of_axles_is_driven(count: int) -> None:
     found = driven("cooperative", 0.14, train=with_axles(count), seconds=6.0)
     assert found.unsolved == 0
@@ -193,8 +195,17 @@ def shared(
     return direction * np.array(given)
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-@pytest.mark.parametrize(("maximum", "layer"), [(0.14, None), (0.14, "wet"), (0.30, "dry")])
+@pytest.mark.parametrize(
+    ("maximum", "layer", "direction"),
+    [
+        (0.14, None, -1.0),
+        (0.14, "wet", 1.0),
+        (0.30, "dry", -1.0),
+        pytest.param(0.14, None, 1.0, marks=pytest.mark.long),
+        pytest.param(0.14, "wet", -1.0, marks=pytest.mark.long),
+        pytest.param(0.30, "dry", 1.0, marks=pytest.mark.long),
+    ],
+)
 def test_less_than_the_rail_gives_is_shared_evenly(
     maximum: float, layer: str | None, direction: float
 ) -> None:
@@ -286,8 +297,8 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
     line = level_line(length=1_500.0, limit=15.0)
     write_line(line, tmp_path / "short.line.json")
     scenario = draw_scenarios(line, TRAIN, 1)[0]
-    track = adhesion_map([simulate(scenario)]).track
-    write_map(track, tmp_path / "short.map")
+    plain = simulate(scenario)
+    write_map(adhesion_map([plain]).track, tmp_path / "short.map")
     command = [
         "simulate",
         "drive",
@@ -309,7 +320,7 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
     trip = read_log(tmp_path / "out" / "trip-01.mcap")
     assert trip.metadata["traction_control"] == "cooperative"
     assert trip.metadata["traction_unsolved"] == "0"
-    assert not np.array_equal(trip["/truth"]["energy"], simulate(scenario)["/truth"]["energy"])
+    assert not np.array_equal(trip["/truth"]["energy"], plain["/truth"]["energy"])
 
 
 def test_a_map_without_a_use_is_refused(tmp_path: Path) -> None:
