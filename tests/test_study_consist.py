@@ -10,9 +10,8 @@ import pytest
 from refusals import refused
 from simulated_line import level_line, steps
 
-from analysis.charts import draw_charts
 from analysis.studies.in_train_forces import simulation as study
-from analysis.studies.in_train_forces.run import consist_trip, forces_tables, run_charts
+from analysis.studies.in_train_forces.run import consist_trip, forces_tables
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError
@@ -104,9 +103,7 @@ def test_a_run_becomes_a_log(run: study.ConsistRun, tmp_path: Path) -> None:
     assert "emergency braking" in set(again["/events"]["message"])
 
 
-def test_the_report_and_the_picture_are_made(run: study.ConsistRun, tmp_path: Path) -> None:
-    draw_charts(run_charts(run), tmp_path / "run.png")
-    assert (tmp_path / "run.png").stat().st_size > 20_000
+def test_the_report_is_made(run: study.ConsistRun) -> None:
     with console.capture() as captured:
         console.print(*forces_tables(run), *run.consist.shown())
     assert "largest draft" in captured.get()
@@ -120,7 +117,8 @@ def test_the_command_runs_a_file(tmp_path: Path) -> None:
     write_line(SHORT, tmp_path / "line.json")
     options = ["--line", str(tmp_path / "line.json"), "--speed", "60", "-o", str(tmp_path)]
     assert command(["study", "consist", str(file), *options]) == 0
-    assert {"short.mcap", "short.png"} <= {path.name for path in tmp_path.iterdir()}
+    assert (tmp_path / "short.mcap").is_file()
+    assert (tmp_path / "short.png").stat().st_size > 20_000
 
 
 @pytest.mark.parametrize(

@@ -29,9 +29,22 @@ from trainlog.mcap import read_log, write_log
 BY_NAME = {variant.name: variant for variant in study.VARIANTS}
 
 
+class Runs(dict[str, study.Run]):
+    """Runs of the variants by name, each made when it is asked for."""
+
+    def __missing__(self, name: str) -> study.Run:
+        self[name] = study.run(BY_NAME[name])
+        return self[name]
+
+
 @pytest.fixture(scope="module")
-def runs() -> dict[str, study.Run]:
-    return {name: study.run(variant) for name, variant in BY_NAME.items()}
+def runs() -> Runs:
+    return Runs()
+
+
+@pytest.fixture(scope="module")
+def every_run(runs: Runs) -> dict[str, study.Run]:
+    return {name: runs[name] for name in BY_NAME}
 
 
 @pytest.fixture(scope="module")
@@ -75,15 +88,17 @@ def test_the_spatial_reset_stays_close_wherever_the_edges_fall(runs: dict[str, s
     assert speed <= 0.067
 
 
+@pytest.mark.long
 def test_the_time_reset_misses_by_more_than_a_metre(runs: dict[str, study.Run]) -> None:
     assert runs["time reset"].figures[0] > 1.0
 
 
 def test_the_effort_stays_within_the_saturation(runs: dict[str, study.Run]) -> None:
-    for run in runs.values():
+    for run in (runs["scalar"], runs["spatial reset"]):
         assert np.abs(run.effort).max() < study.EFFORT_LIMIT
 
 
+@pytest.mark.long
 def test_what_the_paper_states_in_words_holds(runs: dict[str, study.Run]) -> None:
     scalar, spatial = runs["scalar"], runs["spatial reset"]
     assert 5.0 < settling(scalar) < 30.0
@@ -138,15 +153,16 @@ def test_the_samples_are_the_trains_of_the_paper() -> None:
     assert (coupler.stiffness, coupler.damping, coupler.nonlinearity) == (10e6, 200e3, 200.0)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("unpainted")
 def test_eight_wagons_are_controlled_as_closely_as_one_particle(
-    runs: dict[str, study.Run],
+    every_run: dict[str, study.Run],
     every_wagon_pulls: study.Run,
     first_pulls: study.Run,
     tmp_path: Path,
 ) -> None:
     """An edge that passes under 200 m of train is met more gently than one under a point."""
-    every, first = every_wagon_pulls, first_pulls
+    runs, every, first = every_run, every_wagon_pulls, first_pulls
     for run in (every, first):
         position, speed, stop = run.figures
         assert position < runs["scalar"].figures[0]
@@ -169,7 +185,11 @@ def test_eight_wagons_are_controlled_as_closely_as_one_particle(
     assert all((tmp_path / name).exists() for name in pictures)
 
 
-def test_the_page_has_the_errors_that_the_estimators_reach(runs: dict[str, study.Run]) -> None:
+@pytest.mark.long
+def test_the_page_has_the_errors_that_the_estimators_reach(
+    every_run: dict[str, study.Run],
+) -> None:
+    runs = every_run
     shifted = {name: [run] for name, run in runs.items()}
     ((title, rows),) = tables(as_markdown(errors_table(runs, runs, shifted))).items()
     listed = on_page("rls-sliding-mode")[title]

@@ -18,6 +18,8 @@ from trainlog.cli.terminal import console
 from trainlog.formats.railway import read_trajectory
 from trainlog.railway import Trajectory
 
+CELLS = 250
+"""Half of the study's, which the long tests have."""
 LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations()
 
 
@@ -37,10 +39,17 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     return Ran(captured.get(), folder)
 
 
+class Answers(dict[str, Trajectory]):
+    """Trajectories by the names of the study's questions, each solved when it is asked for."""
+
+    def __missing__(self, name: str) -> Trajectory:
+        self[name] = study.solved(*study.questions(LEVEL, DOWNHILL, CHOSEN)[name], cells=CELLS)
+        return self[name]
+
+
 @pytest.fixture(scope="module")
-def answers(ran: Ran) -> dict[str, Trajectory]:
-    asked = study.questions(LEVEL, DOWNHILL, CHOSEN)
-    return {name: read_trajectory(ran.folder / f"{name}.json") for name in asked}
+def answers() -> Answers:
+    return Answers()
 
 
 def per_mass(found: Trajectory) -> float:
@@ -146,12 +155,14 @@ def test_a_wider_set_ends_faster_under_one_brake() -> None:
     assert study.lowest_common_end_speed(short, CHOSEN, cells=30) is None
 
 
+@pytest.mark.long
 def test_the_page_has_the_tables_that_the_study_prints(
     ran: Ran, request: pytest.FixtureRequest
 ) -> None:
     check_page("robust-minimax", ran.folder, request)
 
 
+@pytest.mark.long
 def test_the_command_writes_every_answer_with_its_picture(ran: Ran) -> None:
     for word in ("Price of robustness", "Section 3", "Cruising on level track", "spread"):
         assert word in ran.printed
