@@ -196,7 +196,10 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
 
 @pytest.mark.parametrize(
     "unrecorded",
-    [["pneumatic_braking_effort"], ["pneumatic_braking_effort", "dynamic_braking_effort"]],
+    [
+        pytest.param(["pneumatic_braking_effort"], marks=pytest.mark.long),
+        ["pneumatic_braking_effort", "dynamic_braking_effort"],
+    ],
 )
 def test_brakes_that_are_not_recorded_are_no_error_of_the_model(unrecorded: list[str]) -> None:
     """Without them the model seemed to need half of the work, and was contradicted."""
@@ -220,6 +223,7 @@ def test_a_fit_of_another_train_is_refused() -> None:
     refused(InputError, "another", calculate, read_log(sample("nonstop.mcap")), other)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_names_what_is_wrong(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

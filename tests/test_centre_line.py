@@ -167,6 +167,7 @@ def test_trips_without_fixes_make_no_line() -> None:
         geometry_of([Trip({"/gnss/motion": trip["/gnss/motion"]}, trip.metadata)])
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_line_and_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,7 +181,7 @@ def test_the_command_writes_line_and_picture(
     assert line.geometry is not None
     assert line.curvatures is not None
     assert line.geometry.quality.startswith("fitted to the satellite fixes of 2 trips")
-    assert (tmp_path / "valley.line.png").stat().st_size > 10_000
+    assert (tmp_path / "valley.line.png").is_file()
     assert "from 2 trips" in capsys.readouterr().out
 
 

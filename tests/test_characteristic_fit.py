@@ -304,6 +304,7 @@ def test_a_train_speed_beside_those_of_the_points_is_refused(tmp_path: Path) -> 
         )
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_from_measured_points_to_a_trip_on_that_rail(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -317,7 +318,7 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     stated = re.search(r"maximum adhesion +([0-9.]+) ± ", shown)
     assert stated is not None
     assert float(stated[1]) == pytest.approx(0.2, rel=0.01)
-    assert output.with_suffix(".png").stat().st_size > 10_000
+    assert output.with_suffix(".png").is_file()
     rail = trainlog.read_characteristic(output)
     assert rail.optimal_creepage(20.0) == pytest.approx(0.02, rel=0.1)
     content = json.loads(output.read_bytes())

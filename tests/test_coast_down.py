@@ -323,6 +323,7 @@ def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path: Path) -> Non
         )
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_result_and_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -331,7 +332,7 @@ def test_the_command_writes_result_and_picture(
     stated = capsys.readouterr().out
     assert "Running resistance of the coasting train" in stated
     assert read_coast_down(output).gradient == "line"
-    assert output.with_suffix(".png").stat().st_size > 20_000
+    assert output.with_suffix(".png").is_file()
 
 
 def test_the_command_tells_in_one_line_why_not(tmp_path: Path) -> None:

@@ -443,6 +443,7 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
     assert found.trip("trip-03").lost.total == pytest.approx(until - duration, abs=15.0)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_prints_json_and_saves_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

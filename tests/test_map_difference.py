@@ -299,6 +299,7 @@ def test_a_place_is_named_by_the_operators_kilometre(whole: TrackConditionMap) -
         position_of(line, 56.1)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_commands_draw_list_and_end_as_diff_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -310,7 +311,7 @@ def test_the_commands_draw_list_and_end_as_diff_does(
     shown = " ".join(capsys.readouterr().out.split())
     assert "1 section changed" in shown
     assert "Mitte" in shown
-    assert (tmp_path / "diff.png").stat().st_size > 20_000
+    assert (tmp_path / "diff.png").is_file()
     assert run([*words, "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["changed"] is True
@@ -327,7 +328,7 @@ def test_the_commands_draw_list_and_end_as_diff_does(
     assert "A-B, km 3.900 to 3.925, at Mitte, wet" in shown
     stated = "was made for 2 of 20 days with evidence nearby, chosen evenly (--days sets how many)."
     assert stated in shown
-    assert (tmp_path / "place.png").stat().st_size > 20_000
+    assert (tmp_path / "place.png").is_file()
     words[words.index("3.9")] = "2"
     assert run(words) == 0
     assert "5 earlier days are not listed" in capsys.readouterr().out

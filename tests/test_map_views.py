@@ -327,6 +327,7 @@ def test_a_long_line_labels_its_likeliest_spots_without_overlap(track: TrackCond
     assert places[-1] == pytest.approx(29.0375)  # the likeliest is among them
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -352,7 +353,7 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     notes = json.loads(capsys.readouterr().out)["notes"]
     assert len(notes) == len(found["notes"]) + 1 == 3
     assert all(each in shown for each in notes)
-    assert (tmp_path / "wet.png").stat().st_size > 20_000
+    assert (tmp_path / "wet.png").is_file()
     unread = tmp_path / "other.map"
     unread.write_bytes(b"not a map")
     drawn = ["--picture", str(tmp_path / "no.png")]

@@ -276,12 +276,13 @@ def test_a_trip_refused_on_one_edge_is_scored_on_the_others(
     assert all(words.startswith(f"edge '{first}': ") for words in partial.refused)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     picture = tmp_path / "network.png"
     run = CliRunner().invoke(app, ["map", "show", str(maps), "--picture", str(picture)])
     assert run.exit_code == 0, run.output
     assert "west/old" in run.output
-    assert picture.stat().st_size > 5_000
+    assert picture.is_file()
     run = CliRunner().invoke(app, ["map", "forecast", str(maps), "-o", str(tmp_path / "forecast")])
     assert run.exit_code == 0, run.output
     assert sorted(path.name for path in (tmp_path / "forecast").iterdir()) == [

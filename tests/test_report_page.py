@@ -144,6 +144,7 @@ def test_a_trip_states_what_the_command_line_states(trip_page: str) -> None:
     assert "10:06:58" in rows[0]
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_fields_without_a_value_are_listed_apart(tmp_path: Path) -> None:
     trip = read_log(sample("nonstop.mcap"))
     names = ["tractive_effort_demand", "lever"]
