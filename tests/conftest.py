@@ -172,6 +172,27 @@ def remembered(of_all_workers: Path) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def analysed_once() -> Iterator[None]:
+    """What a log shows of adhesion is made once, however often a test gives it to a map.
+
+    It does not depend on the map that it is added to, where all are of one line.
+    """
+    from analysis.adhesion import evidence
+
+    made, kept = evidence.evidence_of_log, dict[tuple[object, ...], object]()
+
+    def known(path: Path, track: object, *given: object, sha256: str = "") -> object:
+        key = (sha256 or path, path.name, *given)
+        if key not in kept:
+            kept[key] = made(path, track, *given, sha256=sha256)
+        return kept[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evidence, "evidence_of_log", known)
+        yield
+
+
 @pytest.fixture
 def shell(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -368,6 +368,7 @@ def test_the_map_is_that_of_the_logs(
     assert maps_in(tmp_path) == {name: undisturbed[name]}
 
 
+@pytest.mark.usefixtures("analysed_once")
 @pytest.mark.parametrize("kept", [maps.KEPT, 1])
 def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
     place: Path,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +16,6 @@ from hypothesis import given, settings, strategies as st
 from map_bytes import map_from_bytes
 from refusals import refused
 
-from analysis.adhesion import evidence
 from analysis.adhesion.condition_map import adhesion_map, empty_map, merge, update
 from analysis.estimates import estimate_log
 from analysis.geometry.centre_line import geometry_of
@@ -47,7 +46,7 @@ from trainlog.railway import TrackConditionMap
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
-pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "analysed_once")
 
 AALTO = Path(__file__).parents[2] / "shared" / "data" / "aalto"
 LOG = sample("nonstop.mcap")
@@ -122,25 +121,6 @@ def test_a_rounded_copy_is_another_drive_as_the_help_states(digits: int) -> None
 @pytest.fixture(scope="module")
 def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {make.__name__: make(tmp_path_factory.mktemp(make.__name__)) for make in VERSIONS}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def analysed_once() -> Iterator[None]:
-    """A log is analysed once, however often a test gives it: no test changes one.
-
-    What it shows does not depend on the map that it is added to: all are of one line.
-    """
-    made, kept = evidence.evidence_of_log, dict[tuple[object, ...], object]()
-
-    def known(path: Path, track: object, *given: object, sha256: str = "") -> object:
-        key = (path, *given, sha256)
-        if key not in kept:
-            kept[key] = made(path, track, *given, sha256=sha256)
-        return kept[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evidence, "evidence_of_log", known)
-        yield
 
 
 @pytest.fixture(scope="module")
