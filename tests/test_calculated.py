@@ -159,7 +159,7 @@ def test_a_coefficient_that_is_four_times_too_large_is_named(name: str) -> None:
     assert found.explained["running resistance"] > 0.9
 
 
-@pytest.mark.parametrize("factor", [0.9, 1.1])
+@pytest.mark.parametrize("factor", [0.9, pytest.param(1.1, marks=pytest.mark.long)])
 def test_a_mass_that_is_ten_per_cent_off_is_named_with_the_efforts(
     factor: float,
 ) -> None:

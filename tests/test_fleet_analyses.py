@@ -68,7 +68,7 @@ def test_each_table_has_the_columns_that_are_declared_and_documented() -> None:
             assert row in part[1], row
 
 
-@pytest.mark.parametrize("log", LOGS)
+@pytest.mark.parametrize("log", [pytest.param(LOGS[0], marks=pytest.mark.long), LOGS[1]])
 def test_the_summary_is_that_of_the_fit(log: str) -> None:
     row, fit = one("resistance", log).iloc[0], fit_trip(log)
     assert [row["r0"], row["r1"], row["r2"], row["mass"]] == [*fit.beta.tolist(), fit.mass]
@@ -85,7 +85,7 @@ def test_a_trip_that_is_refused_has_a_row_with_the_reason() -> None:
     assert np.isnan(row["mass"])
 
 
-@pytest.mark.parametrize("log", LOGS)
+@pytest.mark.parametrize("log", [pytest.param(LOGS[0], marks=pytest.mark.long), LOGS[1]])
 def test_the_evidence_is_that_of_the_map(log: str) -> None:
     row = one("adhesion", log).iloc[0]
     track = empty_map(own_line(trainlog.read(log, [])))

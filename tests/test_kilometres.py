@@ -155,7 +155,9 @@ def test_a_report_names_a_place_by_the_same_kilometre(
         assert label == pytest.approx(expected(1e3 * place), abs=1e-6)
 
 
-@pytest.mark.parametrize("counted", ["falling", "jump"], indirect=True)
+@pytest.mark.parametrize(
+    "counted", ["falling", pytest.param("jump", marks=pytest.mark.long)], indirect=True
+)
 def test_pictures_are_labelled_with_the_same_kilometres(
     counted: Counted,
     figures: list[Figure],

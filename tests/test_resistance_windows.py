@@ -278,7 +278,12 @@ def test_outliers_are_left_out() -> None:
 
 @pytest.mark.parametrize(
     ("first", "last", "force"),
-    [(300.0, 420.0, 0.02), (700.0, 1_200.0, -0.02), (0.0, 500.0, 0.02), (0.0, 500.0, -0.02)],
+    [
+        (300.0, 420.0, 0.02),
+        (0.0, 500.0, -0.02),
+        pytest.param(700.0, 1_200.0, -0.02, marks=pytest.mark.long),
+        pytest.param(0.0, 500.0, 0.02, marks=pytest.mark.long),
+    ],
 )
 def test_a_stretch_with_a_force_of_its_own_is_found(
     first: float, last: float, force: float
@@ -421,9 +426,9 @@ def test_a_line_run_up_and_down_all_day_keeps_the_filter_small() -> None:
     ("first", "last", "seed", "unlike"),
     [
         (0.0, 200.0, 4, (0.0, 200.0)),
-        (0.0, 500.0, 5, (0.0, 500.0)),
+        pytest.param(0.0, 500.0, 5, (0.0, 500.0), marks=pytest.mark.long),
         (0.0, 800.0, 4, (800.0, 1_200.0)),
-        (1_000.0, 1_200.0, 4, (1_000.0, 1_200.0)),
+        pytest.param(1_000.0, 1_200.0, 4, (1_000.0, 1_200.0), marks=pytest.mark.long),
         (350.0, 1_200.0, 4, (0.0, 350.0)),
     ],
 )

@@ -266,7 +266,7 @@ def test_frames_hold_what_a_developer_computes_with(results) -> None:  # type: i
     assert found["Calculation"]["work_J"].sum() > 0.0
 
 
-@pytest.mark.parametrize("width", [60, 110])
+@pytest.mark.parametrize("width", [60, pytest.param(110, marks=pytest.mark.long)])
 def test_no_table_of_a_result_is_wider_than_the_page(results, width: int) -> None:  # type: ignore[no-untyped-def]
     for kind, result in results.items():
         console = Console(width=width, file=io.StringIO())

@@ -162,7 +162,7 @@ def test_a_folder_lists_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "recording (ublox)" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("share", [0.0, 0.4, 0.95])
+@pytest.mark.parametrize("share", [0.0, pytest.param(0.4, marks=pytest.mark.long), 0.95])
 def test_a_damaged_log_is_shown_and_ends_with_1(share: float, tmp_path: Path, shell: Shell) -> None:
     """By itself, as data, in a folder, and beside what is whole: as `check` ends."""
     whole = sample("nonstop.mcap")

@@ -43,7 +43,9 @@ def fleet(network: Network) -> Fleet:
     return draw_fleet(network, trains=6, days=4, trips=24, seed=5)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(each, marks=pytest.mark.long) for each in (2, 3, 4))]
+)
 def test_altitude_and_place_of_a_node_are_the_same_by_every_line(seed: int) -> None:
     drawn = draw_network(seed)
     assert len(drawn.edges) == 10
@@ -375,7 +377,10 @@ OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd" / "infras"
 
 
 @pytest.mark.skipif(not OSRD.is_dir(), reason="needs ../shared/data/osrd")
-@pytest.mark.parametrize("name", ["tiny_infra", "overlapping_routes", "small_infra"])
+@pytest.mark.parametrize(
+    "name",
+    ["tiny_infra", "overlapping_routes", pytest.param("small_infra", marks=pytest.mark.long)],
+)
 def test_a_fleet_runs_on_imported_networks(name: str) -> None:
     """Edges without stations, stations of several tracks, ways in one direction alone."""
     found = networks_in(OSRD / f"{name}.json")

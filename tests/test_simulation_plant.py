@@ -104,7 +104,7 @@ def test_momentum_is_conserved_without_outer_forces() -> None:
     assert momentum() == pytest.approx(before, rel=1e-13)
 
 
-@pytest.mark.parametrize("effort", [20e3, 40e3])
+@pytest.mark.parametrize("effort", [20e3, pytest.param(40e3, marks=pytest.mark.long)])
 def test_constant_effort_reaches_equilibrium_speed(effort: float) -> None:
     train = flirt(max_traction_power=50e6)
     plant = Plant.of(level_line(), train)

@@ -179,8 +179,17 @@ def test_after_a_delay_the_published_controller_breaks_comfort(plan: Reference) 
     assert worst(plan, driven(plan, PublishedController(plan), NOMINAL_MASS, 30.0))[0] > 0.1
 
 
-@pytest.mark.parametrize("mass", [LIGHT, HEAVY])
-@pytest.mark.parametrize("delay", [0.0, 30.0, 70.0])
+@pytest.mark.parametrize(
+    ("delay", "mass"),
+    [
+        (0.0, HEAVY),
+        (70.0, LIGHT),
+        *(
+            pytest.param(*each, marks=pytest.mark.long)
+            for each in ((0.0, LIGHT), (30.0, LIGHT), (30.0, HEAVY), (70.0, HEAVY))
+        ),
+    ],
+)
 def test_the_products_controller_keeps_every_constraint_on_time_and_late(
     plan: Reference, mass: float, delay: float
 ) -> None:

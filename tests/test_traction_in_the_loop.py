@@ -107,7 +107,9 @@ def test_on_a_dry_rail_all_controls_give_what_is_demanded() -> None:
     assert driven("cooperative", 0.33, layer="wet").gained > 0.88 * own
 
 
-@pytest.mark.parametrize("maximum", [0.10, 0.14, 0.18])
+@pytest.mark.parametrize(
+    "maximum", [0.10, *(pytest.param(each, marks=pytest.mark.long) for each in (0.14, 0.18))]
+)
 def test_on_a_slippery_rail_the_cooperative_control_pulls_as_much_as_the_rail_gives(
     maximum: float,
 ) -> None:
@@ -144,7 +146,7 @@ def test_any_number_of_axles_is_driven(count: int) -> None:
 
 
 @pytest.mark.parametrize("control", ["cooperative", "readhesion"])
-@pytest.mark.parametrize("condition", ["dry", "wet"])
+@pytest.mark.parametrize("condition", [pytest.param("dry", marks=pytest.mark.long), "wet"])
 def test_wheels_come_back_on_a_characteristic_that_no_control_knows(
     control: str, condition: str
 ) -> None:
@@ -216,7 +218,7 @@ def test_less_than_the_rail_gives_is_shared_evenly(
     assert np.all(np.abs(np.diff(settled, axis=0)) < 0.05 * settled[1:])
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("direction", [pytest.param(1.0, marks=pytest.mark.long), -1.0])
 def test_axles_on_a_better_rail_give_what_the_others_cannot(direction: float) -> None:
     weight = TRAIN.adhesive_weight(MASS - TRAIN.mass) / 4
     rails = np.array([0.08, 0.24, 0.24, 0.08])
