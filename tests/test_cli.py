@@ -8,7 +8,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -105,31 +104,31 @@ def test_bad_files_are_refused_in_one_line(
 
 
 @pytest.fixture(scope="module")
-def given(made_once: Callable[..., Path]) -> Path:
+def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files of a user, of which none may change and beside which nothing may be written."""
-
-    def make(folder: Path) -> None:
-        for name in ("nonstop.mcap", "stopping.mcap", "gnss.csv", "CH_StGallen_Wil.map"):
-            shutil.copy(sample(name), folder)
-        shutil.copy(folder / "gnss.csv", folder / "recorded.mcap")
-        for name in ("copy", "none"):
-            (folder / name).mkdir()
-        shutil.copy(folder / "stopping.mcap", folder / "copy")
-        workbook = b"PK\x03\x04....[Content_Types].xml" + bytes(200)
-        (folder / "new.xlsx").write_bytes(workbook)
-        (folder / "old.xlsx").write_bytes(b"\xd0\xcf\x11\xe0" + bytes(200))
-        train = sample(DEFAULT_TRAIN).read_text("utf-8").replace("CH_Stadler_FLIRT_TPF", "OTHER")
-        (folder / "other.train.json").write_text(train, "utf-8")
-        (folder / "file").write_text("x")
-        (folder / "a.line.json").write_text('{"format": "trainlog/line"}', "utf-8")
-        (folder / "mine.line.toml").write_text("edited", "utf-8")
-        write_parameters(analysis.fit([sample("stopping.mcap")]).parameters, folder / "set.json")
-
-    return made_once("given-to-commands", make)
+    folder = tmp_path_factory.mktemp("given")
+    for name in ("nonstop.mcap", "stopping.mcap", "gnss.csv", "CH_StGallen_Wil.map"):
+        shutil.copy(sample(name), folder)
+    shutil.copy(folder / "gnss.csv", folder / "recorded.mcap")
+    for name in ("copy", "none"):
+        (folder / name).mkdir()
+    shutil.copy(folder / "stopping.mcap", folder / "copy")
+    workbook = b"PK\x03\x04....[Content_Types].xml" + bytes(200)
+    (folder / "new.xlsx").write_bytes(workbook)
+    (folder / "old.xlsx").write_bytes(b"\xd0\xcf\x11\xe0" + bytes(200))
+    train = sample(DEFAULT_TRAIN).read_text("utf-8").replace("CH_Stadler_FLIRT_TPF", "OTHER")
+    (folder / "other.train.json").write_text(train, "utf-8")
+    (folder / "file").write_text("x")
+    (folder / "a.line.json").write_text('{"format": "trainlog/line"}', "utf-8")
+    (folder / "mine.line.toml").write_text("edited", "utf-8")
+    write_parameters(analysis.fit([sample("stopping.mcap")]).parameters, folder / "set.json")
+    return folder
 
 
-def state_of(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+def state_of(folder: Path) -> dict[Path, tuple[int, int]]:
+    """Size and time of each file."""
+    states = ((path, path.stat()) for path in folder.rglob("*") if path.is_file())
+    return {path: (each.st_size, each.st_mtime_ns) for path, each in states}
 
 
 SHORT = {
