@@ -195,6 +195,7 @@ REFUSED = {
     "PLAN --set sigmas=1": "leave out --set sigmas or give a map",
     "PLAN --set assumed-adhesion=0.1": "leave out --set assumed-adhesion or give a map",
     "PLAN --set dwell=30": "leave out --set dwell or give them",
+    "PLAN --stops St.Gallen,Wil --set referee=yes": "leave out --set referee",
     "PLAN --running-time 1200 --reserve 5": "leave out --reserve",
     "PLAN --reserve nan": "--reserve 'nan' is not a valid share; write it as 7 or 7%",
     "PLAN --reserve -5%": "--reserve '-5%' must be at least 0 %; write it as 7 or 7%",

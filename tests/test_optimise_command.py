@@ -304,6 +304,20 @@ def test_a_table_has_the_whole_run_by_kilometre(
     assert standing["time [s]"].diff().iloc[2] == pytest.approx(30.0, abs=0.02)
 
 
+def test_what_ipopt_finds_on_the_same_cells_is_stated(
+    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """IPOPT knows nothing of the search: it lies above the bound and near the plan."""
+    found = asked(observed, tmp_path, "--km", ":4", "--set", "referee=yes").certificate
+    stated = found["referee"]
+    assert stated["solved"]
+    assert abs(stated["excess"]) < 1e-4
+    assert stated["energy"] >= found["lower_bound"]
+    assert stated["energy"] == pytest.approx(found["energy"], rel=1e-4)
+    assert "IPOPT on the same cells" in capsys.readouterr().out
+    assert "referee" not in asked(observed, tmp_path, "--km", ":4").certificate
+
+
 def test_reserves_are_compared(tmp_path: Path) -> None:
     words = (*SAMPLES, "--set", "cells=40", "--km", ":4", "--reserve", "7%,3%")
     assert cli.run(["plan", *words, "-o", str(tmp_path / "b.json")]) == 0

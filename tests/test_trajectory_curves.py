@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
-from trajectory_referee import refereed
 
 from analysis.trajectory.audit import audit
 from analysis.trajectory.certificate import GAP_TOLERANCE
@@ -16,6 +15,7 @@ from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.referee import refereed
 from analysis.trajectory.rollout import paced_run
 from trainlog.arrays import FloatArray
 from trainlog.railway import Configuration, EffortCurve, Train, Trajectory

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from refusals import refused
 from trajectory_cases import FLIRT, KMH, drawn, hilly_line, observed, optimised, optimised_journey
-from trajectory_referee import refereed
 
 from analysis.trajectory.journey import JourneyPlan, sections_of
 from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.referee import refereed
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.ttobench import read_journey, read_track
 from trainlog.railway import Journey, TimingPoint, Trajectory

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
-from trajectory_referee import refereed
 
 from analysis.charts import draw
 from analysis.trajectory.discretisation import graded_mesh
@@ -19,6 +18,7 @@ from analysis.trajectory.instructions import (
 )
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.referee import refereed
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 

@@ -190,6 +190,7 @@ def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTabl
         "configurations": deciding,
         trajectory.energy_label: f"{kwh(certificate['energy'])}, at least {bound}",
         "optimality gap": _gap(trajectory),
+        **_referee(trajectory),
         "latest arrival": lateness(audit["lateness"]),
         "speed over the limit": f"{overspeed(audit['overspeed'])}, {trajectory.limits_kept}",
         "power": f"{audit['power']:.1%} of the limit at most",
@@ -240,6 +241,7 @@ def certified(trajectory: Trajectory) -> dict[str, Any]:
         "lower_bound_J": certificate["lower_bound"],
         "gap": certificate["gap"],
         "certified": certificate["certified"],
+        "referee_energy_J": certificate.get("referee", {}).get("energy"),
         "lateness_s": audit["lateness"],
         "overspeed_m_s": audit["overspeed"],
         "protected_length_m": trajectory.protected_length,
@@ -255,6 +257,18 @@ def _gap(trajectory: Trajectory) -> str:
     cells = counted(certificate["grid"]["cells"], "cell")
     words = f"{at_most(certificate['gap'])} on {cells}"
     return words if certificate["certified"] else f"{words}; not certified"
+
+
+def _referee(trajectory: Trajectory) -> dict[str, str]:
+    """What IPOPT found on the same cells, where it was asked."""
+    found = trajectory.certificate.get("referee")
+    if found is None:
+        return {}
+    words = f"no optimum ({found['status']})"
+    if found["solved"]:
+        way = "more" if found["excess"] >= 0.0 else "less"
+        words = f"{kwh(found['energy'])}; the plan takes {abs(100.0 * found['excess']):.4f} % {way}"
+    return {"IPOPT on the same cells": words}
 
 
 def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:

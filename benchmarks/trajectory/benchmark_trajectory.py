@@ -12,21 +12,16 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import sys
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-
-from trajectory_referee import IpoptResult, refereed
-
 from analysis.studies.cunillera_2022.model import TRAIN as VIRM6
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.referee import IpoptResult, refereed
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 from trainlog.railway import (

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import analysis
 import trainlog
@@ -82,6 +82,7 @@ SETTINGS: Choices = {
         TIME.between(0.1),
         "longest search, per section with --stops; then the best plan so far counts, with its gap",
     ),
+    "referee": (("no", "yes"), "solve the plan's cells again by IPOPT, and state its energy; no"),
 }
 """What ``--set KEY=VALUE`` sets of a plan: how its value is read, and what it is."""
 
@@ -159,6 +160,7 @@ def plan(
     }
     if stops is not None:
         refuse_rivals("--stops gives places and speeds itself", ends)
+        refuse_rivals("IPOPT solves one section", {"--set referee": chosen.get("referee")})
     else:
         refuse_rivals("there are no --stops", {"--set dwell": chosen.get("dwell")}, "or give them")
     if running_time is not None:
@@ -188,6 +190,7 @@ def plan(
             f"--set protect=train: the length of {the_train.name} is not known",
             remedy="state its length in the train's file",
         )
+    refereed = chosen.pop("referee", "no") == "yes"
     time_given = None
     if running_time is not None and of_logs:
         from analysis.comparison.groups import fastest_nonstop
@@ -239,7 +242,13 @@ def plan(
         **{name: value for name, value in given.items() if value is not None},
     )
     with nullcontext() if output.suffix else output_folder(output):
-        planned = PlannedRun(problem, solve(problem, options=options))
+        found = solve(problem, options=options)
+        if refereed:
+            from analysis.trajectory.referee import with_referee
+
+            with task("solving by IPOPT"):
+                found = with_referee(problem, cast("Trajectory", found))
+        planned = PlannedRun(problem, found)
         show(planned)
         if output.suffix == ".csv":
             write_profile(planned.advice, problem.line, output)

@@ -1,12 +1,12 @@
 """A second result: the same transcription as one nonlinear program, solved by CasADi and IPOPT.
 
 It shares cells, Runge-Kutta sub-steps and limits with the optimiser, but neither its linearisation
-nor its solver.
+nor its solver. ``trainlog plan --set referee=yes`` states what it finds beside the certificate.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -29,6 +29,9 @@ from trainlog.railway.motion import SUBSTEPS
 
 _ROUNDED = 1e-6
 """Added to ``v²`` under the root, so that its slope is finite at standstill [m²/s²]."""
+
+LONGEST = 60.0
+"""Processor time after which IPOPT is stopped [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,35 @@ def refereed(run: TrajectoryProblem, found: Trajectory) -> tuple[IpoptResult, fl
     start = paced_run(problem, found.running_time)
     result = solve_with_ipopt(problem, start, found.running_time)
     return result, found.certificate["energy"] / (result.energy * problem.reference) - 1.0
+
+
+def with_referee(run: TrajectoryProblem, found: Trajectory) -> Trajectory:
+    """The trajectory with what IPOPT makes of its cells in the certificate, under ``referee``.
+
+    ``energy`` [J] is IPOPT's worst case, ``excess`` what the trajectory takes more, relative;
+    ``status`` and ``iterations`` are those of IPOPT, and ``solved`` whether it found an optimum.
+
+    Examples
+    --------
+    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
+    >>> from trainlog.formats.railway import read_line, read_train
+    >>> from trainlog.railway import Configuration
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> problem = TrajectoryProblem(line, train, [Configuration.of(train)], end=2_500.0)
+    >>> judged = with_referee(problem, optimise(problem, OptimiserOptions(cells=60)))
+    >>> abs(judged.certificate["referee"]["excess"]) < 1e-4
+    True
+    """
+    result, excess = refereed(run, found)
+    stated = {
+        "energy": found.certificate["energy"] / (1.0 + excess),
+        "excess": excess,
+        "solved": result.solved,
+        "status": result.status,
+        "iterations": result.iterations,
+    }
+    return replace(found, certificate={**found.certificate, "referee": stated})
 
 
 def solve_with_ipopt(problem: DiscreteProblem, start: Plan, running_time: float) -> IpoptResult:
@@ -233,6 +265,7 @@ def _solved(
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.max_iter": 300,
+        "ipopt.max_cpu_time": LONGEST,
     }
     solver = ca.nlpsol("referee", "ipopt", program, settings)
     found = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
