@@ -306,6 +306,7 @@ ENTITY = '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><JourneyProfile/
         ({"a": A.replace("12.5", "steep")}, "gradientValue 'steep' is not a finite number"),
         ({"a": A[:200]}, "is no XML"),
         ({"jp": JOURNEY.replace("T06:33:00Z", "T26:33:00Z")}, "is no time"),
+        ({"jp": JOURNEY.replace(">2026-05-17<", ">17.5.<")}, "'17.5.' is not a date"),
         ({"jp": JOURNEY.replace("PT1M", "soon")}, "'soon' is no duration"),
         ({"jp": JOURNEY.replace('TP_ID="d"', 'TP_ID="x"')}, "refers to the timing point 'x'"),
         ({"jp": JOURNEY.replace('"C" SP_VersionMajor="2"', TWICE)}, "twice in the same direction"),
@@ -322,6 +323,20 @@ def test_malformed_documents_are_one_line(
     error = refused(InputError, said, read_sfera, folder_with(tmp_path, **changed))
     assert error.file is not None
     assert error.remedy
+
+
+def test_times_without_a_zone_are_taken_as_utc_and_counted(tmp_path: Path) -> None:
+    words = "times without a zone, taken as UTC"
+    (stated,) = read_sfera(folder_with(tmp_path))
+    assert not any(words in each for each in stated.assumed)
+    (found,) = read_sfera(folder_with(tmp_path, jp=JOURNEY.replace("06:33:00Z", "06:33:00")))
+    assert f"{words}: 1" in found.assumed
+    assert found.journey == stated.journey
+
+
+def test_the_day_of_a_journey_may_have_a_zone(tmp_path: Path) -> None:
+    zoned = JOURNEY.replace(">2026-05-17<", ">2026-05-17+02:00<")
+    assert read_sfera(folder_with(tmp_path, jp=zoned))[0].journey is not None
 
 
 def test_the_file_that_holds_the_fault_is_named(tmp_path: Path) -> None:

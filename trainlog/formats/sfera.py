@@ -67,6 +67,15 @@ _REPORT = re.compile(rb"<(SFERA_B2G|B2G)_")
 
 _NO_TIMES = "journey: it has times at fewer than two timing points"
 
+_TIMES = (
+    "TP_latestArrivalTime",
+    "departureTime",
+    "earliestDepartureTime",
+    "startTime",
+    "endTime",
+)
+"""Times of a journey that are used."""
+
 _SLACK = 1.0
 """A location may lie so far outside of its segment [m]: lengths are rounded."""
 
@@ -323,7 +332,7 @@ class Documents:
         """The journeys, each train's in its newest version."""
         found: dict[str, tuple[str, Element]] = {}
         for file, each in self.journeys:
-            name = _train_number(each)
+            name = built(partial(_train_number, each), file)
             before = found.get(name, (file, each))[1]
             if each.number("JP_Version", 0.0) >= before.number("JP_Version", 0.0):
                 found[name] = file, each
@@ -423,6 +432,9 @@ def _journey(
     account = Account()
     _check_status(element, "JP_Status")
     name = _train_number(element)
+    account.assumed["times without a zone, taken as UTC"] += sum(
+        _without_zone(each.text(time)) for each in element.every() for time in _TIMES
+    )
     references = list(element.all("SegmentProfileReference"))
     if not references:
         raise element.error("names no segment", "add a SegmentProfileReference")
@@ -490,13 +502,28 @@ def _train_number(element: Element) -> str:
     own = element.first("TrainIdentification", "OTN_ID")
     if own is not None:
         parts = ("teltsi_Company", "teltsi_OperationalTrainNumber", "teltsi_StartDate")
+        _check_date(own)
         return " ".join(_text(own, each) for each in parts)
     own = element.first("TrainIdentification", "TAF_TAP_ID")
     core = ("teltsi_Company", "teltsi_Core", "teltsi_Variant", "teltsi_StartDate")
+    if own is not None:
+        _check_date(own)
     found = " ".join(_text(own, each) for each in core) if own is not None else ""
     if not found.strip():
         raise element.error("does not identify its train", "add TrainIdentification with OTN_ID")
     return found
+
+
+def _check_date(train: Element) -> None:
+    """Refuse a train whose day is none; XML's dates may have a zone behind."""
+    stated = _text(train, "teltsi_StartDate")
+    try:
+        datetime.date.fromisoformat(re.sub(r"(Z|[+-]\d\d:\d\d)$", "", stated))
+    except ValueError:
+        if stated:
+            raise train.error(
+                f"teltsi_StartDate '{stated}' is not a date", "write it as 2026-05-17"
+            ) from None
 
 
 def _reverse(reference: Element) -> bool:
@@ -525,6 +552,10 @@ def _time(element: Element, name: str) -> datetime.datetime | None:
             f"{name} '{text}' is no time", "write it as 2026-05-17T06:30:00Z"
         ) from None
     return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)
+
+
+def _without_zone(text: str) -> bool:
+    return "T" in text and re.search(r"(Z|[+-]\d\d:?\d\d)$", text) is None
 
 
 _DURATION = re.compile(r"PT(?:(\d+)H)?(?:(\d+)M)?(?:(\d+(?:\.\d+)?)S)?")
