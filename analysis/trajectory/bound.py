@@ -20,14 +20,20 @@ equation along the plan, but where it stands at the level of a partial control.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from analysis.trajectory.convex import Multipliers
-from analysis.trajectory.discretisation import Curves, DiscreteProblem, Plan, effort_limits
-from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.discretisation import (
+    Curves,
+    DiscreteProblem,
+    Plan,
+    Taper,
+    effort_limits,
+)
+from analysis.trajectory.envelope import Envelope, Floor
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import BoolArray, FloatArray
 
@@ -179,6 +185,7 @@ class Hamiltonian:
         fastest: Envelope,
         run: TrajectoryProblem,
         segments: Segments,
+        floor: Floor | None = None,
     ) -> None:
         self.problem, self.plan, self.prices, self.segments = problem, plan, prices, segments
         self.fastest = fastest
@@ -198,10 +205,12 @@ class Hamiltonian:
         self.braking, self.friction, self.dynamic = brakes
         self.highest = np.minimum(run.permitted_speed(s), reached(fastest, s))
         self.highest = np.maximum(self.highest, LEAST_SPEED)
+        lowest = 0.0 if floor is None else floor.at(s)
+        self.lowest = np.minimum(np.maximum(lowest, LEAST_SPEED), self.highest)
         part, step, fall = segments.place, problem.step[:, None], problem.taper.fall[:, None]
         z = plan.z[:, :-1, None] + np.diff(plan.z, axis=1)[:, :, None] * part
         z = z + self.gain * fall * step * part * (1.0 - part)
-        self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), LEAST_SPEED, self.highest)
+        self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), self.lowest, self.highest)
         self.pulled = plan.traction[:, None] + fall * (1.0 - 2.0 * part)
 
     def slopes(self, costate: FloatArray) -> FloatArray:
@@ -239,7 +248,7 @@ class Hamiltonian:
     def _edges(self, shape: tuple[int, ...]) -> FloatArray:
         """Speeds between which each limit is one of effort, power, or a line of a curve."""
         problem = self.problem
-        least = np.full(shape, LEAST_SPEED)
+        least = self.lowest
         found = [least, self.power / np.maximum(self.traction, 1e-12)]
         if problem.run.at_line or np.any(problem.friction < problem.braking):
             found.append(problem.dynamic_power / np.maximum(self.dynamic, 1e-12))
@@ -580,6 +589,7 @@ def continuous_bound(
     fastest: Envelope,
     running_time: float,
     run: TrajectoryProblem,
+    floor: Floor | None = None,
 ) -> ContinuousBound:
     """Lower bound of the energy of all trajectories, on these cells or any others.
 
@@ -595,13 +605,103 @@ def continuous_bound(
     running_time : float [s]
     run : TrajectoryProblem
         With all configurations, whose traction is one; the problem may be of some of them.
+    floor : Floor, optional
+        Of the same configurations; no trajectory in time is slower anywhere.
     """
+    found, falls = _bound(problem, plan, multipliers, fastest, running_time, run, floor)
+    positions = np.union1d(problem.positions, falls)
+    if positions.size == problem.positions.size:
+        return found
+    split = _split(problem, plan, multipliers, positions)
+    other, _ = _bound(*split, fastest, running_time, run, floor)
+    first = np.searchsorted(positions, problem.positions[:-1])
+    return max(
+        found,
+        replace(other, excess=np.add.reduceat(other.excess, first)),
+        key=lambda each: each.value,
+    )
+
+
+def _bound(
+    problem: DiscreteProblem,
+    plan: Plan,
+    multipliers: Multipliers,
+    fastest: Envelope,
+    running_time: float,
+    run: TrajectoryProblem,
+    floor: Floor | None,
+) -> tuple[ContinuousBound, FloatArray]:
+    """The bound by a costate on these cells; and where cells split would make it closer."""
     prices = Prices.of(problem, multipliers.convex())
     segments, times = Segments.of(problem, _POINTS), prices.of_times(problem, running_time)
-    hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments)
+    hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
     costate = costate_of(hamiltonian, multipliers)
     values, slopes = costate.along(hamiltonian)
     least, spent = hamiltonian.least(values, slopes), hamiltonian.of_plan(values, slopes)
     total = float((least * segments.weights).sum()) + costate.at_nodes - times
     excess = ((spent - least) * segments.weights).sum(axis=1)
-    return ContinuousBound(total, np.maximum(excess, 0.0))
+    return ContinuousBound(total, np.maximum(excess, 0.0)), _falls(hamiltonian, multipliers)
+
+
+def _falls(hamiltonian: Hamiltonian, multipliers: Multipliers) -> FloatArray:
+    """Where the costate of a train at its limit has to fall from one level to a lower one [m].
+
+    It may fall as fast there as the adjoint equation has it, so within a short way, on which the
+    controls are not those that it asks for; on either side of the node between the two cells.
+    """
+    problem, step = hamiltonian.problem, hamiltonian.problem.step
+    mean = multipliers.pull / (step * problem.gain[:, None])
+    shape = hamiltonian.slopes(np.broadcast_to(mean[:, :, None], hamiltonian.speed.shape))
+    rate = np.maximum(-shape.mean(axis=2), 0.0)
+    limited = hamiltonian.plan.z >= node_limits(hamiltonian)[0] * (1.0 - _AT_LIMIT)
+    fall = np.where(limited[:, 1:-1], mean[:, :-1] - mean[:, 1:], 0.0)
+    node = problem.positions[1:-1]
+    found = []
+    for cells, side in ((slice(None, -1), -1.0), (slice(1, None), 1.0)):
+        way = fall / np.maximum(rate[:, cells], 1e-300)
+        row, at = np.nonzero((fall > _LEVEL) & (way < _HALF * step[cells]))
+        found.append(node[at] + side * way[row, at])
+    return np.concatenate(found)
+
+
+_HALF = 0.5
+"""Part of a cell beyond which a fall of the costate is not worth a cell of its own."""
+
+
+def _split(
+    problem: DiscreteProblem, plan: Plan, multipliers: Multipliers, positions: FloatArray
+) -> tuple[DiscreteProblem, Plan, Multipliers]:
+    """The same on more cells: controls, limits and costates as in the cells that are split."""
+    cell = np.searchsorted(problem.positions, 0.5 * (positions[1:] + positions[:-1])) - 1
+    step = np.diff(positions)
+    part = step / problem.step[cell]
+    middle = 0.5 * (positions[1:] + positions[:-1]) - problem.positions[cell]
+    fall = problem.taper.fall[cell]
+    by_cell = {
+        name: getattr(problem, name)[..., cell]
+        for name in ("drag2", "bulge", "traction", "braking", "friction", "dynamic")
+    }
+    floor = np.zeros(positions.size)
+    floor[np.searchsorted(positions, problem.positions)] = problem.floor
+    fine = replace(
+        problem,
+        positions=positions,
+        step=step,
+        drag0=problem.drag0[:, cell],
+        ceiling=np.interp(positions, problem.positions, problem.ceiling),
+        floor=floor,
+        passed=np.searchsorted(positions, problem.positions[problem.passed]),
+        taper=Taper(fall * part, problem.taper.crest[cell]),
+        **by_cell,
+    )
+    driven = Plan(
+        np.array([np.interp(positions, problem.positions, row) for row in plan.z]),
+        plan.traction[cell] + fall * (1.0 - 2.0 * middle / problem.step[cell]),
+        plan.braking[:, cell],
+        plan.dynamic[:, cell],
+    )
+    shared = {
+        name: getattr(multipliers, name)[:, cell] * part
+        for name in ("pull", "power", "dynamic_power")
+    }
+    return fine, driven, replace(multipliers, **shared)

@@ -20,7 +20,7 @@ from analysis.trajectory.convex import (
     time_limit,
 )
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
-from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.envelope import Envelope, Floor, floor_of
 from analysis.trajectory.instructions import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY
@@ -54,24 +54,32 @@ def best_bound(
     counted[rows] = False
     stand_in = problem.run.objective == "expected" and bool(counted.any())
 
-    def bound(multipliers: Multipliers) -> ContinuousBound:
+    def bound(
+        multipliers: Multipliers, plan: Plan = solution.plan, floor: Floor | None = None
+    ) -> ContinuousBound:
         if stand_in:
             every = _of_all(problem, rows, multipliers)
             return continuous_bound(problem, answer.plan, every, fastest, running_time, problem.run)
-        return continuous_bound(part, solution.plan, multipliers, own, running_time, problem.run)
+        return continuous_bound(part, plan, multipliers, own, running_time, problem.run, floor)
 
     found = bound(solution.multipliers)
     if gap_of(solution.energy, found.value) <= _CLOSE:
         return found
-    if relaxation_seconds(part) > seconds:
+    floor = floor_of(problem.run, fastest, rows, running_time)
+    found = bound(solution.multipliers, floor=floor)
+    if gap_of(solution.energy, found.value) <= _CLOSE or relaxation_seconds(part) > seconds:
         return found
     try:
         with time_limit(max(time_left(), _BOUND_TIME)):
-            relaxed = Relaxation(part, speeds).least_energy(running_time)
+            slowest = floor.at(problem.positions)
+            relaxed = Relaxation(part, speeds, slowest).least_energy(running_time)
     except (NoSolutionError, OutOfTimeError):
         return found
-    other = replace(bound(relaxed.multipliers), source=f"cone relaxation: {relaxed.status}")
-    return max(found, other, key=lambda each: each.value)
+    # The costate between the cells is that of a plan: of this one, or of the relaxed one.
+    others = [bound(relaxed.multipliers, plan, floor) for plan in (solution.plan, relaxed.plan)]
+    best = max(others, key=lambda each: each.value)
+    best = replace(best, excess=others[0].excess, source=f"cone relaxation: {relaxed.status}")
+    return max(found, best, key=lambda each: each.value)
 
 
 def _of_all(problem: DiscreteProblem, rows: list[int], multipliers: Multipliers) -> Multipliers:

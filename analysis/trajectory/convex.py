@@ -30,7 +30,7 @@ import piqp
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from analysis.trajectory.discretisation import SPARE, Curves, DiscreteProblem, Plan
+from analysis.trajectory.discretisation import SPARE, Bounds, Curves, DiscreteProblem, Plan
 from analysis.trajectory.rollout import dynamic_share
 from trainlog.arrays import FloatArray, IntArray
 
@@ -469,6 +469,9 @@ class Multipliers:
 _AROUND = (0.7, 0.85, 0.93, 1.0, 1.07, 1.15)
 """Times the speeds, at which the relaxation bounds a curve of effort."""
 
+_ALIKE = 0.1
+"""Width of the classes of speed in each of which a curve has one bound [m/s]."""
+
 _MEAN_SPEED = SPARE
 """By which a cell's mean speed may exceed the mean of its ends [m/s]; the brake absorbs it."""
 
@@ -515,9 +518,13 @@ class Relaxation:
     speeds : (q, n + 1) array [m/s]
         Of the fastest run of each configuration; they scale the variables, and bounds of curves of
         effort need not hold beyond.
+    slowest : (q, n + 1) array, optional [m/s]
+        Speeds below which no trajectory in time is.
     """
 
-    def __init__(self, problem: DiscreteProblem, speeds: FloatArray) -> None:
+    def __init__(
+        self, problem: DiscreteProblem, speeds: FloatArray, slowest: FloatArray | None = None
+    ) -> None:
         q, n = problem.shape
         self.problem = problem
         # Without curves nothing rests on it, and other speeds may be given.
@@ -531,6 +538,8 @@ class Relaxation:
         self.longest = int(self.unknowns.more((1,))[0])
         self.equal, self.below = Rows(), Rows()
         self.motion, self.pull = self._motion()
+        if slowest is not None:
+            self._keep_between(slowest, speeds * (1.0 + _REACH) + _REACH)
         # The resistance acts on the mean of a cell's end speeds, which the true mean slightly
         # exceeds; the brake gets that much more, so that no trajectory is excluded.
         spare = _MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
@@ -657,6 +666,24 @@ class Relaxation:
             unknowns.low[z[:, -1]] = unknowns.low[w[:, -1]] = unknowns.high[w[:, -1]] = 0.0
         return rows, pull
 
+    def _keep_between(self, slowest: FloatArray, fastest: FloatArray) -> None:
+        """No speed beyond these: so its square and the time per metre are below their chords."""
+        z, w, tau, scale = self.unknowns.z[:, 1:-1], self.w[:, 1:-1], self.tau, self.scale
+        low, high = slowest[:, 1:-1] / scale[:, 1:-1], fastest[:, 1:-1] / scale[:, 1:-1]
+        self.unknowns.low[z] = np.maximum(self.unknowns.low[z], low**2)
+        self.below.add(-low * high, (z, 1.0), (w, -low - high))
+        least = np.minimum(slowest[:, :-1], slowest[:, 1:])
+        most = np.maximum(fastest[:, :-1], fastest[:, 1:])
+        row, cell = np.nonzero(least > 0.0)
+        low, high = least[row, cell], most[row, cell]
+        half = 0.5 * low * high
+        self.below.add(
+            low + high,
+            (tau[row, cell], half * 4.0 / self.total[row, cell]),
+            (self.w[row, cell], 0.5 * scale[row, cell]),
+            (self.w[row, cell + 1], 0.5 * scale[row, cell + 1]),
+        )
+
     @property
     def _stops(self) -> bool:
         """At standstill the cone has no inside; such a node has speed 0 instead."""
@@ -710,7 +737,10 @@ class Relaxation:
         reach = np.maximum(self.fastest[row, :-1], self.fastest[row, 1:])
         for factor in _AROUND:
             at = np.maximum(np.minimum(factor * speeds, reach), SLOW)
-            bound = curves.bounds(row, at, reach)
+            # Cells of nearly the same speed share a bound.
+            near = np.column_stack((np.round(at / _ALIKE), np.ceil(reach / _ALIKE)))
+            few, own = np.unique(np.maximum(near, 1.0), axis=0, return_inverse=True)
+            bound = Bounds(*(each[own] for each in curves.bounds(row, *(_ALIKE * few).T)))
             half = -0.5 * bound.slope
             rows = self.below.add(
                 bound.offset,

@@ -16,7 +16,7 @@ from numba import njit
 
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InfeasibleError
 from trainlog.railway.line import km_words
 from trainlog.railway.motion import (
@@ -137,6 +137,77 @@ def fastest_run(run: TrajectoryProblem, cruising: float = np.inf) -> Envelope:
     elapsed = np.column_stack((np.zeros(z.shape[0]), np.cumsum(seconds, axis=1)))
     pulling = z[:, 1:] < curve[:, 1:]
     return Envelope(problem.positions, np.sqrt(2.0 * z), elapsed, pulling)
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """Speeds below which no trajectory in time is, for each configuration.
+
+    Attributes
+    ----------
+    positions : (m,) array [m]
+    z : (q, m) array [m²/s²]
+        The least there.
+    slopes : (q, m - 1) array [m/s²]
+        By which ``z`` rises at most towards the next position.
+    """
+
+    positions: FloatArray
+    z: FloatArray
+    slopes: FloatArray
+
+    def at(self, positions: FloatArray) -> FloatArray:
+        """Speeds at other positions, (q, ...) [m/s]: what is lower cannot reach the next one."""
+        place = positions.ravel()
+        right = np.clip(np.searchsorted(self.positions, place), 1, self.positions.size - 1)
+        z = self.z[:, right]
+        lower = z - self.slopes[:, right - 1] * (self.positions[right] - place)
+        # The slopes hold down to half the speed.
+        found = np.sqrt(2.0 * np.where(lower >= 0.25 * z, np.maximum(lower, 0.0), 0.0))
+        return np.asarray(found.reshape(-1, *positions.shape))
+
+
+_FLOORS = 600
+"""Places at which the least speeds are found, even in time."""
+
+_IN_HAND, _INEXACT = (1.01, 0.05), 2e-4
+"""Times what a run has in hand and seconds more, and part of the time, that it may lose."""
+
+
+def floor_of(
+    run: TrajectoryProblem, fastest: Envelope, rows: Sequence[int], running_time: float
+) -> Floor:
+    """The least speeds of some of the configurations that still keep the running time.
+
+    Whoever passes a place at a speed was no faster before than by full braking to it, and is no
+    faster behind than by full traction from it. What that costs beyond the fastest run is no more
+    than what is in hand.
+
+    Parameters
+    ----------
+    run : TrajectoryProblem
+    fastest : Envelope
+        Of all its configurations.
+    rows : sequence of int
+        Which of them.
+    running_time : float [s]
+    """
+    problem = discretise(run, fastest.positions).select(rows)
+    traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
+    if problem.curves is not None:
+        traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
+    speeds, elapsed = fastest.speeds[list(rows)], fastest.elapsed[list(rows)]
+    in_hand = _IN_HAND[0] * np.maximum(running_time - elapsed[:, -1], 0.0) + _IN_HAND[1]
+    in_hand += _INEXACT * running_time
+    seconds = elapsed[int(np.argmax(elapsed[:, -1]))]
+    even = np.linspace(0.0, seconds[-1], _FLOORS)
+    nodes = np.unique(np.append(np.searchsorted(seconds, even), seconds.size - 1))
+    z = slowest_within(0.5 * speeds**2, nodes, in_hand, traction, _brakes_of(problem), motion)
+    half = 0.5 * np.sqrt(2.0 * np.maximum(z[:, 1:], 1e-9))
+    pull = np.maximum.reduceat(problem.traction, nodes[:-1])
+    down = np.maximum.reduceat(np.maximum(-problem.drag0.min(axis=2), 0.0), nodes[:-1], axis=1)
+    most = np.minimum(pull, problem.power[:, None] / half)
+    return Floor(fastest.positions[nodes], z, problem.gain[:, None] * most + down)
 
 
 def paced_envelope(run: TrajectoryProblem, running_time: float) -> Envelope | None:
@@ -406,3 +477,73 @@ def fastest_below(
                 spent += 2.0 * part / (v + speed_of(min(ahead[j + 1], behind[j + 1])))
             times[a, k] = spent
     return curve, z, times
+
+
+_TRIALS = 7
+"""Speeds that are tried at a place, each in the middle of what is left."""
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def slowest_within(
+    z: FloatArray, nodes: IntArray, in_hand: FloatArray, traction: Traction, brakes: Brakes,
+    motion: Motion,
+) -> FloatArray:  # fmt: skip
+    """Least ``z`` at some nodes of runs that lose no more than `in_hand` over the fastest.
+
+    Parameters
+    ----------
+    z : (q, n + 1) array [m²/s²]
+        Of the fastest runs.
+    nodes : (m,) array of int
+    in_hand : (q,) array [s]
+    traction : Traction
+    brakes : Brakes
+    motion : Motion
+
+    Returns
+    -------
+    (q, m) array [m²/s²]
+    """
+    gain, drag0, drag1, drag2, step = motion
+    q, n = drag2.shape
+    found, mean = np.zeros((q, nodes.size)), np.empty(n)
+    for a in range(q):
+        for k in range(n):
+            d = drag0[a, k]
+            mean[k] = (0.5 * (d[0] + d[-1]) + d[1:-1].sum()) / (d.size - 1)
+        for place in range(nodes.size):
+            node, low, high = nodes[place], 0.0, 1.0
+            for _ in range(_TRIALS):
+                part = 0.5 * (low + high)
+                lost, y, k = 0.0, part * z[a, node], node
+                while k < n and y < z[a, k] and lost <= in_hand[a]:
+                    after = _pulled(
+                        y, step[k], traction.limit[k], traction.power[a], traction.speeds[a],
+                        traction.efforts, gain[a], mean[k], drag1[a], drag2[a, k],
+                    )  # fmt: skip
+                    lost += _lost(y, after, z[a, k], z[a, k + 1], step[k])
+                    y, k = after, k + 1
+                y, k = part * z[a, node], node
+                while k > 0 and y < z[a, k] and lost <= in_hand[a]:
+                    before = _braked(
+                        y, step[k - 1], brakes.limit[a, k - 1], brakes.friction[a, k - 1],
+                        brakes.dynamic[a, k - 1], brakes.dynamic_power, brakes.speeds,
+                        brakes.efforts, gain[a], mean[k - 1], drag1[a], drag2[a, k - 1],
+                    )  # fmt: skip
+                    lost += _lost(before, y, z[a, k - 1], z[a, k], step[k - 1])
+                    y, k = before, k - 1
+                if lost > in_hand[a]:
+                    low = part
+                else:
+                    high = part
+            found[a, place] = low * z[a, node]
+    return found
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _lost(z: float, after: float, fast: float, fast_after: float, h: float) -> float:
+    """Time that a cell takes longer than at the fastest; infinite for one that stands."""
+    total = speed_of(min(z, fast)) + speed_of(min(after, fast_after))
+    if total <= 0.0:
+        return np.inf
+    return float(2.0 * h / total - 2.0 * h / (speed_of(fast) + speed_of(fast_after)))
