@@ -71,7 +71,8 @@ def best_bound(
         return found
     try:
         with time_limit(max(time_left(), _BOUND_TIME)):
-            slowest = floor.at(problem.positions)
+            # Alone none is slow where it is short of power: there the floor only adds kinks.
+            slowest = floor.at(problem.positions) if len(rows) > 1 else None
             relaxed = Relaxation(part, speeds, slowest).least_energy(running_time)
     except (NoSolutionError, OutOfTimeError):
         return found

@@ -1,13 +1,16 @@
 """Whether any finer plan lies below the bound that a certificate states.
 
     python benchmarks/trajectory/benchmark_certificate.py [--problems 24] [--first 0]
-        [--fine 4000 8000] [--limit 120] [--times TIMES] [-o runs.csv]
+        [--fine 4000 8000] [--referee] [--limit 120] [--times TIMES] [-o runs.csv]
 
 Random lines and trains of `benchmark_random`, with numbers that nothing else uses; every third
 with three configurations, energy at the wheel and at the line in turn, reserves of 1 to 100 per
 cent. Each is planned on the default cells, and then on many more, with cells as they come. A finer
 plan is a trajectory like any other, driven by the audit: where its energy is below the bound that
 the default plan came with, the bound was wrong. One that the time limit ends early counts, too.
+
+With --referee IPOPT solves the cells of the default plan as one nonlinear program (CasADi, of the
+tests), from a start of its own: its energy is not below the bound either.
 
 With TIMES, the CSV of another run, the running times are taken from there: so the state of another
 checkout (PYTHONPATH) answers the same questions. Times are of the processor.
@@ -17,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -32,10 +36,15 @@ from trainlog.errors import TrainlogError
 from trainlog.formats.files import atomic_write
 from trainlog.railway import Configuration
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from trajectory_referee import refereed
+
 FIRST = 50_000
 """Number of the first problem of `benchmark_random`; its own begin with 0."""
 
 RESERVES = (0.01, 0.03, 0.07, 0.15, 0.4, 1.0)
+
+IPOPT = "IPOPT"
 
 ROUNDING = 1e-6
 """Relative; an audit leaves 1e-4 s."""
@@ -68,9 +77,9 @@ def question(number: int) -> TrajectoryProblem:
 
 
 def measured(
-    number: int, running_time: float | None, fine: list[int], limit: float
+    number: int, running_time: float | None, fine: list[int], limit: float, *, referee: bool
 ) -> dict[str, Any]:
-    """One problem: the default plan and the finer ones."""
+    """One problem: the default plan, the finer ones, and IPOPT's."""
     problem = question(number)
     row: dict[str, Any] = {
         "number": number, "km": problem.line.length / 1e3, "objective": problem.objective,
@@ -81,7 +90,8 @@ def measured(
         row["running_time"] = running_time or (1.0 + problem.reserve) * least
         problem = replace(problem, running_time=row["running_time"])
         begin = time.process_time()
-        found = optimise(problem).certificate
+        plan = optimise(problem)
+        found = plan.certificate
         row["seconds"] = time.process_time() - begin
     except TrainlogError as refused:
         return row | {"words": str(refused)}
@@ -94,10 +104,16 @@ def measured(
             row[f"at {cells}"] = finer["energy"]
         except TrainlogError as refused:
             row["words"] += f"{cells} cells: {refused}; "
+    if referee:
+        other, more = refereed(problem, plan)
+        if other.solved:
+            row[IPOPT] = found["energy"] / (1.0 + more)
+        else:
+            row["words"] += f"IPOPT: {other.status}"
     return row
 
 
-def printed(row: dict[str, Any], fine: list[int]) -> str:
+def printed(row: dict[str, Any], challengers: list[str]) -> str:
     """One row of the table as text."""
     words = (
         f"{row['number']:4d} {row['km']:7.2f} km {row['objective']:5s} {row['q']:2d}"
@@ -110,8 +126,8 @@ def printed(row: dict[str, Any], fine: list[int]) -> str:
         f" {row['seconds']:6.2f} s {row['cells']:5d} cells {row['energy'] / 3.6e6:9.3f} kWh,"
         f" gap {row['gap']:.4%}; above the bound by"
     )
-    for cells in fine:
-        above = (row.get(f"at {cells}", np.nan) - row["bound"]) / unit
+    for name in challengers:
+        above = (row.get(name, np.nan) - row["bound"]) / unit
         words += f" {above:.4%}" + " BELOW" * (above < -ROUNDING)
     return f"{words} {row['words']}"
 
@@ -121,6 +137,7 @@ def main() -> None:
     parser.add_argument("--problems", type=int, default=24)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--fine", type=int, nargs="*", default=[4000, 8000])
+    parser.add_argument("--referee", action="store_true", help="IPOPT on the plan's cells, too")
     parser.add_argument("--limit", type=float, default=120.0, help="of a finer plan [s]")
     parser.add_argument("--times", type=Path)
     parser.add_argument("-o", "--output", type=Path, help="every run, as CSV")
@@ -130,19 +147,21 @@ def main() -> None:
         with arguments.times.open(newline="") as file:
             rows = [each for each in csv.DictReader(file) if each.get("running_time")]
             times = {int(each["number"]): float(each["running_time"]) for each in rows}
+    challengers = [f"at {cells}" for cells in arguments.fine] + [IPOPT] * arguments.referee
     # Compiled code is warm before anything is timed.
     optimise(replace(question(0), reserve=0.5), OptimiserOptions(60))
     runs = []
     for number in range(arguments.first, arguments.first + arguments.problems):
-        runs.append(measured(number, times.get(number), arguments.fine, arguments.limit))
-        print(printed(runs[-1], arguments.fine), flush=True)
+        asked = arguments.fine, arguments.limit
+        runs.append(measured(number, times.get(number), *asked, referee=arguments.referee))
+        print(printed(runs[-1], challengers), flush=True)
     below = sum(
-        run.get(f"at {cells}", np.inf) < run["bound"] - ROUNDING * max(abs(run["bound"]), 1.0)
+        run.get(name, np.inf) < run["bound"] - ROUNDING * max(abs(run["bound"]), 1.0)
         for run in runs
-        for cells in arguments.fine
+        for name in challengers
         if "energy" in run
     )
-    print(f"{sum('energy' in run for run in runs)} of {len(runs)} answered; {below} finer plans"
+    print(f"{sum('energy' in run for run in runs)} of {len(runs)} answered; {below} other plans"
           " below the bound")  # fmt: skip
     if arguments.output:
         names = list(dict.fromkeys(name for run in runs for name in run))
