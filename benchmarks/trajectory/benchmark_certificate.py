@@ -9,8 +9,8 @@ cent. Each is planned on the default cells, and then on many more, with cells as
 plan is a trajectory like any other, driven by the audit: where its energy is below the bound that
 the default plan came with, the bound was wrong. One that the time limit ends early counts, too.
 
-With --referee IPOPT solves the cells of the default plan as one nonlinear program (CasADi, of the
-tests), from a start of its own: its energy is not below the bound either.
+With --referee IPOPT solves the cells of the default plan as one nonlinear program (CasADi),
+from a start of its own: its energy is not below the bound either.
 
 With TIMES, the CSV of another run, the running times are taken from there: so the state of another
 checkout (PYTHONPATH) answers the same questions. Times are of the processor.
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -32,12 +31,10 @@ from benchmark_random import random_problem
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.referee import refereed
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import atomic_write
 from trainlog.railway import Configuration
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-from trajectory_referee import refereed
 
 FIRST = 50_000
 """Number of the first problem of `benchmark_random`; its own begin with 0."""
