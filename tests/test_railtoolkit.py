@@ -279,6 +279,7 @@ WAGON = (
 )
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_formation_of_several_files_is_planned_for_from_the_keyboard(tmp_path: Path) -> None:
     (tmp_path / "v90.yaml").write_text(LOCOMOTIVE)
     (tmp_path / "facs.yaml").write_text(WAGON)
