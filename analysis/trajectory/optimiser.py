@@ -328,10 +328,10 @@ def _renewed(
         note(f"the gap is {gap_of(found.energy, bound.value):.3%}; cells are laid anew")
         again = _searched_again(last, excess, cells, fastest, running_time)
         if again is None:
-            # The same cells would end as badly again.
+            # The same cells would end as badly again; others are tried whatever they may take.
             if 2 * cells > finest:
                 break
-            cells, taken = 2 * cells, _LONGER * (worked() - now)
+            cells, taken = 2 * cells, 0.0
             continue
         other = best_bound(again.answer, fastest, running_time, _LONGEST - (worked() - begun))
         last, excess, taken = again, other.excess, worked() - now
