@@ -16,6 +16,7 @@ COSTLY = (
     "trainlog.simulation.recording.drive",
     "trainlog.condition._estimated",
     "estimators.creep_curve._smoothed",
+    "analysis.adhesion.slip._slip",
     "analysis.resistance.passport._delay_and_ratio",
     "analysis.resistance.fit.fit_windows",
     "analysis.trajectory.optimiser._optimised",
@@ -60,9 +61,12 @@ class Remembered:
 
 def _digest(module: Any, given: tuple[Any, ...]) -> str:
     """Of the arguments, and of numbers of the module, which a test may change."""
+    from analysis.view import TripView
     from trainlog.railway import TrackConditionMap
 
     first, *others = given
+    if isinstance(first, TripView):  # of the trip, wherever its log lies and whatever was made
+        first = (first.trip, first.number, first.count)
     if isinstance(first, TrackConditionMap):  # of the evidence of the layer that is named
         evidence = first.layers[others[0]].evidence
         first, others = replace(first, layers={}, trips=()), [*others, evidence]
