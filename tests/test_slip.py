@@ -515,6 +515,30 @@ class TestWhatTheRecorderLacks:
         found = slip(slower(heavy.trip, 10))
         assert any("slips shorter than 2 s may be missed" in note for note in found.notes)
 
+    @pytest.mark.parametrize("every", [5, 10])
+    def test_levels_of_slow_samples_hold_their_band(self, wet: Fine, every: int) -> None:
+        """Of each passage of a place; the axles of one err alike, so that they count once."""
+        found = slip(slower(wet.trip, every))
+        shown = found.events[found.events["measured"]]
+        true = wet.scenario.maximum_adhesion(shown["position"].to_numpy())
+        error = np.log(shown["adhesion"] / true)
+        own = shown["adhesion_std"] / shown["adhesion"]
+        passages = (shown["position"] // 25.0).astype(int)
+        error, own = error.groupby(passages).mean(), own.groupby(passages).mean()
+        assert len(error) > 15
+        spread = np.sqrt(own**2 + found.common_std**2 + found.passage_std**2)
+        assert np.mean(np.abs(error) < 1.96 * spread) > 0.9
+        assert np.mean(np.abs(error) < 1.96 * own) < 0.9
+
+    def test_what_was_used_before_a_slip_seen_late_measures_nothing(self, wet: Fine) -> None:
+        events = slip(slower(wet.trip, 5)).events
+        before = events["onset"] < events["start"]
+        assert before.any()
+        assert not events.loc[before, "measured"].any()
+        true = wet.scenario.maximum_adhesion(events["position"].to_numpy())
+        off = np.abs(np.log(events["adhesion"] / true))
+        assert off[before].mean() > 2.0 * off[events["measured"]].mean()
+
 
 def total_only(trip: Trip) -> Trip:
     """The axles' efforts were not recorded."""

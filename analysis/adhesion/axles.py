@@ -67,9 +67,13 @@ SLOW = 0.25
 """Time between samples [s] from which on short slips are missed."""
 
 
-SLOW_STD = 0.13
-"""Relative standard deviation of the levels of a trip for each second between two samples: the
-force between them is a mean."""
+SLOW_STD = 0.1
+"""Relative standard deviation of the levels of a trip for each second between two samples: those
+seen in the slip lie below the maximum that was passed between."""
+
+PASSAGE_STD = 0.13
+"""The same of the levels that one passage of a place shows: the force changes between two samples,
+and all axles are sampled at the same instants, so that their number does not make it less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +110,8 @@ class PoweredAxles:
         Weight on one powered axle.
     common_std : float
         Relative standard deviation of effort over axle load that lasts for the whole trip.
+    passage_std : float
+        The same for as long as the train passes a place, from what happens between two samples.
     gain_std : float
         The same of the effort alone.
     delay_std : float [s]
@@ -134,6 +140,7 @@ class PoweredAxles:
     mass: float
     axle_load: float
     common_std: float
+    passage_std: float
     gain_std: float
     delay_std: float
     sampling: float
@@ -195,15 +202,18 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
     if delay:
         efforts = np.column_stack([_earlier(time, each, delay) for each in efforts.T])
         total = _earlier(time, total, delay)
-    if sampling >= SLOW:
-        more.append(
-            f"the axles are sampled every {sampling:.2g} s: slips shorter than {2 * sampling:.2g} s"
-            f" may be missed, levels are read within ± {1.96 * SLOW_STD * sampling:.0%}"
-        )
+    passage_std = 0.0
     load = known.load.value if known.load.known else 0.0
     calibration = common_std = _common_std(train, known)
     if sampling >= SLOW:
         common_std = float(np.hypot(calibration, SLOW_STD * sampling))
+        passage_std = PASSAGE_STD * sampling
+        within = 1.96 * float(np.hypot(SLOW_STD, PASSAGE_STD)) * sampling
+        more.append(
+            f"the axles are sampled every {sampling:.2g} s: slips shorter than {2 * sampling:.2g} s"
+            f" may be missed, levels are read within ± {within:.0%}; slips in which the effort"
+            " only falls measure none"
+        )
     return PoweredAxles(
         clock=clock,
         time=time,
@@ -220,6 +230,7 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         mass=train.mass + load,
         axle_load=_axle_load(train, known, load, gain),
         common_std=common_std,
+        passage_std=passage_std,
         gain_std=float(np.nan_to_num(known.effort_gain.std)) / gain,
         delay_std=_delay_std(known, delay) if levelled.any() else 0.0,
         sampling=sampling,

@@ -345,7 +345,7 @@ class _Sums:
         self.highest = np.zeros(track.bins)
         self.day = np.full(track.bins, -1, dtype=np.int64)
         self.onsets: list[pd.DataFrame] = []
-        self.common_std, self.seconds = 0.0, 0.0
+        self.common_std, self.passage_std, self.seconds = 0.0, 0.0, 0.0
 
     def add(self, part: SlipAnalysis) -> None:
         """Gather what one part shows."""
@@ -355,6 +355,7 @@ class _Sums:
         self.highest = np.maximum(self.highest, _highest(part, self.track))
         self.day = np.maximum(self.day, _last_day(part, self.track))
         self.common_std = max(self.common_std, part.common_std)
+        self.passage_std = max(self.passage_std, part.passage_std)
         if part.time.size:
             self.seconds += (part.time[-1] - part.time[0]).total_seconds()
 
@@ -371,7 +372,8 @@ class _Sums:
         events, total = summed(None), summed(precision)
         seen = events > 0
         safe = np.where(seen, total, 1.0)
-        spread = np.hypot(setting(track, "trip_std"), np.sqrt(1.0 / safe))
+        passage = np.hypot(setting(track, "trip_std"), self.passage_std)
+        spread = np.hypot(passage, np.sqrt(1.0 / safe))
         weight = np.where(seen, fixed(spread**-2), 0.0)
         # What all onsets of the trip err by alike does not become less with their number.
         alike = np.hypot(onsets["delay_std"], onsets["transfer_std"]) / onsets["adhesion"]
@@ -403,7 +405,8 @@ def _last_day(analysis: SlipAnalysis, track: TrackConditionMap) -> IntArray:
 def _highest(analysis: SlipAnalysis, track: TrackConditionMap) -> FloatArray:
     """Highest adhesion that each bin was seen to bear, (bins,)."""
     size = np.abs(analysis.adhesion)
-    spread = np.hypot(analysis.adhesion_std, analysis.common_std * size)
+    alike = np.hypot(analysis.common_std, analysis.passage_std)
+    spread = np.hypot(analysis.adhesion_std, alike * size)
     # An axle that was not recorded says nothing.
     used = np.fmax.reduce(size - spread, axis=1)
     margin = min(POSITION_MARGIN, 0.25 * track.bin_length)

@@ -172,6 +172,8 @@ class SlipAnalysis(Presented):
     common_std : float
         Relative standard deviation of what all adhesion of the trip errs by alike, from a load and
         a gain of the efforts that are not known; not in `adhesion_std`.
+    passage_std : float
+        The same of what the onsets in one place err by alike, where axles are sampled slowly.
     load : {"recorded", "estimated", "assumed"}
         Where the load is from.
     notes : tuple of str
@@ -193,6 +195,7 @@ class SlipAnalysis(Presented):
     wheel_factor: FloatArray
     events: pd.DataFrame
     common_std: float = 0.0
+    passage_std: float = 0.0
     load: str = "recorded"
     notes: tuple[str, ...] = ()
     complete: bool = True
@@ -229,7 +232,8 @@ class SlipAnalysis(Presented):
         onsets = events.loc[events["measured"], "adhesion"].to_numpy(np.float64)
         measured = f"{onsets.size} show the maximum adhesion"
         used = np.abs(self.adhesion[np.isfinite(self.adhesion)])
-        band = f", all within ± {1.96 * self.common_std:.0%}" if self.common_std > 0.0 else ""
+        alike = float(np.hypot(self.common_std, self.passage_std))
+        band = f", all within ± {1.96 * alike:.0%}" if alike > 0.0 else ""
         factors = self.wheel_factor[np.isfinite(self.wheel_factor)]
         return {
             "events": f"{len(events)}, {traction} in traction and {len(events) - traction} in"
@@ -466,6 +470,7 @@ def _slip(view: TripView) -> SlipAnalysis:
         wheel_factor=axles.of_all(factor[None, :])[0],
         events=events,
         common_std=axles.common_std,
+        passage_std=axles.passage_std,
         load=axles.load,
         notes=(
             *axles.notes,
@@ -813,6 +818,8 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
         for start, stop in runs_of(slipping[:, axle]):
             peak = _peak_of(motion, axle, start, stop)
             at, found = _onset_of(motion, axle, start, peak, noise)
+            # Of slow samples the last before a slip is of another place, which bore the effort.
+            found["measured"] &= axles.sampling < SLOW or at >= start
             began = max(start, at)
             if not np.isfinite(motion.position[began]):
                 began = at
