@@ -449,9 +449,6 @@ LATENESS_PRICE = 100.0
 _MORE = 1.1
 """Times what the next program would leave of a delay, by which it is to be earlier."""
 
-_AHEAD = 0.005
-"""Part of a delay by which the next program aims earlier: about what it would leave of it."""
-
 _FREE_ITERATIONS = 10
 """Iterations before the steps are made to shrink."""
 
@@ -516,12 +513,12 @@ def minimise(
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
-    radius, energy, spare, ahead, last = 1.0, np.inf, 0.0, 0.0, np.inf
+    radius, energy, spare, last = 1.0, np.inf, 0.0, np.inf
     statuses: list[str] = []
     solution = None
     while True:
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
-        program = QPSubproblem(tapered, plan, price, given=given, spare=spare + ahead)
+        program = QPSubproblem(tapered, plan, price, given=given, spare=spare)
         try:
             solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
         except OutOfTimeError:
@@ -543,7 +540,6 @@ def minimise(
         if converged or len(statuses) == iterations:
             return replace(solution, statuses=tuple(statuses), converged=converged)
         energy, last = solution.energy, max(off, tolerances.lateness)
-        ahead = _AHEAD * max(off, 0.0) if np.isfinite(off) else 0.0
         # The iterations contract by themselves; where they do not, ever smaller steps make them.
         if len(statuses) >= _FREE_ITERATIONS:
             radius *= 0.7
