@@ -13,13 +13,22 @@ from typing import Any
 import numpy as np
 import pytest
 from advised_driver import driven, rows_of
-from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
+from trajectory_cases import (
+    FLIRT,
+    FREIGHT,
+    VIRM6,
+    drawn,
+    hilly_line,
+    level_line,
+    observed,
+    optimised,
+)
 
 from analysis.trajectory.advice import journey_advice, limits_of, write_journey_advice
 from analysis.trajectory.instructions import Phase
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
-from trainlog.railway import Configuration, Line, RunningResistance, Train
+from trainlog.railway import Configuration, Line, Train
 from trainlog.units import KMH
 
 ALLOWED = 0.5 / KMH
@@ -28,21 +37,6 @@ ALLOWED = 0.5 / KMH
 LATE, SECONDS = 0.02, 10.0
 """How late a trip that obeys rounded speeds may be: a part of its time, and some seconds."""
 
-FREIGHT = replace(
-    FLIRT,
-    name="freight",
-    mass=920_000.0,
-    rotating_mass_factor=0.05,
-    resistance=RunningResistance(9_000.0, 150.0, 40.0),
-    max_tractive_effort=300_000.0,
-    max_traction_power=5_600_000.0,
-    max_dynamic_braking_effort=150_000.0,
-    max_pneumatic_braking_effort=400_000.0,
-    max_speed=100.0 / KMH,
-    max_acceleration=0.3,
-    max_deceleration=0.4,
-    length=500.0,
-)
 TRAINS = {"flirt": FLIRT, "virm": VIRM6, "freight": FREIGHT}
 
 

@@ -17,6 +17,7 @@ from analysis.trajectory.journey import JourneyPlan, optimise_journey
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
 from trainlog.railway import (
+    Axles,
     Configuration,
     CurvatureProfile,
     Journey,
@@ -51,6 +52,23 @@ FLIRT = Train(
     efficiency_regeneration=0.9,
     length=58.6,
     tunnel_resistance=((24.0, 15.160608), (40.0, 7.230384)),
+)
+
+FREIGHT = replace(
+    FLIRT,
+    name="freight",
+    mass=920_000.0,
+    rotating_mass_factor=0.05,
+    resistance=RunningResistance(9_000.0, 150.0, 40.0),
+    max_tractive_effort=300_000.0,
+    max_traction_power=5_600_000.0,
+    max_dynamic_braking_effort=150_000.0,
+    max_pneumatic_braking_effort=400_000.0,
+    max_speed=100.0 / KMH,
+    max_acceleration=0.3,
+    max_deceleration=0.4,
+    length=500.0,
+    axles=Axles(count=8, adhesive_mass=224_000.0),
 )
 
 

@@ -275,6 +275,10 @@ def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
     return found
 
 
+ADVISED_BAND = 3.0 / KMH
+"""A speed so near to the one advised keeps to the advice [m/s]."""
+
+
 def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, FloatArray]:
     """Coasting, excess speed, slip and how well advice was followed, by section."""
     step = np.diff(trip.position, prepend=trip.position[0])
@@ -292,6 +296,7 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
         "coasting": unknown,
         "slips": unknown,
         "off_advised_speed": unknown,
+        "within_advice": unknown,
         "lateness": unknown,
     }
     distance = np.maximum(summed(step), 1e-9)
@@ -311,6 +316,9 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
         known = np.isfinite(off)
         squares = summed(np.where(known, step * np.nan_to_num(off) ** 2, 0.0))
         found["off_advised_speed"] = np.sqrt(squares / np.maximum(summed(step * known), 1e-9))
+        moving = np.diff(trip.running, prepend=trip.running[0]) * known
+        near = np.where(known, np.abs(off) <= ADVISED_BAND, False)
+        found["within_advice"] = summed(moving * near) / np.maximum(summed(moving), 1e-9)
     if "lateness" in trip.signals:
         found["lateness"] = trip.at(trip.signals["lateness"], high)
     return found
@@ -812,6 +820,13 @@ class ComparedTrip:
         squares = (rows["off_advised_speed"] ** 2 * distance).sum(min_count=1)
         return float(np.sqrt(squares / distance.sum()))
 
+    @property
+    def within_advice(self) -> float:
+        """Share of the time in motion within `ADVISED_BAND` of the speed that it followed."""
+        rows = self.table
+        near = (rows["within_advice"] * rows["running_time"]).sum(min_count=1)
+        return float(near / rows["running_time"][rows["within_advice"].notna()].sum())
+
 
 def _normalised(each: ComparedTrip) -> Band | str:
     return "" if each.energy is None else Band(each.energy.value, each.energy.std)
@@ -842,6 +857,12 @@ DRIVING = (
     Column("excess speed", SPEED, each=True, of=_excess),
     Column("slips", NUMBER, of=lambda each: float(each.table["slips"].sum(min_count=1))),
     Column("off advised speed\n(RMS)", SPEED, key="off_advised_speed"),
+    Column(
+        f"within {KMH * ADVISED_BAND:.0f} km/h\nof it",
+        replace(SHARE, digits=0),
+        key="within_advice",
+        of=lambda each: each.within_advice,
+    ),
     Column("late at the end", DURATION, of=lambda each: float(each.table["lateness"].iloc[-1])),
     Column("braked", ENERGY, of=lambda each: each.sum("braking")),
 )
@@ -864,6 +885,9 @@ class ComparedDirection:
         The reference is among them unless it is a trajectory.
     model : str
         By which energies are normalised; empty if they are not.
+    obeyed : DrivenTrip or None
+        Where the reference is a trajectory: the trip of a driver who follows its advice to the
+        letter, in the same configuration.
     """
 
     direction: str
@@ -872,6 +896,7 @@ class ComparedDirection:
     reference: DrivenTrip
     trips: tuple[ComparedTrip, ...]
     model: str = ""
+    obeyed: DrivenTrip | None = None
 
     @property
     def name(self) -> str:
@@ -909,9 +934,10 @@ class ComparedDirection:
         """Each trip as a whole: part of the line, times, energy, time lost by cause."""
         planned = "the trajectory" if self.reference.planned else f"'{self.reference.name}'"
         rows = list(self.trips)
-        if self.reference.planned:
-            table = section_table(self.reference, self.sections)
-            rows.append(ComparedTrip(self.reference, table, None, self.reference.covered))
+        for each in (self.reference, self.obeyed) if self.reference.planned else ():
+            if each is not None:
+                table = section_table(each, self.sections)
+                rows.append(ComparedTrip(each, table, None, each.covered))
         return new_table(
             f"{self.name}: trips; time lost against {planned}",
             Column("trip", of="name"),
@@ -931,6 +957,8 @@ class ComparedDirection:
 
     def _causes(self, each: ComparedTrip) -> str:
         if each.lost is None or each.common is None:
+            if each.trip is self.obeyed:
+                return ""
             own = each.trip is self.reference
             return "reference" if own else "nothing in common with the reference"
         causes = [(cause, s) for cause, s in each.lost.by_cause().items() if abs(s) >= SMALL]
@@ -1135,6 +1163,9 @@ def compare(
         if each.line.name != line.name
     ]
     stated = None if reference is None else _reference(reference, line, of_line)
+    obeyed = None
+    if isinstance(reference, Trajectory):
+        obeyed = _obeyed(reference, line, of_line)
     directions, alone = list[ComparedDirection](), list[str]()
     both = len({each.direction for each in of_line}) > 1
     for direction in ("forward", "reverse"):
@@ -1152,7 +1183,8 @@ def compare(
                 " compare it with"
             )
             continue
-        directions.append(_direction(direction, same, chosen, model, by_time_of_day))
+        followed = obeyed if chosen is stated else None
+        directions.append(_direction(direction, same, chosen, model, by_time_of_day, followed))
     if not directions:
         raise InputError(
             f"the trips ran in opposite directions: {alone[0]}",
@@ -1201,6 +1233,21 @@ def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip
     return planned_trip(given, line, train)
 
 
+def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip | None:
+    """The trip by the advice of a plan to the letter; None where the plan gives none."""
+    # The solvers' extra is needed for plans alone.
+    from analysis.control.advised import obeyed_trip
+
+    train = next((each.train for each in trips if each.train is not None), None)
+    if train is None:
+        return None
+    try:
+        found = driven_trip(obeyed_trip(plan, line, train), line)
+    except TrainlogError:
+        return None
+    return replace(found, name="advice, to the letter")
+
+
 def _same(trip: DrivenTrip, other: DrivenTrip) -> bool:
     """Whether two are of the same recording."""
     return (
@@ -1227,8 +1274,11 @@ def _direction(
     reference: DrivenTrip,
     model: ParameterSet | None,
     by_time_of_day: bool,
+    obeyed: DrivenTrip | None,
 ) -> ComparedDirection:
     line = trips[0].line
+    if reference.planned:
+        trips = [_advised(each, reference) for each in trips]
     every = [*trips, reference]
     low = min(each.covered[0] for each in every)
     high = max(each.covered[1] for each in every)
@@ -1242,7 +1292,15 @@ def _direction(
     ]
     used = forces is not None and any(each.energy is not None for each in compared)
     name = forces.name if used and forces is not None else ""
-    return ComparedDirection(direction, line, sections, reference, tuple(compared), name)
+    return ComparedDirection(direction, line, sections, reference, tuple(compared), name, obeyed)
+
+
+def _advised(trip: DrivenTrip, plan: DrivenTrip) -> DrivenTrip:
+    """The trip with the speed that it followed; that of the plan where none is recorded."""
+    if "reference_speed" in trip.signals:
+        return trip
+    speed = np.interp(trip.position, plan.position, plan.speed, np.nan, np.nan)
+    return replace(trip, signals={**trip.signals, "reference_speed": speed})
 
 
 def _compared(
