@@ -21,7 +21,7 @@ import cvxpy as cp
 import numpy as np
 
 from analysis.trajectory.advice import with_times
-from analysis.trajectory.certificate import GAP_TOLERANCE
+from analysis.trajectory.certificate import gap_of
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, limiting_factors, place_of, seconds
 from analysis.trajectory.optimiser import COARSE_CELLS, optimise
@@ -391,11 +391,13 @@ def optimise_journey(
         energy = sum(float(each.certificate["energy"]) for each in found)
     running = times[:, 1] - times[:, 0]
     bound = sum(float(each.certificate["lower_bound"]) for each in found)
-    gap = (energy - bound) / max(abs(bound), 1.0)
+    tolerance = sum(float(each.certificate["tolerance"]) for each in found)
+    unit = problem.configurations[0].inertia
     certificate = {
         "energy": energy,
         "lower_bound": bound,
-        "gap": gap,
+        "gap": gap_of(energy / unit, bound / unit),
+        "tolerance": tolerance,
         "bound_holds_for": "these departures and arrivals",
         "costliest": problem.configurations[int(np.argmax(totals))].name,
         "costliest_energy": float(totals.max()),
@@ -410,7 +412,7 @@ def optimise_journey(
         "reserve": float(running.sum() / least.sum() - 1.0),
         "standing": float(times[-1, 1] - times[0, 0] - running.sum()),
         "time_price": found[-1].certificate["time_price"],
-        "certified": gap <= GAP_TOLERANCE,
+        "certified": bool(energy - bound <= tolerance),
     }
     departing = with_times(found, times[:, 0], journey.name)
     return JourneyPlan(journey, departing, times[:, 0], times[:, 1], certificate)
