@@ -59,7 +59,7 @@ from trainlog.presentation import (
     kwh,
     new_table,
 )
-from trainlog.railway import Line, ParameterSet, Trajectory
+from trainlog.railway import Line, ParameterSet, Train, Trajectory
 from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
 from trainlog.spans import runs_of
 from trainlog.units import KMH, clock
@@ -1228,9 +1228,14 @@ def _own(trip: DrivenTrip) -> Line:
 def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
     if not isinstance(given, Trajectory):
         return driven_trip(given, line)
-    train = next((each.train for each in trips if each.train is not None), None)
+    train = _train_of(trips)
     given.check(line.name, given.train if train is None else train.name)
     return planned_trip(given, line, train)
+
+
+def _train_of(trips: Sequence[DrivenTrip]) -> Train | None:
+    """The train of the first trip that states one."""
+    return next((each.train for each in trips if each.train is not None), None)
 
 
 def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip | None:
@@ -1238,7 +1243,7 @@ def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> Driven
     # The solvers' extra is needed for plans alone.
     from analysis.control.advised import obeyed_trip
 
-    train = next((each.train for each in trips if each.train is not None), None)
+    train = _train_of(trips)
     if train is None:
         return None
     try:

@@ -29,6 +29,7 @@ from trainlog.simulation.drivers import (
     Demand,
     Observation,
     StoppingBrake,
+    full_traction,
 )
 from trainlog.simulation.plant import HOLDING
 from trainlog.trip import Trip
@@ -151,8 +152,7 @@ class AdvisedDriver:
             0.9 * train.max_deceleration, train.max_braking_effort / self._felt.inertia
         )
         # Limits are known by heart; who reads too low a speed keeps them by the train protection.
-        permitted = np.minimum(run.permitted_speed(within), train.max_speed)
-        self._ceiling = braking_curve(grid, permitted, 0.8 * self._hardest)
+        self._ceiling = braking_curve(grid, run.permitted_speed(within), 0.8 * self._hardest)
         self._brake = StoppingBrake(
             self._felt.mass, self._felt.inertia, self._slope, self._hardest, SHORT
         )
@@ -285,10 +285,8 @@ class AdvisedDriver:
     def _moved(self, effort: float, speed: float, rate: float) -> Demand:
         """Move the lever towards an effort [N]."""
         train, felt = self.train, self._felt
-        pull = min(train.max_tractive_effort, felt.max_power / max(speed, 0.1))
-        if train.traction_curve is not None:
-            pull = min(pull, float(train.traction_curve(speed)))
-        pull = min(pull, felt.inertia * train.max_acceleration + self._felt.resistance(speed))
+        pull = full_traction(train, felt.max_power, speed)
+        pull = min(pull, felt.inertia * train.max_acceleration + felt.resistance(speed))
         brake = self._hardest * felt.inertia
         target = min(effort / pull, 1.0) if effort >= 0.0 else max(effort / brake, -1.0)
         change = rate * PERIOD

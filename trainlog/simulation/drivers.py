@@ -206,6 +206,13 @@ class Habits:
     dwell: float = 30.0
 
 
+def full_traction(train: Train, power: float, speed: float) -> float:
+    """Tractive effort of the full lever [N] of a train with so much power [W] at a speed [m/s]."""
+    most = min(train.max_tractive_effort, power / max(speed, 0.1))
+    curve = train.traction_curve
+    return most if curve is None else min(most, float(curve(speed)))
+
+
 class StoppingBrake:
     """Brakes to a stop at a point, as drivers and automatic train operation do.
 
@@ -357,10 +364,7 @@ class TimetableDriver:
 
     def _traction(self, speed: float) -> float:
         """Tractive effort of the full lever [N]."""
-        train = self.train
-        most = min(train.max_tractive_effort, train.max_traction_power / max(speed, 0.1))
-        curve = train.traction_curve
-        return most if curve is None else min(most, float(curve(speed)))
+        return full_traction(self.train, self.train.max_traction_power, speed)
 
     def _share(self, braking_effort: float) -> float:
         """A braking effort [N] as a share of full service braking."""
