@@ -148,7 +148,7 @@ REFUSED = {
     "map udate": "Did you mean 'update'?; see 'trainlog map --help'",
     "fit x --cvr 3": "No such option: --cvr (Possible options: --cover)",
     "nonsense": "No such command 'nonsense'; see 'trainlog --help'",
-    "simulate drive -o x --traction none": "see 'trainlog simulate drive --help'",
+    "simulate drive -o x --traction none": "--traction: 'none' is not one of own, cooperative",
     "replay nonstop.mcap --km 900:901 -o x.rrd": "has no km 900; its kilometres are 0.000 to",
     "convert nonstop.mcap --km 900:901 -o x.mcap": "'CH_StGallen_Wil' has no km 900; its",
     "report none --maps maps -o a.html --at 2026-01-01": "leave out --maps and --at",

@@ -88,7 +88,6 @@ def main() -> None:
 def _explained(error: TyperException) -> str:
     """What is wrong with a command, an example of it, and where its help is."""
     message = error.format_message() if hasattr(error, "format_message") else str(error)
-    message = message.replace(": Value error, ", ": ")
     message = message.rstrip(".")
     context = getattr(error, "ctx", None)
     if context is None:

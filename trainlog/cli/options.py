@@ -170,6 +170,10 @@ def _typed(parameter: inspect.Parameter, shown: str, words: str) -> Any:
     kinds = (base, *get_args(base))
     choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
     given: dict[str, Any] = {"help": f"{words} ({', '.join(choices)})" if choices else words}
+    if choices:
+        # typer reads a Literal by pydantic, in words of its own.
+        base = str
+        given["parser"] = partial(_chosen, name, choices)
     for note in notes:
         if isinstance(note, Measure | Written):
             given["parser"] = partial(_read, note, name, int in kinds)
@@ -180,6 +184,14 @@ def _typed(parameter: inspect.Parameter, shown: str, words: str) -> Any:
     else:
         info = typer.Option(name, *SHORT.get(name, ()), metavar=shown or None, **given)
     return Annotated[base, info, *(note for note in notes if note is ChosenTrips)]
+
+
+def _chosen(name: str, choices: Sequence[str], given: str) -> str:
+    """One of some words."""
+    if given not in choices:
+        problem = f"{name}: '{given}' is not one of {', '.join(choices)}"
+        raise InputError(problem, remedy="give one of these")
+    return given
 
 
 def _read(of: Measure | Written, name: str, whole: bool, given: Any) -> Any:
@@ -496,13 +508,8 @@ def settings_of(words: Sequence[str], choices: Choices) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for key, value in keyed(words, choices, "--set", "write KEY=VALUE").items():
-        of = choices[key][0]
-        if isinstance(of, tuple) and value not in of:
-            raise InputError(
-                f"--set {key}: '{value}' is not one of {', '.join(of)}",
-                remedy="give one of these",
-            )
-        found[key] = value if isinstance(of, tuple) else of.read(value, f"--set {key}")
+        of, name = choices[key][0], f"--set {key}"
+        found[key] = _chosen(name, of, value) if isinstance(of, tuple) else of.read(value, name)
     return found
 
 
