@@ -93,4 +93,8 @@ def test_where_a_plan_gives_no_advice_the_rest_is_compared() -> None:
     plan = plan_of(FLIRT)
     trip = obeyed_trip(plan, LINE, FLIRT)
     nameless = replace(plan, certificate={})
-    assert compare(trip, nameless).directions[0].obeyed is None
+    found = compare(trip, nameless)
+    assert found.directions[0].obeyed is None
+    (said,) = [note for note in found.notes if "to the letter" in note]
+    assert said.startswith("left out: advice, to the letter: ")
+    assert found.facts()["left_out"] == (said.removeprefix("left out: "),)

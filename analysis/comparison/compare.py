@@ -275,6 +275,9 @@ def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
     return found
 
 
+TO_THE_LETTER = "advice, to the letter"
+"""Name of the drive of who follows a plan's advice without reaction and error."""
+
 ADVISED_BAND = 3.0 / KMH
 """A speed so near to the one advised keeps to the advice [m/s]."""
 
@@ -1087,7 +1090,7 @@ class Comparison(Presented):
                 causes = [f"{cause} {s:+.0f} s" for cause, s in parts[:3]]
                 rows[f"  {trip.name}"] = f"{trip.lost.total:+.1f} s: {', '.join(causes)}"
         if self.left_out:
-            rows["left out"] = counted(len(self.left_out), "trip")
+            rows["left out"] = str(len(self.left_out))
         return rows
 
     def trip(self, name: str) -> ComparedTrip:
@@ -1165,7 +1168,10 @@ def compare(
     stated = None if reference is None else _reference(reference, line, of_line)
     obeyed = None
     if isinstance(reference, Trajectory):
-        obeyed = _obeyed(reference, line, of_line)
+        try:
+            obeyed = _obeyed(reference, line, of_line)
+        except TrainlogError as error:
+            left_out.append(f"{TO_THE_LETTER}: {error}")
     directions, alone = list[ComparedDirection](), list[str]()
     both = len({each.direction for each in of_line}) > 1
     for direction in ("forward", "reverse"):
@@ -1238,19 +1244,21 @@ def _train_of(trips: Sequence[DrivenTrip]) -> Train | None:
     return next((each.train for each in trips if each.train is not None), None)
 
 
-def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip | None:
-    """The trip by the advice of a plan to the letter; None where the plan gives none."""
+def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
+    """The trip by the advice of a plan to the letter.
+
+    Raises
+    ------
+    TrainlogError
+        If no trip states its train, the plan gives no advice, or nobody can drive by it.
+    """
     # The solvers' extra is needed for plans alone.
     from analysis.control.advised import obeyed_trip
 
     train = _train_of(trips)
     if train is None:
-        return None
-    try:
-        found = driven_trip(obeyed_trip(plan, line, train), line)
-    except TrainlogError:
-        return None
-    return replace(found, name="advice, to the letter")
+        raise InputError("no trip states its train", remedy="give a log that holds its train")
+    return replace(driven_trip(obeyed_trip(plan, line, train), line), name=TO_THE_LETTER)
 
 
 def _same(trip: DrivenTrip, other: DrivenTrip) -> bool:
