@@ -21,6 +21,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.csv_tables import read_forecast
 from trainlog.formats.declared import built
 from trainlog.formats.files import atomic_write, write_bytes
+from trainlog.formats.railml import Element
 from trainlog.formats.railway import line_of, line_of_plan, read_parameters, read_trajectory
 from trainlog.formats.sfera import (
     SferaJourney,
@@ -41,7 +42,7 @@ from trainlog.formats.sfera_messages import (
     xml_of,
 )
 from trainlog.mcap.reader import read_log
-from trainlog.railway import Line, ParameterSet, Trajectory
+from trainlog.railway import Line, Trajectory
 from trainlog.railway.condition import AdhesionForecast
 from trainlog.topics import SLIP_PROTECTION, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
@@ -256,31 +257,28 @@ def low_adhesion(
             remedy=f"name one with --layer: {', '.join(conditions)}",
         )  # fmt: skip
     along = _along(journey, forecast.line, own)
-    first, last = along(forecast.start), along(forecast.end)
+    ends = np.sort([along(forecast.start), along(forecast.end)], axis=0)
     values = forecast.quantiles[:, column[0]]
     named = np.array([name in ("", layer) for name in forecast.layer])
-    kept = np.flatnonzero(named & np.isfinite(values) & np.isfinite(first) & np.isfinite(last))
-    rows = sorted(
-        (int(begin), int(until), min(one, other), max(one, other), category_of(float(value)))
-        for begin, until, one, other, value in zip(
-            forecast.valid_from[kept], forecast.valid_to[kept], first[kept].tolist(),
-            last[kept].tolist(), values[kept], strict=True,
-        )
-    )  # fmt: skip
+    kept = named & np.isfinite(values) & np.isfinite(ends).all(axis=0)
+    given = (forecast.valid_from, forecast.valid_to, *ends, values)
     found = list[Constraint]()
-    for begin, until, at, end, category in rows:
-        if category == DRY:
+    for begin, until, at, end, value in sorted(
+        zip(*(e[kept].tolist() for e in given), strict=True)
+    ):
+        words = {"lowAdhesionCategory": category_of(value)}
+        if words["lowAdhesionCategory"] == DRY:
             continue
-        words = {"lowAdhesionCategory": category}
+        start, stop = _utc(begin), _utc(until)
+        row = Constraint(at, end, "Low_Adhesion", words, "LowAdhesion", start, stop)
         before = found[-1] if found else None
         if (
             before is not None
-            and (before.start, before.attributes) == (_utc(begin), words)
+            and (before.start, before.attributes) == (start, words)
             and at - before.end <= _SHORT
         ):
-            at = found.pop().begin
-        start, stop = _utc(begin), _utc(until)
-        found.append(Constraint(at, end, "Low_Adhesion", words, "LowAdhesion", start, stop))
+            row = replace(row, begin=found.pop().begin)
+        found.append(row)
     return found
 
 
@@ -338,11 +336,9 @@ def reports_of(
     at, speed = (np.interp(times, index.asi8, state[name]) for name in ("position", "speed"))
     slips = _slips(trip, times, step)
     return [
-        Report(
-            _utc(int(time)), float(place), max(float(v), 0.0), None if slips is None else bool(slip)
-        )
-        for time, place, v, slip in zip(
-            times, at, speed, [None] * times.size if slips is None else slips, strict=True
+        Report(_utc(time), place, max(v, 0.0), None if slips is None else bool(slips[number]))
+        for number, (time, place, v) in enumerate(
+            zip(times.tolist(), at.tolist(), speed.tolist(), strict=True)
         )
     ]
 
@@ -408,77 +404,64 @@ def write_sfera(
     InputError
         If the journey or a source cannot be read, does not fit the journey, or is of no such kind.
     """
-    own = read_journey(journey)
-    first = Path(sources[0])
+    own, first = read_journey(journey), Path(sources[0])
     kind = "forecast" if first.suffix.lower() == ".csv" else content_of(first)
-    _check_options(options, kind)
+    if kind not in (*_WRITERS, "trip"):
+        raise InputError(
+            f"is nothing that SFERA has a place for{f', but a {kind} file' if kind else ''}",
+            file=first,
+            remedy="give trajectories, a forecast (.csv), a parameter set or a trip (.mcap)",
+        )
+    for name, of in (("passed", "trajectory"), ("layer", "forecast")):
+        if getattr(options, name) not in (None, "") and kind != of:
+            raise InputError(
+                f"--{name} goes with a {of}, given is a {kind}", remedy=f"leave --{name} out"
+            )
     if len(sources) > 1 and kind != "trajectory":
-        raise InputError("several files are given", remedy=f"name one {kind or 'file'}")
+        raise InputError("several files are given", remedy=f"name one {kind} file")
     wanted = ".zip" if kind == "trip" else ".xml"
     if Path(output).suffix.lower() != wanted:
         raise InputError(
             f"is not the name of a {wanted} file", file=output, remedy=f"end it in {wanted}"
         )
-    if kind == "trajectory":
-        return _write_advice([read_trajectory(each) for each in sources], own, output, options)
-    if kind == "forecast":
-        forecast = read_forecast(first)
-        of = partial(
-            low_adhesion, forecast, own, options.line,
-            layer=options.layer, probability=options.probability,
-        )  # fmt: skip
-        rows = built(of, first)
-        write_bytes(
-            output, xml_of(with_constraints(own.profile, own.segments, rows, "Low_Adhesion"))
-        )
-        return {"journey": own.name, "stretches_of_low_adhesion": len(rows)}
-    if kind == "parameters":
-        return _write_characteristics(read_parameters(first), own, output)
     if kind == "trip":
         return _write_reports(first, own, Path(journey), output, options)
-    raise InputError(
-        f"is nothing that SFERA has a place for{f', but a {kind} file' if kind else ''}",
-        file=first,
-        remedy="give trajectories, a forecast (.csv), a parameter set or a trip (.mcap)",
-    )
+    document, said = _WRITERS[kind](sources, own, options)
+    write_bytes(output, xml_of(document))
+    return {"journey": own.name, **said}
 
 
-def _check_options(options: SferaOptions, kind: str) -> None:
-    """Refuse options that say nothing of what is given."""
-    for name, of in (("passed", "trajectory"), ("layer", "forecast")):
-        if getattr(options, name) not in (None, "") and kind != of:
-            raise InputError(
-                f"--{name} goes with a {of}, given is a {kind or 'file of no such kind'}",
-                remedy=f"leave --{name} out",
-            )
+_Written = tuple[Element, dict[str, object]]
 
 
-def _write_advice(
-    sections: Sequence[Trajectory], own: SferaJourney, output: str | Path, options: SferaOptions
-) -> dict[str, object]:
+def _with_advice(sources: Sequence[Path], own: SferaJourney, options: SferaOptions) -> _Written:
     rows = advised(
-        journey_advice(sections, own.line),
+        journey_advice([read_trajectory(each) for each in sources], own.line),
         own,
         changes_apart=options.changes_apart,
         passed=options.passed or 0.0,
     )
-    constraints = advice_constraints(rows)
-    said: dict[str, object] = {"journey": own.name, "advised_speeds": len(rows)}
+    found, said = advice_constraints(rows), {"advised_speeds": len(rows)}
     if options.passed is None:
-        profile = with_constraints(
-            own.profile, own.segments, constraints, "AdvisedSpeed", "PowerAdvice"
-        )
-        write_bytes(output, xml_of(profile))
-        return {**said, "version": profile.text("JP_Version")}
-    ahead = [each for each in constraints if each.kind == "AdvisedSpeed"]
+        profile = with_constraints(own.profile, own.segments, found, "AdvisedSpeed", "PowerAdvice")
+        return profile, {**said, "version": profile.text("JP_Version")}
+    ahead = [each for each in found if each.kind == "AdvisedSpeed"]
     now = datetime.datetime.now(datetime.UTC)
-    write_bytes(output, xml_of(advice_message(own.profile, own.segments, ahead, now, SENDER)))
-    return said
+    return advice_message(own.profile, own.segments, ahead, now, SENDER), dict(said)
 
 
-def _write_characteristics(
-    learned: ParameterSet, own: SferaJourney, output: str | Path
-) -> dict[str, object]:
+def _with_low_adhesion(
+    sources: Sequence[Path], own: SferaJourney, options: SferaOptions
+) -> _Written:
+    forecast = read_forecast(sources[0])
+    of = partial(low_adhesion, layer=options.layer, probability=options.probability)
+    rows = built(lambda: of(forecast, own, options.line), sources[0])
+    profile = with_constraints(own.profile, own.segments, rows, "Low_Adhesion")
+    return profile, {"stretches_of_low_adhesion": len(rows)}
+
+
+def _with_learned(sources: Sequence[Path], own: SferaJourney, _: SferaOptions) -> _Written:
+    learned = read_parameters(sources[0])
     if learned.common is None:
         raise InputError(
             "the parameter set holds no fit of all trips together",
@@ -490,9 +473,17 @@ def _write_characteristics(
             remedy="add TrainCharacteristicsRef, and the document that it names",
         )
     now = datetime.datetime.now(datetime.UTC)
-    found = with_resistance(own.characteristics, learned.common, published=now)
-    write_bytes(output, xml_of(found))
-    return {"train": learned.train, "version_of_characteristics": found.text("TC_VersionMinor")}
+    found = with_resistance(own.characteristics, learned.common, now)
+    return found, {
+        "train": learned.train,
+        "version_of_characteristics": found.text("TC_VersionMinor"),
+    }
+
+
+_WRITERS = {
+    "trajectory": _with_advice, "forecast": _with_low_adhesion, "parameters": _with_learned,
+}  # fmt: skip
+"""What makes a document of what is given."""
 
 
 def _write_reports(

@@ -27,7 +27,7 @@ from trainlog.formats.sfera_messages import (
 )
 from trainlog.formats.tracks import LimitChoice
 from trainlog.ingest import ingest
-from trainlog.railway import EffortCurve, Line, RunningResistance, Station, StepProfile
+from trainlog.railway import Line, RunningResistance, Station, StepProfile
 
 ZONE = "<SP_Zone><IM_ID>0099</IM_ID></SP_Zone>"
 
@@ -452,24 +452,19 @@ def test_what_was_learned_comes_back_as_the_next_version(
     tmp_path: Path, valid: Callable[[Element], bytes]
 ) -> None:
     element = parsed_xml(UNIT.encode(), "tc.xml")
-    curve = EffortCurve(np.array([0.0, 20.0, 40.0]), np.array([180e3, 150e3, 70e3]))
     learned = RunningResistance(1_987.6, 45.1, 9.87)
-    with_resistance(element, learned, mass=130e3, rotating_mass_factor=0.1, traction=curve)
-    text = valid(element).decode()
+    text = valid(with_resistance(element, learned)).decode()
     jp = JOURNEY.replace('TC_VersionMinor="0"', 'TC_VersionMinor="1"')
     (again,) = read_sfera(folder_with(tmp_path, tc=text, jp=jp))
     assert again.train is not None
-    assert (again.train.mass, again.train.resistance) == (130e3, learned)
-    assert again.train.rotating_mass_factor == pytest.approx(0.1)
-    assert again.train.traction_curve is not None
-    assert again.train.traction_curve.efforts.tolist() == curve.efforts.tolist()
+    assert (again.train.mass, again.train.resistance) == (122e3, learned)
 
 
 def test_a_report_states_where_the_train_is_in_its_segment(
     found: SferaJourney, valid: Callable[[Element], bytes]
 ) -> None:
     time = datetime.datetime(2026, 5, 17, 6, 32, 5, tzinfo=datetime.UTC)
-    report = Report(time, 2_400.0, 22.5, slips=True, margin=7.5)
+    report = Report(time, 2_400.0, 22.5, slips=True)
     message = parsed_xml(
         valid(status_report(report, found.segments, found.profile, "unit 17")), "report.xml"
     )
@@ -490,7 +485,7 @@ def reports_of(found: SferaJourney, folder: Path, *, every: float = 5.0) -> Path
             archive.writestr(f"{name}.xml", text)
         for number, at in enumerate(np.arange(100.0, 4_400.0, 20.0 * every)):
             time = start + datetime.timedelta(seconds=every * number)
-            report = Report(time, float(at), 20.0, slips=2_000.0 < at < 2_300.0)
+            report = Report(time, float(at), 20.0, slips=bool(2_000.0 < at < 2_300.0))
             message = status_report(report, found.segments, found.profile, "unit 17")
             archive.writestr(f"report-{number:04d}.xml", xml_of(message))
     return folder / "reports.zip"

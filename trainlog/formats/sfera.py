@@ -12,11 +12,12 @@ from __future__ import annotations
 import datetime
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
@@ -64,6 +65,8 @@ ROOTS = re.compile(
 
 _REPORT = re.compile(rb"<(SFERA_B2G|B2G)_")
 """How a message of a train begins."""
+
+_OUTSIDE = "places outside of their segment"
 
 _NO_TIMES = "journey: it has times at fewer than two timing points"
 
@@ -138,11 +141,11 @@ class SferaJourney:
         Of a segment that is run over several times that place which lies nearest to the `last`;
         NaN if the journey does not run over it.
         """
-        key, location = (_zone(where), where.text("SP_ID")), where.number("location")
+        name, location = _named(where)[0], where.number("location")
         found = [
             each.begin + (each.length - location if each.reverse else location)
             for each in self.segments
-            if (_zone(each.reference), each.reference.text("SP_ID")) == key
+            if _named(each.reference)[0] == name
         ]
         return min(found, key=lambda at: abs(at - last), default=np.nan)
 
@@ -232,7 +235,7 @@ def journeys_of(
     choice = limits or LimitChoice()
     return [
         built(lambda each=each: _journey(each, documents, choice, electrification), file)  # type: ignore[misc]
-        for file, each in documents.newest()
+        for file, each in documents.journeys.values()
     ]
 
 
@@ -266,8 +269,14 @@ def _check_size(size: int, path: str | Path) -> None:
         )
 
 
-_Key = tuple[str, str]
-"""Zone, or company, and identifier."""
+_Known = dict[str, tuple[str, Element]]
+"""Documents by their version: file and element."""
+
+_NAMES = {
+    "SP": ("segment", "SP_ID", (("SP_Zone", "IM_ID"),)),
+    "TC": ("train characteristics", "TC_ID", (("TC_RU_ID",), ("teltsi_KeeperShortNameVKM",))),
+}
+"""What segments and characteristics are called, their identifier, and whose they are."""
 
 
 @dataclass
@@ -276,23 +285,21 @@ class Documents:
 
     Attributes
     ----------
-    journeys : list of (file, Element)
-    segments, trains : dict of key to dict of version to (file, Element)
-    messages : list of Element
-        Reports of trains.
-    times : dict of int to datetime
-        Of the messages, by the `id` of their element: that of the header.
+    journeys : dict of str to (file, Element)
+        Each train's in its newest version.
+    named : dict of str to dict of str to (file, Element)
+        Segments and characteristics by what errors call them, and by version.
+    reports : list of (int, Element)
+        Of trains; when each was sent, by the message's header [ns since 1970 UTC], NaT without.
     ignored : list of str
         Names of XML files that are no documents of SFERA.
     damaged : int
         Messages of trains that cannot be read.
     """
 
-    journeys: list[tuple[str, Element]] = field(default_factory=list)
-    segments: dict[_Key, dict[tuple[str, str], tuple[str, Element]]] = field(default_factory=dict)
-    trains: dict[_Key, dict[tuple[str, str], tuple[str, Element]]] = field(default_factory=dict)
-    messages: list[Element] = field(default_factory=list)
-    times: dict[int, datetime.datetime] = field(default_factory=dict)
+    journeys: dict[str, tuple[str, Element]] = field(default_factory=dict)
+    named: dict[str, _Known] = field(default_factory=dict)
+    reports: list[tuple[int, Element]] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
     damaged: int = 0
 
@@ -321,62 +328,33 @@ class Documents:
                 found.ignored.append(Path(name).name)
         return found
 
-    def time_of(self, message: Element) -> int:
-        """When a message was sent, by its header [ns since 1970 UTC]; NaT without one."""
-        stated = self.times.get(id(message))
-        return (
-            int(pd.NaT.value) if stated is None else int(pd.Timestamp(stated).as_unit("ns").value)
-        )
-
-    def newest(self) -> list[tuple[str, Element]]:
-        """The journeys, each train's in its newest version."""
-        found: dict[str, tuple[str, Element]] = {}
-        for file, each in self.journeys:
-            name = built(partial(_train_number, each), file)
-            before = found.get(name, (file, each))[1]
-            if each.number("JP_Version", 0.0) >= before.number("JP_Version", 0.0):
-                found[name] = file, each
-        return list(found.values())
-
     def take(self, file: str, data: bytes, *, journeys: bool) -> None:
         """Take what a file holds, with its journeys or without."""
-        header: Element | None = None
+        sent = int(pd.NaT.value)
         for each in parsed_xml(data, file).every():
             if each.tag == "MessageHeader":
-                header = each
+                time = _time(each, "timestamp")
+                sent = int((pd.NaT if time is None else pd.Timestamp(time).as_unit("ns")).value)
             elif each.tag == "B2G_StatusReport":
-                self.messages.append(each)
-                time = None if header is None else _time(header, "timestamp")
-                self.times |= {} if time is None else {id(each): time}
-            elif each.tag == "JourneyProfile":
-                if journeys:
-                    self.journeys.append((file, each))
-            elif each.tag == "SegmentProfile":
-                self._keep(self.segments, (_zone(each), each.text("SP_ID")), "SP", file, each)
-            elif each.tag == "TrainCharacteristics":
-                self._keep(self.trains, (_company(each), each.text("TC_ID")), "TC", file, each)
+                self.reports.append((sent, each))
+            elif each.tag == "JourneyProfile" and journeys:
+                name = built(partial(_train_number, each), file)
+                before = self.journeys.get(name, (file, each))[1]
+                if each.number("JP_Version", 0.0) >= before.number("JP_Version", 0.0):
+                    self.journeys[name] = file, each
+            elif each.tag in ("SegmentProfile", "TrainCharacteristics"):
+                name, version = _named(each)
+                known = self.named.setdefault(name, {})
+                if version in known and known[version][0] != file:
+                    raise InputError(
+                        f"states {name} in version {version}, as {known[version][0]} does",
+                        file=file,
+                        place=each.place,
+                        remedy="leave one of them out",
+                    )
+                known[version] = file, each
 
-    @staticmethod
-    def _keep(
-        into: dict[_Key, dict[tuple[str, str], tuple[str, Element]]],
-        key: _Key,
-        prefix: str,
-        file: str,
-        element: Element,
-    ) -> None:
-        version = _version(element, prefix)
-        known = into.setdefault(key, {})
-        if version in known and known[version][0] != file:
-            raise InputError(
-                f"states {_named(prefix, key)} in version {'.'.join(version)}, as"
-                f" {known[version][0]} does",
-                file=file,
-                place=element.place,
-                remedy="leave one of them out",
-            )
-        known[version] = file, element
-
-    def found(self, reference: Element, key: _Key, prefix: str) -> tuple[str, Element]:
+    def found(self, reference: Element) -> tuple[str, Element]:
         """The document that a reference names.
 
         Raises
@@ -384,38 +362,28 @@ class Documents:
         InputError
             If it is not given, or not in its version.
         """
-        known = (self.segments if prefix == "SP" else self.trains).get(key, {})
-        version = _version(reference, prefix)
+        name, version = _named(reference)
+        known = self.named.get(name, {})
         if version in known:
             return known[version]
-        what = _named(prefix, key)
         if not known:
             but = f"; {', '.join(self.ignored)} holds none" if self.ignored else ""
             raise reference.error(
-                f"refers to {what}, which is not given{but}", "add its document to the folder"
+                f"refers to {name}, which is not given{but}", "add its document to the folder"
             )
-        given = ", ".join(".".join(each) for each in sorted(known))
         raise reference.error(
-            f"refers to {what} in version {'.'.join(version)}; given is version {given}",
+            f"refers to {name} in version {version}; given is version {', '.join(sorted(known))}",
             "add the document of that version",
         )
 
 
-def _named(prefix: str, key: _Key) -> str:
-    what = {"SP": "segment", "TC": "train characteristics"}[prefix]
-    return f"{what} '{key[1]}' of {key[0]}"
-
-
-def _version(element: Element, prefix: str) -> tuple[str, str]:
-    return element.text(f"{prefix}_VersionMajor"), element.text(f"{prefix}_VersionMinor", "0")
-
-
-def _zone(element: Element) -> str:
-    return _text(element, "SP_Zone", "IM_ID")
-
-
-def _company(element: Element) -> str:
-    return _text(element, "TC_RU_ID") or _text(element, "teltsi_KeeperShortNameVKM")
+def _named(element: Element) -> tuple[str, str]:
+    """What errors call the segment or the characteristics that are stated or meant; its version."""
+    prefix = "TC" if element.tag.startswith("Train") else "SP"
+    what, key, owners = _NAMES[prefix]
+    owner = next(filter(None, (_text(element, *path) for path in owners)), "")
+    version = element.text(f"{prefix}_VersionMajor"), element.text(f"{prefix}_VersionMinor", "0")
+    return f"{what} '{element.text(key)}' of {owner}", ".".join(version)
 
 
 def _text(element: Element, *path: str) -> str:
@@ -439,8 +407,7 @@ def _journey(
     if not references:
         raise element.error("names no segment", "add a SegmentProfileReference")
     for before, each in pairwise(references):
-        same = (_zone(before), before.text("SP_ID")) == (_zone(each), each.text("SP_ID"))
-        if same and _reverse(before) == _reverse(each):
+        if _named(before)[0] == _named(each)[0] and _reverse(before) == _reverse(each):
             raise each.error(
                 f"runs over segment '{each.text('SP_ID')}' twice in the same direction",
                 "name each segment once, in the order in which the train runs over them",
@@ -453,23 +420,18 @@ def _journey(
         line = run.track.line(account, choice)
         placed.append((at, line.reversed() if run.reverse else line))
         run.begin, at = at, at + line.length
-    points, names = list[TimingPoint](), list[tuple[float, str]]()
-    for run in runs:
-        points += run.timing_points(times) if times is not None else ()
-        names += run.names()
-        account.left_out["places outside of their segment"] += run.outside()
-    journey = None
-    wrong = _NO_TIMES if len(points) < 2 else _contradicted(points)
-    if wrong:
-        account.left_out[wrong] += 1
-    stations = _stations(names, [station for run in runs for station in run.stations()])
+    points = [] if times is None else [each for run in runs for each in run.timing_points(times)]
+    stations = _stations(runs, account)
     ends = stations[:1] + stations[-1:]
     title = " - ".join(dict.fromkeys(each.name for each in ends)) or name
-    if not wrong:
+    wrong, journey = _NO_TIMES if len(points) < 2 else _contradicted(points), None
+    if wrong:
+        account.left_out[wrong] += 1
+    else:
         journey = Journey(name, title, tuple(points), f"SFERA {name}")
     line = replace(composed(title, placed, stations), source=f"SFERA {name}")
     characteristics, train = _train(references, documents, electrification, account)
-    account.left_out.update(_unused(element, "JourneyProfile"))
+    account.left_out.update(_unused(element))
     left_out = [
         what if what.startswith(("journey:", "train")) else f"{what}: {number}"
         for what, number in account.left_out.items()
@@ -497,33 +459,25 @@ def _contradicted(points: Sequence[TimingPoint]) -> str:
     return ""
 
 
+_TRAIN = ("Company", "OperationalTrainNumber", "Core", "Variant", "StartDate")
+"""What a journey names its train by: some parts of OTN_ID, others of TAF_TAP_ID."""
+
+
 def _train_number(element: Element) -> str:
     """Company, train number and day of a journey."""
-    own = element.first("TrainIdentification", "OTN_ID")
-    if own is not None:
-        parts = ("teltsi_Company", "teltsi_OperationalTrainNumber", "teltsi_StartDate")
-        _check_date(own)
-        return " ".join(_text(own, each) for each in parts)
-    own = element.first("TrainIdentification", "TAF_TAP_ID")
-    core = ("teltsi_Company", "teltsi_Core", "teltsi_Variant", "teltsi_StartDate")
-    if own is not None:
-        _check_date(own)
-    found = " ".join(_text(own, each) for each in core) if own is not None else ""
-    if not found.strip():
+    train = element.first("TrainIdentification") or element
+    own = train.first("OTN_ID") or train.first("TAF_TAP_ID")
+    parts = [] if own is None else [_text(own, f"teltsi_{each}") for each in _TRAIN]
+    if not any(parts):
         raise element.error("does not identify its train", "add TrainIdentification with OTN_ID")
-    return found
-
-
-def _check_date(train: Element) -> None:
-    """Refuse a train whose day is none; XML's dates may have a zone behind."""
-    stated = _text(train, "teltsi_StartDate")
     try:
-        datetime.date.fromisoformat(re.sub(r"(Z|[+-]\d\d:\d\d)$", "", stated))
+        # XML's dates may have a zone behind.
+        datetime.date.fromisoformat(re.sub(r"(Z|[+-]\d\d:\d\d)$", "", parts[-1] or "2000-01-01"))
     except ValueError:
-        if stated:
-            raise train.error(
-                f"teltsi_StartDate '{stated}' is not a date", "write it as 2026-05-17"
-            ) from None
+        raise element.error(
+            f"teltsi_StartDate '{parts[-1]}' is not a date", "write it as 2026-05-17"
+        ) from None
+    return " ".join(filter(None, parts))
 
 
 def _reverse(reference: Element) -> bool:
@@ -558,19 +512,13 @@ def _without_zone(text: str) -> bool:
     return "T" in text and re.search(r"(Z|[+-]\d\d:?\d\d)$", text) is None
 
 
-_DURATION = re.compile(r"PT(?:(\d+)H)?(?:(\d+)M)?(?:(\d+(?:\.\d+)?)S)?")
-
-
 def _duration(element: Element, name: str) -> float:
     """A duration [s] as XML has it, such as PT1M30S; 0 where there is none."""
-    text = element.text(name)
-    found = _DURATION.fullmatch(text)
-    if text and (found is None or not any(found.groups())):
-        raise element.error(f"{name} '{text}' is no duration", "write it as PT1M30S")
-    hours, minutes, seconds = (
-        (float(each or 0.0) for each in found.groups()) if found else (0.0,) * 3
-    )
-    return 3600.0 * hours + 60.0 * minutes + seconds
+    text = element.text(name, "PT0S")
+    with suppress(ValueError):
+        if text.startswith("PT"):
+            return float(pd.Timedelta(text).total_seconds())
+    raise element.error(f"{name} '{text}' is no duration", "write it as PT1M30S")
 
 
 @dataclass(frozen=True)
@@ -634,12 +582,10 @@ class _Run:
         reference: Element, documents: Documents, times: _Times | None, account: Account
     ) -> _Run:
         """What a reference names, with the constraints that hold for this journey."""
-        key = _zone(reference), reference.text("SP_ID")
-        file, segment = documents.found(reference, key, "SP")
+        file, segment = documents.found(reference)
         track = built(lambda: _track(segment, account), file)
         run = _Run(reference, segment, track, _reverse(reference), file)
         run._restrict(times, account)
-        account.left_out.update(_unused(reference, "SegmentProfileReference"))
         return run
 
     def _restrict(self, times: _Times | None, account: Account) -> None:
@@ -657,17 +603,13 @@ class _Run:
 
     def _restricted(self, constraint: Element, account: Account) -> tuple[float, float]:
         """From where to where a restriction reaches [m]; without an end, to that of the segment."""
-        length, names = self.track.length, ("startLocation", "endLocation")
-        stated = {name: constraint.text(name) for name in names}
-        if all(stated.values()) and all(0.0 <= constraint.number(name) <= length for name in names):
+        length = self.track.length
+        with suppress(InputError):
+            return _extent(constraint, length, slack=0.0)
+        if constraint.text("startEndQualifier", "StartsEnds") != "StartsEnds":
             return _extent(constraint, length)
-        if constraint.text("startEndQualifier", "StartsEnds") == "StartsEnds":
-            account.assumed[
-                "speed restrictions that end with their segment, for want of an end"
-            ] += 1
-            begin = constraint.number("startLocation", 0.0)
-            return min(max(begin, 0.0), length), length
-        return _extent(constraint, length)
+        account.assumed["speed restrictions that end with their segment, for want of an end"] += 1
+        return min(max(constraint.number("startLocation", 0.0), 0.0), length), length
 
     def at(self, location: float) -> float:
         """Position [m] along the journey of a location in the segment."""
@@ -699,90 +641,66 @@ class _Run:
 
     def _point(self, constraints: Element) -> Element:
         """The timing point that constraints refer to."""
-        points = list(self.segment.all("SP_Points", "TimingPoint"))
-        named = constraints.first("TimingPointReference", "TP_ID_Reference")
-        if named is not None:
-            found = [each for each in points if each.text("TP_ID") == named.text("TP_ID")]
-        else:
-            zone = constraints.first("TimingPointReference", "TimingPointZoneReference")
-            if zone is None:
-                raise constraints.error("refers to no timing point", "add TimingPointReference")
-            own = zone.text("identifier")
-            found = [
-                each for each in points
-                if any(z.text("identifier") == own for z in each.all("TimingPointZone"))
-            ]  # fmt: skip
-            named = zone
-        if not found:
-            name = named.text("TP_ID") or named.text("identifier")
+        for reference, tag, key in (
+            ("TP_ID_Reference", (), "TP_ID"),
+            ("TimingPointZoneReference", ("TimingPointZone",), "identifier"),
+        ):
+            named = constraints.first("TimingPointReference", reference)
+            if named is None:
+                continue
+            for each in self.segment.all("SP_Points", "TimingPoint"):
+                if any(own.text(key) == named.text(key) for own in each.all(*tag)):
+                    return each
             raise constraints.error(
-                f"refers to the timing point '{name}', which segment"
+                f"refers to the timing point '{named.text(key)}', which segment"
                 f" '{self.segment.text('SP_ID')}' does not have",
                 "correct the reference, or add the point",
             )
-        return found[0]
+        raise constraints.error("refers to no timing point", "add TimingPointReference")
 
-    def names(self) -> Iterator[tuple[float, str]]:
-        """Positions [m] and names of the places that the segment's areas state."""
-        for each in self.segment.all("SP_Areas", "TAF_TAP_Location"):
-            name = _text(each, "TAF_TAP_LocationIdent", "teltsi_PrimaryLocationName")
-            if not name:
-                stated = each.first("TAF_TAP_LocationName")
-                name = (
-                    each.text("TAF_TAP_location_abbreviation")
-                    if stated is None
-                    else stated.text("text")
-                )
-            if name and (found := self._area(each)) is not None:
-                yield self.at(0.5 * sum(found)), name
 
-    def stations(self) -> Iterator[Station]:
-        """Its timing points, by the names that they or their places have."""
-        codes = {
-            _text(each, "TAF_TAP_LocationIdent", "teltsi_LocationPrimaryCode"): _text(
-                each, "TAF_TAP_LocationIdent", "teltsi_PrimaryLocationName"
+def _stations(runs: Iterable[_Run], account: Account) -> list[Station]:
+    """The timing points by their places' names, and the places that have none, in their order."""
+    points, places = list[Station](), list[Station]()
+    for run in runs:
+        length, names = run.track.length, dict[str, str]()
+        for each in run.segment.all("SP_Areas", "TAF_TAP_Location"):
+            own = each.first("TAF_TAP_LocationIdent") or each
+            spoken = each.first("TAF_TAP_LocationName")
+            name = _text(own, "teltsi_PrimaryLocationName")
+            names[_text(own, "teltsi_LocationPrimaryCode")] = name
+            name = name or (
+                each.text("TAF_TAP_location_abbreviation")
+                if spoken is None
+                else spoken.text("text")
             )
-            for each in self.segment.all("SP_Areas", "TAF_TAP_Location")
-        }
-        for each in self.segment.all("SP_Points", "TimingPoint"):
-            own = each.first("TP_Name")
+            try:
+                middle = 0.5 * sum(_extent(each, length))
+            except InputError:
+                account.left_out[_OUTSIDE] += 1
+            else:
+                places += [Station(name, run.at(middle))] if name else []
+        for each in run.segment.all("SP_Points", "TimingPoint"):
             code = _text(each, "TAF_TAP_LocationReference", "teltsi_LocationPrimaryCode")
-            name = codes.get(code) or ("" if own is None else own.text("name"))
+            stated = each.first("TP_Name")
+            name = names.get(code) or ("" if stated is None else stated.text("name"))
             location = each.number("location")
-            if -_SLACK <= location <= self.track.length + _SLACK:
-                yield Station(name or each.text("TP_ID"), self.at(_place(each, self.track.length)))
-
-    def _area(self, area: Element) -> tuple[float, float] | None:
-        """From where to where an area reaches [m]; None if it lies outside of the segment."""
-        with suppress(InputError):
-            return _extent(area, self.track.length)
-        return None
-
-    def outside(self) -> int:
-        """How many timing points and named areas lie outside of the segment; they are left out."""
-        points = [p.number("location") for p in self.segment.all("SP_Points", "TimingPoint")]
-        beyond = sum(not -_SLACK <= at <= self.track.length + _SLACK for at in points)
-        areas = self.segment.all("SP_Areas", "TAF_TAP_Location")
-        return beyond + sum(self._area(each) is None for each in areas)
-
-
-def _stations(places: Sequence[tuple[float, str]], points: Sequence[Station]) -> list[Station]:
-    """The timing points, and the places that have none, in the order of the journey."""
-    named = {each.name for each in points}
-    every = [*points, *(Station(name, at) for at, name in places if name not in named)]
+            if -_SLACK <= location <= length + _SLACK:
+                points.append(Station(name or each.text("TP_ID"), run.at(_place(each, length))))
+            else:
+                account.left_out[_OUTSIDE] += 1
+    known = {each.name for each in points}
+    every = [*points, *(each for each in places if each.name not in known)]
     every.sort(key=lambda each: each.position)
-    once = [
-        each for number, each in enumerate(every)
-        if not number or every[number - 1].name != each.name
-    ]  # fmt: skip
-    names = distinct_names((each.name, f"{number + 1}") for number, each in enumerate(once))
-    return [replace(each, name=name) for each, name in zip(once, names, strict=True)]
+    once = [row[0] for row in (list(group) for _, group in groupby(every, lambda each: each.name))]
+    names_of = distinct_names((each.name, f"{number + 1}") for number, each in enumerate(once))
+    return [replace(each, name=name) for each, name in zip(once, names_of, strict=True)]
 
 
 # ------------------------------------------------------------------------------------ the segments
 
 
-def _place(element: Element, length: float, name: str = "location") -> float:
+def _place(element: Element, length: float, name: str = "location", slack: float = _SLACK) -> float:
     """A location [m] in a segment.
 
     Raises
@@ -791,40 +709,34 @@ def _place(element: Element, length: float, name: str = "location") -> float:
         If it lies outside.
     """
     found = element.number(name)
-    if not -_SLACK <= found <= length + _SLACK:
+    if not -slack <= found <= length + slack:
         raise element.error(
             f"{name} {found:g} m is not in its segment of {length:g} m", "correct the location"
         )
     return min(max(found, 0.0), length)
 
 
-def _extent(element: Element, length: float) -> tuple[float, float]:
+def _extent(element: Element, length: float, slack: float = _SLACK) -> tuple[float, float]:
     """From where to where an area or constraint reaches [m]."""
-    qualifier = element.text("startEndQualifier", "StartsEnds")
-    begin = (
-        _place(element, length, "startLocation") if qualifier in ("Starts", "StartsEnds") else 0.0
-    )
-    end = _place(element, length, "endLocation") if qualifier in ("Ends", "StartsEnds") else length
-    return min(begin, end), max(begin, end)
+    qualifier, ends = element.text("startEndQualifier", "StartsEnds"), [0.0, length]
+    for number, (word, name) in enumerate((("Starts", "startLocation"), ("Ends", "endLocation"))):
+        if word in qualifier:
+            ends[number] = _place(element, length, name, slack)
+    return min(ends), max(ends)
 
 
 def _pieces(
-    holder: Element | None,
-    length: float,
-    start: str,
-    change: str,
-    value: Callable[[Element], float],
-) -> list[Stretch]:
+    holder: Element | None, length: float, tag: str
+) -> Iterator[tuple[float, float, Element]]:
     """What holds piece by piece: from the begin of a segment, and from each change on."""
     if holder is None:
-        return []
-    rows = [(0.0, value(each)) for each in holder.all(start)]
-    rows += sorted((_place(each, length), value(each)) for each in holder.all(change))
-    return [
-        Stretch(at, end, found)
-        for (at, found), (end, _) in pairwise([*rows, (length, 0.0)])
-        if end > at
-    ]
+        return
+    changes = ((_place(each, length), each) for each in holder.all(f"{tag}Change"))
+    rows = [(0.0, each) for each in holder.all(f"{tag}Start")]
+    rows += sorted(changes, key=itemgetter(0))
+    for (at, each), (end, _) in pairwise([*rows, (length, holder)]):
+        if end > at:
+            yield at, end, each
 
 
 def _gradient(element: Element) -> float:
@@ -850,10 +762,12 @@ def _track(segment: Element, account: Account) -> TrackData:
         raise segment.error(f"SP_Length {length:g} m is not positive", "give the segment's length")
     held = segment.first("SP_Characteristics") or Element("", "", {}, segment.line)
     track = TrackData(segment.text("SP_Name") or segment.text("SP_ID"), length)
-    track.gradients = _pieces(
-        held.first("Gradient"), length, "GradientStart", "GradientChange", _gradient
-    )
-    track.curves = _pieces(held.first("Curves"), length, "CurveStart", "CurveChange", _curve)
+    for into, within, tag, value in (
+        (track.gradients, "Gradient", "Gradient", _gradient),
+        (track.curves, "Curves", "Curve", _curve),
+    ):
+        pieces = _pieces(held.first(within), length, tag)
+        into += [Stretch(at, end, value(each)) for at, end, each in pieces]
     sides = [e for e in held.all("Curves") for e in e.children if e.number("curveRadius")]
     account.assumed["curves whose direction is not stated, taken to bend to the right"] += sum(
         each.text("curveDirection", "Unknown") == "Unknown" for each in sides
@@ -870,29 +784,13 @@ def _track(segment: Element, account: Account) -> TrackData:
             )
     track.course_quality = "positions of virtual balises, SFERA"
     track.reference = _reference(segment, length, account)
-    for name in (
-        "SegmentProfile",
-        "SP_Points",
-        "SP_Areas",
-        "SP_Characteristics",
-        "SP_ContextInformation",
-    ):
-        for each in [segment] if name == "SegmentProfile" else segment.all(name):
-            account.left_out.update(_unused(each, name))
+    account.left_out.update(_unused(segment))
     return track
 
 
 def _limits(profile: Element, length: float, account: Account) -> Iterator[Limit]:
     """The speed limits of a profile: for all trains, and by the categories that it states."""
-    rows = [(0.0, each) for each in profile.all("StaticSpeedProfileStart")]
-    rows += sorted(
-        ((_place(each, length), each) for each in profile.all("StaticSpeedProfileChange")),
-        key=lambda row: row[0],
-    )
-    for (begin, each), (end, _) in pairwise([*rows, (length, profile)]):
-        if end <= begin:
-            account.left_out["speed limits that another one at the same place replaces"] += 1
-            continue
+    for begin, end, each in _pieces(profile, length, "StaticSpeedProfile"):
         base = each.number("SSP_Speed", np.nan)
         if base <= 0.0:
             raise each.error(
@@ -945,11 +843,13 @@ def _line_name(segment: Element) -> str:
     return (own.text("lineIdentifier") if own is not None else "") or segment.text("SP_ID")
 
 
-def _unused(element: Element, name: str) -> Counter[str]:
-    """How many of the parts of an element are not used, by name."""
-    held = _HELD.get(name)
+def _unused(document: Element) -> Counter[str]:
+    """How many of the parts of a document are not used, by name."""
     return Counter(
-        f"{each.tag}" for each in element.children if held is not None and each.tag not in held
+        part.tag
+        for each in document.every()
+        for part in each.children
+        if part.tag not in _HELD.get(each.tag, (part.tag,))
     )
 
 
@@ -958,6 +858,20 @@ def _unused(element: Element, name: str) -> Counter[str]:
 ROTATING, BRAKING = 0.08, 0.6
 """Assumed of a train whose characteristics do not state it: rotating part of the mass, and the
 deceleration [m/s²] of its friction brake."""
+
+
+FEATURES = {
+    "mass": ("trainWeight", 1e3, "weight"),
+    "length": ("trainLength", 1.0, ""),
+    "max_speed": ("trainMaxSpeed", 1.0 / KMH, "largest speed"),
+    "r0": ("rolloutCoefficientA", 1.0, "rollout coefficient A"),
+    "r1": ("rolloutCoefficientB", 1.0, ""),
+    "r2": ("rolloutCoefficientC", 1.0, "rollout coefficient C"),
+    "rotating_mass_factor": ("rotatingMassFactor", 1.0, ""),
+    "max_acceleration": ("comfortableAcceleration", 1.0, ""),
+    "max_deceleration": ("comfortableBraking", 1.0, ""),
+}
+"""Of a train's features the attribute, its unit [SI], and what errors call it if it is needed."""
 
 
 def _train(
@@ -971,9 +885,8 @@ def _train(
     if not named:
         account.left_out["train: the journey names no characteristics"] += 1
         return None, None
-    keys = {(_company(each), each.text("TC_ID"), *_version(each, "TC")) for each in named}
-    account.left_out["changes of the train on the way"] += len(keys) - 1
-    file, element = documents.found(named[0], (_company(named[0]), named[0].text("TC_ID")), "TC")
+    account.left_out["changes of the train on the way"] += len({_named(e) for e in named}) - 1
+    file, element = documents.found(named[0])
     return element, built(lambda: _train_of(element, named[0], electrification, account), file)
 
 
@@ -983,45 +896,27 @@ def _train_of(
     features = element.first("TC_Features")
     assert features is not None
     name = features.text("displayName") or element.text("TC_ID")
+    account.left_out.update(_unused(features))
     curve = _curve_of(features, "TractionForceCurve", "tractionForce", electrification, account)
-
-    def stated(key: str) -> float:
-        return features.number(key, reference.number(key, np.nan))
-
-    mass, length, fastest = (stated(key) for key in ("trainWeight", "trainLength", "trainMaxSpeed"))
-    a, b, c = (features.number(f"rolloutCoefficient{each}", np.nan) for each in "ABC")
-    missing = [
-        words
-        for words, value in (
-            ("weight", mass), ("largest speed", fastest), ("rollout coefficient A", a),
-            ("rollout coefficient C", c),
-            ("traction force curve", np.nan if curve is None else 0.0),
-        )
-        if np.isnan(value)
-    ]  # fmt: skip
-    account.left_out.update(_unused(features, "TC_Features"))
+    stated = {
+        own: unit * features.number(key, reference.number(key, np.nan))
+        for own, (key, unit, _) in FEATURES.items()
+    }
+    missing = [words for own, (_, _, words) in FEATURES.items() if words and np.isnan(stated[own])]
+    missing += ["traction force curve"] if curve is None else []
     if missing or curve is None:
         account.left_out[f"train '{name}': its characteristics lack {', '.join(missing)}"] += 1
         return None
-    rotating = features.number("rotatingMassFactor", np.nan)
+    r0, r1, r2 = (stated.pop(each) for each in ("r0", "r1", "r2"))
     # Factors of a mass are stated as 1.08, and as 0.08 by some.
-    rotating = rotating - 1.0 if rotating >= 1.0 else rotating
-    assumed = [*UNPUBLISHED, "max_load", "axles", "brake"]
-    given: dict[str, Any] = {}
-    if np.isnan(rotating):
-        rotating = ROTATING
-        assumed.append("rotating_mass_factor")
+    stated["rotating_mass_factor"] -= float(stated["rotating_mass_factor"] >= 1.0)
+    zero = {"rotating_mass_factor": -1e-9}
+    lacking = [each for each, value in stated.items() if not value > zero.get(each, 0.0)]
+    given: dict[str, Any] = {each: stated[each] for each in stated if each not in lacking}
+    if "rotating_mass_factor" in lacking:
+        given["rotating_mass_factor"] = ROTATING
         account.assumed[f"rotating mass of {ROTATING:.0%} of the train's"] += 1
-    for field_name, key in (
-        ("max_acceleration", "comfortableAcceleration"),
-        ("max_deceleration", "comfortableBraking"),
-    ):
-        if (found := features.number(key, 0.0)) > 0.0:
-            given[field_name] = found
-        else:
-            assumed.append(field_name)
-    if length > 0.0:
-        given["length"] = length
+    assumed = [*UNPUBLISHED, "max_load", "axles", "brake", *(e for e in lacking if e != "length")]
     effort = float(curve.efforts.max())
     dynamic = _curve_of(features, "BrakingForceCurve", "maximumRegenerativeForce", None, account)
     if dynamic is not None:
@@ -1031,18 +926,16 @@ def _train_of(
             "dynamic_braking_curve": dynamic,
         }
         assumed = [each for each in assumed if not each.startswith("max_dynamic_braking")]
-    mass *= 1e3
-    braking = given.get("max_deceleration", BRAKING) * mass * (1.0 + rotating)
+    mass, rotating = given["mass"], given["rotating_mass_factor"]
     return Train(
         name=name,
-        source=f"SFERA {element.text('TC_ID')} {'.'.join(_version(element, 'TC'))}",
-        mass=mass,
-        rotating_mass_factor=rotating,
-        resistance=RunningResistance(a, 0.0 if np.isnan(b) else b, c),
+        source=f"SFERA {element.text('TC_ID')} {_named(element)[1]}",
+        resistance=RunningResistance(r0, 0.0 if np.isnan(r1) else r1, r2),
         max_tractive_effort=effort,
         max_traction_power=curve.peak_power,
-        max_pneumatic_braking_effort=braking,
-        max_speed=fastest / KMH,
+        max_pneumatic_braking_effort=given.get("max_deceleration", BRAKING)
+        * mass
+        * (1.0 + rotating),
         axles=assumed_axles(mass, effort, rotating),
         traction_curve=curve,
         assumed=tuple(assumed),
@@ -1130,9 +1023,8 @@ def filled(line: Line, own: Line) -> tuple[Line, list[str]]:
     begin, end = float(at[0]), float(at[-1])
     changes: dict[str, Any] = {}
     wanted = {"gradients": "gradients" in line.assumed, "curvatures": line.curvatures is None}
-    for name in [name for name, lacks in wanted.items() if lacks]:
-        held: Any = getattr(source, name)
-        if held is not None:
+    for name, lacks in wanted.items():
+        if lacks and (held := getattr(source, name)) is not None:
             changes[name] = _carried(held, source.length, at, there, line.length)
     if not line.tunnels:
         inside = [

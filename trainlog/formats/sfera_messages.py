@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from xml.etree import ElementTree as Xml
 
 from trainlog.formats.railml import Element
-from trainlog.railway import EffortCurve, RunningResistance
+from trainlog.railway import RunningResistance
 from trainlog.units import KMH
 
 VERSION = "4.00"
@@ -158,21 +158,15 @@ def with_constraints(
             or child.text("temporaryConstraintType") not in kinds
         ]
     for constraint in constraints:
+        times = {"startTime": constraint.start, "endTime": constraint.until}
+        stated = {name: utc(time) for name, time in times.items() if time is not None}
+        stated["temporaryConstraintType"] = constraint.kind
         for each, extent in _reached(constraint, segments):
-            _insert(each.reference, _constraint(constraint, extent))
+            what = new(constraint.tag or constraint.kind, constraint.attributes)
+            _insert(each.reference, new("TemporaryConstraints", extent | stated, what))
     version = int(journey.number("JP_Version", 0.0)) + 1
     journey.attributes["JP_Version"] = str(version)
     return journey
-
-
-def _constraint(constraint: Constraint, extent: Mapping[str, str]) -> Element:
-    found = new("TemporaryConstraints", extent)
-    for name, time in (("startTime", constraint.start), ("endTime", constraint.until)):
-        if time is not None:
-            found.attributes[name] = utc(time)
-    found.attributes["temporaryConstraintType"] = constraint.kind
-    found.children.append(new(constraint.tag or constraint.kind, constraint.attributes))
-    return found
 
 
 def _reached(
@@ -244,10 +238,6 @@ def advice_message(
 def with_resistance(
     characteristics: Element,
     resistance: RunningResistance,
-    *,
-    mass: float | None = None,
-    rotating_mass_factor: float | None = None,
-    traction: EffortCurve | None = None,
     published: datetime.datetime | None = None,
 ) -> Element:
     """The next version of a train's characteristics, with what was learned of it.
@@ -257,41 +247,19 @@ def with_resistance(
     characteristics : Element
         TrainCharacteristics; it is changed.
     resistance : RunningResistance
-    mass : float, optional [kg]
-    rotating_mass_factor : float, optional
-        Rotating part over the mass.
-    traction : EffortCurve, optional
     published : datetime, optional
 
     Raises
     ------
     InputError
-        If it has no features, or efforts are given and it states none yet.
+        If it has no features.
     """
     features = characteristics.first("TC_Features")
     if features is None:
         raise characteristics.error("has no TC_Features", "give the train's characteristics")
-    stated = {f"rolloutCoefficient{name}": value for name, value in zip("ABC", (
-        resistance.r0, resistance.r1, resistance.r2), strict=True)}  # fmt: skip
-    features.attributes |= {name: f"{value:.6g}" for name, value in stated.items()}
-    if mass is not None:
-        features.attributes["trainWeight"] = str(round(mass / 1e3))
-    if rotating_mass_factor is not None:
-        features.attributes["rotatingMassFactor"] = f"{1.0 + rotating_mass_factor:.4g}"
-    curves = [each for each in features.children if each.tag == "TractionForceCurve"]
-    if traction is not None and not curves:
-        raise features.error(
-            "has no TractionForceCurve that says for which supply its efforts are",
-            "add one with its TFC_TractionType, or leave the efforts out",
-        )
-    if traction is not None:
-        tag = f"{curves[0].tag}DataPoint"
-        points = [
-            new(tag, {"speed": f"{KMH * v:.4g}", "tractionForce": f"{f:.6g}"})
-            for v, f in zip(traction.speeds.tolist(), traction.efforts.tolist(), strict=True)
-        ]
-        rest = [each for each in curves[0].children if each.tag != tag]
-        curves[0].children[:] = [*points, *rest]
+    values = (resistance.r0, resistance.r1, resistance.r2)
+    for name, value in zip("ABC", values, strict=True):
+        features.attributes[f"rolloutCoefficient{name}"] = f"{value:.6g}"
     minor = int(characteristics.number("TC_VersionMinor", 0.0)) + 1
     characteristics.attributes["TC_VersionMinor"] = str(minor)
     if published is not None:
@@ -314,15 +282,12 @@ class Report:
     speed : float [m/s]
     slips : bool or None
         Whether wheels slip or slide; None: not known.
-    before : float, optional [m]
-        How far its front may be behind the position; and ahead of it.
     """
 
     time: datetime.datetime
     position: float
     speed: float
     slips: bool | None = None
-    margin: float | None = None
 
 
 def status_report(
@@ -351,9 +316,6 @@ def status_report(
         "location": f"{placed.location(report.position):.10g}",
         "speed": f"{KMH * report.speed:.4g}",
     }
-    if report.margin is not None:
-        margins = ("location_PositiveErrorMargin", "location_NegativeErrorMargin")
-        where |= dict.fromkeys(margins, f"{report.margin:.3g}")
     stated = {"trainMoving": str(report.speed > 0.0).lower()}
     if report.slips is not None:
         stated["slipSlideReported"] = str(report.slips).lower()
@@ -369,19 +331,17 @@ def _header(
 ) -> Element:
     """A header whose identifier follows from the time and the content."""
     digest = hashlib.sha256(utc(time).encode() + sender.encode() + xml_of(content)).digest()
-    number = uuid.UUID(bytes=digest[:16], version=4)
-    company = journey.first("TrainIdentification", "OTN_ID", "teltsi_Company")
-    zone = journey.first("SegmentProfileReference", "SP_Zone", "IM_ID")
     about = {
         "SFERA_version": VERSION,
-        "message_ID": str(number),
+        "message_ID": str(uuid.UUID(bytes=digest[:16], version=4)),
         "timestamp": utc(time),
         "sourceDevice": sender,
     }
-    ends = [
-        "0000" if each is None else each.content.strip()
-        for each in ((company, zone) if from_train else (zone, company))
-    ]
-    return new(
-        "MessageHeader", about, new("Sender", content=ends[0]), new("Recipient", content=ends[1])
+    train = journey.first("TrainIdentification", "OTN_ID", "teltsi_Company")
+    ground = journey.first("SegmentProfileReference", "SP_Zone", "IM_ID")
+    names = ["0000" if each is None else each.content.strip() for each in (train, ground)]
+    ends = names if from_train else names[::-1]
+    parts = (
+        new(tag, content=name) for tag, name in zip(("Sender", "Recipient"), ends, strict=True)
     )
+    return new("MessageHeader", about, *parts)

@@ -47,16 +47,14 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
         If there is no report, or none of the journeys knows where one was.
     """
     documents = Documents.of(path)
-    if path.suffix.lower() != ".zip" and not any(
-        name == str(path) for name, _ in documents.journeys
-    ):
+    holds = any(name == str(path) for name, _ in documents.journeys.values())
+    if path.suffix.lower() != ".zip" and not holds:
         raise InputError(
             "holds no journey, which the places of reports refer to",
             file=path,
             remedy="pack the journey, its segments and the reports into one zip archive",
         )
-    reports = [each for each in documents.messages if each.tag == "B2G_StatusReport"]
-    if not reports:
+    if not documents.reports:
         raise InputError(
             "holds no status report (B2G_StatusReport)",
             file=path,
@@ -64,9 +62,9 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
         )
     found = []
     for journey in journeys_of(documents):
-        own = [each for each in reports if is_of(each, journey)]
+        own = [(time, each) for time, each in documents.reports if is_of(each, journey)]
         if own:
-            found.append(_recording(own, journey, documents, len(reports) - len(own)))
+            found.append(_recording(own, journey, documents))
     if not found:
         raise InputError(
             "holds status reports, but not the journey of their train",
@@ -88,12 +86,11 @@ def _words(element: Element) -> list[tuple[str, str]]:
 
 
 def _recording(
-    reports: list[Element], journey: SferaJourney, documents: Documents, others: int
+    own: list[tuple[int, Element]], journey: SferaJourney, documents: Documents
 ) -> Recording:
-    timed = sorted(
-        ((documents.time_of(each), each.line, each) for each in reports), key=itemgetter(0)
-    )
+    timed = sorted(((time, each.line, each) for time, each in own), key=itemgetter(0))
     tables, margins = ReportRows(journey).take(timed)
+    reports, others = [each for _, each in own], len(documents.reports) - len(own)
     unused = Counter(
         part.tag for report in reports for part in report.children if part.tag not in USED
     )

@@ -253,10 +253,11 @@ class Decoder:
             if self._reports is None:
                 decoded.refuse(row, data, "XML; status reports need the journey of their train")
                 continue
-            own = [each for each in documents.messages if is_of(each, self._reports.journey)]
-            kept += [(documents.time_of(each), row, each) for each in own]
+            reports, journey = documents.reports, self._reports.journey
+            own = [(time, row, each) for time, each in reports if is_of(each, journey)]
+            kept += own
             if not own:
-                which = "reports of other trains" if documents.messages else "other messages"
+                which = "reports of other trains" if reports else "other messages"
                 decoded.others[which] += 1
         if kept and self._reports is not None:
             tables, _ = self._reports.take(kept)
