@@ -37,13 +37,6 @@ def test_a_stop_lies_between_arrival_and_departure() -> None:
     assert stopping.departure_at(at) == pytest.approx([0.0, 5.0, 40.0, 45.0, 50.0])
 
 
-def test_what_lies_outside_of_a_trip_is_not_passed() -> None:
-    part = curve(np.array([0.0, 10.0]), np.array([500.0, 700.0]))
-    assert np.isnan(part.arrival_at([499.9, 700.1])).all()
-    nothing = curve(np.empty(0), np.empty(0))
-    assert np.isnan(nothing.arrival_at([0.0])).all()
-
-
 def test_places_passed_in_a_gap_of_the_recording_are_unknown() -> None:
     seconds = np.array([0.0, 1.0, 31.0, 32.0, 132.0, 133.0])
     position = np.array([0.0, 20.0, 620.0, 640.0, 640.0, 660.0])
@@ -52,15 +45,6 @@ def test_places_passed_in_a_gap_of_the_recording_are_unknown() -> None:
     assert (np.isnan(passed.time) == unknown).all()
     # It stood through the second gap, so that nothing is missing there.
     assert passed.time[-1] == 133.0
-
-
-def test_a_trip_beside_itself_differs_nowhere() -> None:
-    trip = read_log(SAMPLE)
-    known = time_distance_of(trip)
-    found = on_grid(known, grid_over([known]))
-    same = difference(found, found)
-    assert (same.time == 0.0).all()
-    assert (same.speed == 0.0).all()
 
 
 def test_thirty_seconds_more_at_a_station_are_lost_there_and_kept() -> None:
@@ -87,16 +71,6 @@ def test_stops_a_few_metres_apart_make_no_spike_of_lateness() -> None:
     for trip, reference in ((one, other), (other, one)):
         behind = difference(on_grid(trip, grid), on_grid(reference, grid))
         assert np.abs(behind.time).max() < 3.0
-
-
-def test_partial_trips_are_compared_where_both_were() -> None:
-    whole = curve(np.linspace(0.0, 100.0, 101), np.linspace(0.0, 2000.0, 101))
-    part = curve(np.linspace(0.0, 50.0, 51), np.linspace(1000.0, 1500.0, 51))
-    grid = grid_over([whole, part], 100.0)
-    found = difference(on_grid(part, grid), on_grid(whole, grid))
-    known = np.isfinite(found.time)
-    assert found.position[known][[0, -1]].tolist() == [1000.0, 1500.0]
-    assert found.time[known][[0, -1]] == pytest.approx([0.0, 25.0])
 
 
 def test_a_plan_is_passed_as_constant_effort_moves_a_train() -> None:

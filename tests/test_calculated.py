@@ -53,16 +53,6 @@ def heavier(factor: float) -> Train:
     return replace(TRAIN, mass=factor * TRAIN.mass, rotating_mass_factor=rotating)
 
 
-def test_the_right_file_agrees_within_its_bands() -> None:
-    found = calculate(driven(), TRAIN)
-    assert found.outside == []
-    assert found.diagnosis.wrong == ()
-    assert found.total("calculated_work") == pytest.approx(found.total("work"), rel=0.06)
-    assert sum(found.explained.values()) == pytest.approx(1.0, abs=1e-9)
-    assert len(found.plot().axes) == 3
-    assert "nothing that the trip contradicts" in found._repr_html_()
-
-
 def test_the_true_model_calculates_the_true_work_and_time() -> None:
     """A set of the one true configuration; its band is that of gradients, load and efforts."""
     true = Configuration(
@@ -216,11 +206,6 @@ def test_brakes_that_are_not_recorded_are_no_error_of_the_model(unrecorded: list
     # A model that is wrong still shows between the brakings.
     wrong = replace(TRAIN, resistance=replace(OWN, r2=4.0 * OWN.r2))
     assert [each.name for each in calculate(trip, wrong).diagnosis.wrong] == ["r2"]
-
-
-def test_a_fit_of_another_train_is_refused() -> None:
-    other = ParameterSet("another", (Configuration.of(TRAIN),), OWN, np.eye(3), (0.0, 40.0))
-    refused(InputError, "another", calculate, read_log(sample("nonstop.mcap")), other)
 
 
 @pytest.mark.usefixtures("unpainted")

@@ -14,7 +14,6 @@ from test_adhesion_characteristic import eurosprinter
 
 import trainlog
 from analysis import fit_adhesion_characteristic
-from analysis.adhesion.characteristic import CharacteristicFit
 from trainlog.cli.main import run
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import (
@@ -23,7 +22,6 @@ from trainlog.formats.characteristic import (
 )
 from trainlog.formats.declared import file_content, thing_from_bytes, thing_to_bytes
 from trainlog.railway.adhesion import (
-    DRY,
     AdhesionCharacteristic,
     AdhesionPoints,
     AdhesionTable,
@@ -121,26 +119,6 @@ def test_slip_speeds_of_a_train_of_known_speed_are_fitted_over_creepage() -> Non
         fit_adhesion_characteristic(points, "polach")
 
 
-def test_the_wet_rail_of_zhao_is_found_again() -> None:
-    slip = np.linspace(0.05, 8.0, 30)
-    fit = fit_adhesion_characteristic(AdhesionPoints(slip, DRY(slip), "slip speed"))
-    assert isinstance(fit.characteristic, CreepCurve)
-    assert (fit.characteristic.a, fit.characteristic.b) == pytest.approx((0.54, 1.2), rel=1e-3)
-
-
-def test_more_noise_makes_wider_bands() -> None:
-    slips, rng = np.geomspace(0.001, 0.3, 60), np.random.default_rng(5)
-    errors = rng.standard_normal(60)
-
-    def fitted(noise: float) -> CharacteristicFit:
-        adhesions = magic_formula(slips, 0.2, 0.02, 1.5) + noise * errors
-        return fit_adhesion_characteristic(AdhesionPoints(slips, adhesions), speed=20.0)
-
-    quiet, loud = fitted(0.002), fitted(0.008)
-    assert loud.maximum_std > 2.0 * quiet.maximum_std
-    assert np.ptp(np.log(loud.optimal_band)) > np.ptp(np.log(quiet.optimal_band))
-
-
 class TestRefused:
     slips = np.linspace(0.001, 0.1, 25)
     adhesions = magic_formula(slips, 0.25, 0.02, 1.6)
@@ -161,21 +139,10 @@ class TestRefused:
     def test_points_beyond_the_maximum_alone(self) -> None:
         assert "below the maximum" in self.refusal(self.slips > 0.04)
 
-    def test_too_few_points(self) -> None:
-        assert "4 points do not determine" in self.refusal(np.arange(25) < 4)
-
     def test_of_a_file_with_its_name(self, tmp_path: Path) -> None:
         path = written(tmp_path, "creepage [%];adhesion\n0.1;0.1\n0.2;0.15\n")
         with pytest.raises(NotIdentifiableError, match=r"curve\.csv: 2 points do not determine"):
             fit_adhesion_characteristic(path)
-
-    def test_an_end_at_the_maximum_is_stated(self) -> None:
-        slips = np.linspace(0.001, 0.021, 30)
-        points = AdhesionPoints(slips, magic_formula(slips, 0.25, 0.02, 1.6))
-        fit = fit_adhesion_characteristic(points, speed=10.0)
-        assert fit.optimal_band[1] == np.inf
-        assert any("no fall beyond the maximum" in each for each in fit.findings)
-        assert abs(fit.maximum - 0.25) < 1.96 * fit.maximum_std
 
 
 # --------------------------------------------------------------------------------------- files

@@ -20,9 +20,8 @@ from analysis.resistance.coast_down import (
     coast_down_without_gradient,
     fit_segments,
     lever_at_rest,
-    with_ratio,
 )
-from analysis.resistance.coasting_detection import motion_of, smoothed_over
+from analysis.resistance.coasting_detection import motion_of
 from analysis.truth import truth_of
 from tests.coasting_trips import (
     HILLY,
@@ -97,13 +96,6 @@ def test_closed_form_of_coasting_down_is_found_again(curve: tuple[float, float, 
     assert found.ratio.std == pytest.approx(0.02, rel=0.01)
 
 
-def test_good_speeds_give_the_curve_to_a_thousandth() -> None:
-    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
-    found = coast_down([recorded(time, position, speed, line=HILLY, every=1, noise=0.005)])
-    assert error(found, CURVE) < 2e-3
-    assert found.ratio.value == pytest.approx(RATIO, abs=3e-3)
-
-
 def test_gradients_that_vary_tell_the_rotating_mass() -> None:
     time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
     found = coast_down([recorded(time, position, speed, line=HILLY, every=1, noise=0.02)])
@@ -113,29 +105,12 @@ def test_gradients_that_vary_tell_the_rotating_mass() -> None:
     assert abs(weight - c(CURVE, 25.0) / RATIO / 9.81) < 4.0 * std
 
 
-def test_coasting_is_found_and_nothing_else() -> None:
-    time, position, speed, effort = driven(HILLY, CURVE, DRIVE)
-    found = coast_down([recorded(time, position, speed, line=HILLY)])
-    marked = np.zeros(time.size, dtype=bool)
-    for segment in found.trips[0].segments:
-        marked |= (time >= segment.start) & (time <= segment.end)
-    coasting = (effort == 0.0) & (speed > 5.0)
-    assert np.mean(marked[coasting]) > 0.9
-    assert np.mean(coasting[marked]) > 0.95
-    assert inside(found, CURVE)
-
-
 @pytest.mark.parametrize("efforts", [(0.05, 0.09), (-0.05, -0.02), (0.03, -0.04), (np.nan, np.nan)])
 def test_a_train_that_never_coasts_is_refused(efforts: tuple[float, float]) -> None:
     drive = [(50.0, 0.5), (60.0, efforts[0]), (30.0, -0.3), (40.0, 0.4), (90.0, efforts[1])]
     time, position, speed, _ = driven(HILLY, CURVE, [*drive, (30.0, -0.2)], speed=12.0)
     with pytest.raises(NotIdentifiableError, match="coasting"):
         coast_down([recorded(time, position, speed, line=HILLY)])
-
-
-def test_constant_speed_is_refused() -> None:
-    time, position, speed, _ = driven(LEVEL, CURVE, [(600.0, np.nan)], speed=25.0)
-    refused(NotIdentifiableError, "", coast_down, [recorded(time, position, speed, line=LEVEL)])
 
 
 def test_one_speed_only_is_refused() -> None:
@@ -208,24 +183,6 @@ def test_several_trips_are_sharper_than_one_and_come_in_any_order() -> None:
     masses = [(train.mass + load) / 1e3 for load in (0.0, 18_000.0)]
     (note,) = [each for each in coast_down(loaded).notes if "t on these trips" in each]
     assert f"from {masses[0]:.0f} to {masses[1]:.0f} t" in note
-
-
-def test_an_average_keeps_straight_lines() -> None:
-    time = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.3, 200))
-    averaged = smoothed_over(time, 3.0 - 0.1 * time, 1.0)
-    middle = (time > time[0] + 1.0) & (time < time[-1] - 1.0)
-    assert averaged[middle] == pytest.approx((3.0 - 0.1 * time)[middle], abs=1e-9)
-
-
-def test_knowing_the_rotating_mass_sharpens_what_goes_with_it() -> None:
-    covariance = np.diag([0.04, 1e-4, 1e-8, 1e-10])
-    covariance[0, 1] = covariance[1, 0] = 1e-3
-    theta = np.array([0.8, 0.01, 1e-3, 1e-5])
-    stated, left, ratio = with_ratio(theta, covariance, MassRatio(0.92, 0.01, "train file"))
-    assert ratio.source == "train file"
-    assert ratio.value == pytest.approx(0.92, abs=1e-3)
-    assert left[1, 1] < covariance[1, 1]
-    assert stated[1] == pytest.approx(0.01 + 1e-3 / 0.0401 * 0.12)
 
 
 def test_doubt_about_segments_widens_the_band_and_moves_nothing() -> None:
@@ -349,15 +306,6 @@ def test_the_command_tells_in_one_line_why_not(tmp_path: Path) -> None:
         coast_down([log, tmp_path / "again.mcap"])
 
 
-def test_what_is_not_distinguished_from_traction_is_stated_in_plain_words() -> None:
-    drive = [(50.0, 0.5), (60.0, -0.05), (30.0, -0.3), (40.0, 0.4), (90.0, -0.02), (30.0, -0.2)]
-    time, position, speed, _ = driven(HILLY, CURVE, drive, speed=12.0)
-    with pytest.raises(NotIdentifiableError) as refusal:
-        coast_down([recorded(time, position, speed, line=HILLY)])
-    words = "coasting could not be distinguished from slight traction or braking (gain"
-    assert words in str(refusal.value)
-
-
 # ------------------------------------------------------------------------------ gradient unknown
 
 
@@ -442,39 +390,6 @@ def test_unknown_gradients_are_not_guessed() -> None:
     same = [on_day(same[0], k) for k in range(4)]
     with pytest.raises(NotIdentifiableError, match="at one and the same speed"):
         coast_down_without_gradient(same[:2], spans=spans)
-
-
-def test_different_trains_over_unknown_gradients_are_refused() -> None:
-    trips, spans = coasting_over(4, both=False)
-    named = [
-        replace(trip, metadata={**trip.metadata, "train": f"train {number // 2}"})
-        for number, trip in enumerate(trips)
-    ]
-    with pytest.raises(InputError, match="different trains: train 0, train 1"):
-        coast_down_without_gradient(named, spans=spans)
-    assert coast_down_without_gradient(named[:2], spans=spans).train == "train 0"
-    spans = {**spans, "trip-0 (2)": spans["trip-0"]}
-    again = coast_down_without_gradient([*named[:2], named[0]], spans=spans)
-    assert "is the same drive as 'trip-0'" in str(again.trips)
-
-
-def test_too_little_coasting_is_refused() -> None:
-    """The train coasts again and again, but never within reach of the fit for a minute."""
-    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
-    trip = recorded(time, position, speed, line=HILLY, every=1, noise=0.02)
-    start = trip["/gnss/motion"].index[0]
-    short = trip.between(str(start + pd.Timedelta(60, "s")), str(start + pd.Timedelta(111, "s")))
-    refused(NotIdentifiableError, r"60 s are needed", coast_down, [short])
-
-
-def test_the_lever_tells_when_a_trip_coasted() -> None:
-    trip = sample_trip("nonstop.mcap")
-    spans = lever_at_rest(trip, motion_of(trip))
-    pull = trip["/train/controls"]["tractive_effort"].to_numpy()
-    time = seconds(trip["/train/controls"], motion_of(trip).start)
-    assert spans
-    for begin, end in spans:
-        assert np.all(pull[(time >= begin) & (time <= end)] < 1.0)
 
 
 def test_the_command_refuses_one_trip_over_unknown_gradients(tmp_path: Path) -> None:

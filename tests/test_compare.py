@@ -55,12 +55,6 @@ def test_work_is_effort_times_distance() -> None:
     assert cost.mass == 132_000.0
 
 
-def test_standing_before_departure_and_after_arrival_is_not_running_time() -> None:
-    assert trip_cost(trip()).running_time == pytest.approx(600.0, abs=0.2)
-    assert trip_cost(trip()).stops == 0
-    assert trip_cost(trip(stop=True)).stops == 1
-
-
 def test_a_trip_that_never_moves_is_refused() -> None:
     still = trip()
     state = still["/train/state"].assign(speed=0.0)
@@ -224,16 +218,3 @@ def test_groups_are_compared_by_their_mean_and_spread() -> None:
     assert driver.startswith("183.33 kWh ± 23.57 kWh, 600 ± 0 s")
     assert own.startswith("133.33 kWh ± 0.00 kWh")
     assert saved == "50.00 kWh ± 23.57 kWh"
-
-
-def test_what_is_saved_is_named_as_saved_and_one_pair_is_one() -> None:
-    found = compare_groups([trip("a", effort=60_000.0)], [trip("b", configuration="a")])
-    # 200 and 167 kWh at the wheel rims; from the line with efficiencies, and as much fed back.
-    assert found.sentence.startswith(
-        "Saved on 1 trip: 16.7% at the wheel rims (33.33 kWh of 200.00 kWh), 19.3% from the line ("
-    )
-    assert found.saved_words in found.sentence
-    assert found.saved_words == found.summary()["saved"]
-    headings = found.tables()[0].heads
-    assert "saved from the line" in headings
-    assert "1 pair of trips" in repr(found)

@@ -16,7 +16,6 @@ from refusals import refused
 
 from analysis.comparison.compare import Comparison, compare, section_table, sections_between
 from analysis.comparison.driven import driven_trip
-from analysis.comparison.groups import trip_cost
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -30,7 +29,6 @@ from trainlog.simulation.scenario import Scenario
 from trainlog.spans import runs_of
 from trainlog.topics import TRAIN_SUPPLY
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
-from trainlog.units import clock
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -95,11 +93,6 @@ def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
     assert again.energy.value == again.energy.recorded
 
 
-def test_the_summary_shows_the_largest_causes_gains_among_them() -> None:
-    words = repr(compare([stopping(), nonstop()]))
-    assert "stop +285 s, faster -7" in words
-
-
 def test_the_same_drive_given_twice_counts_once_and_is_stated() -> None:
     copy = altered(stopping(), lambda frame: frame, trip="copy")
     found = compare([stopping(), copy])
@@ -138,16 +131,6 @@ def test_losses_add_up_to_the_difference_and_to_the_sections() -> None:
     assert times == pytest.approx(driven_trip(stopping()).duration, abs=0.2)
     # Three stops of some 42 s, and slowing down and starting for each.
     assert lost(found, "trip-03")["stop"] > 200.0
-
-
-def test_running_time_is_without_dwell_wherever_it_is_stated() -> None:
-    table = compare([stopping(), nonstop()]).trip("trip-03").table
-    cost = trip_cost(stopping())
-    assert cost.running_time == pytest.approx(table["running_time"].sum(), abs=0.2)
-    assert cost.dwell == pytest.approx(table[["dwell", "stood"]].sum().sum(), abs=0.2)
-    assert cost.dwell > 100.0
-    assert cost.times.startswith(f"{clock(cost.running_time)}, with {clock(cost.dwell)} of dwell")
-    assert trip_cost(nonstop()).times == clock(driven_trip(nonstop()).duration)
 
 
 def test_two_halves_lose_what_the_whole_loses() -> None:
@@ -233,15 +216,6 @@ def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(
     work = each.trip.drawn_work
     assert np.isnan(work).any()
     assert not np.isnan(whole.drawn_work).any()
-
-
-def test_without_efforts_the_energy_is_unknown() -> None:
-    none = replace(
-        stopping(), topics={k: v for k, v in stopping().topics.items() if k != "/train/controls"}
-    )
-    found = compare(none)
-    assert found.trip("trip-03").table["traction"].isna().all()
-    assert "no efforts are recorded" in found._repr_html_()
 
 
 def moved(trip: Trip, by: Callable[[np.ndarray], np.ndarray], name: str) -> Trip:
@@ -460,28 +434,6 @@ def test_the_command_prints_json_and_saves_a_picture(
     assert sum(sections) == pytest.approx(lost)
 
 
-def test_frames_of_a_comparison_hold_numbers_with_units() -> None:
-    found = compare([stopping(), nonstop()])
-    frame = found.to_frame()
-    assert frame["duration_s"].tolist() == [
-        each.trip.duration for each in found.directions[0].trips
-    ]
-    assert frame.attrs["units"]["mass_kg"] == "kg"
-    assert found.to_frame("sections").attrs["units"]["line_J"] == "J"
-    assert found.to_frame("losses")["lost_s"].is_monotonic_decreasing
-
-
-def test_sections_make_up_a_trip_whose_position_is_recorded_in_whole_metres() -> None:
-    """A train creeps for seconds within the metre of its stop."""
-    state = stopping()["/train/state"]
-    coarse = state.assign(position=np.floor(state["position"]))
-    coarse.attrs = dict(state.attrs)
-    for trip in (stopping(), stopping().with_topic(coarse)):
-        driven = driven_trip(trip)
-        table = section_table(driven, sections_between(driven.line, *driven.covered))
-        assert table["running_time"].sum() == pytest.approx(driven.running[-1], abs=1e-6)
-
-
 def test_a_section_ends_where_the_train_stood_not_at_the_station_beside_it() -> None:
     trip = read_log(sample("stopping.mcap"))
     driven = driven_trip(trip)
@@ -514,14 +466,3 @@ def test_time_lost_by_slip_is_found_by_the_wheels_where_no_protection_is_recorde
         lost.append(float(losses["lost"][losses["cause"] == "slip"].sum()))
     assert lost[0] > 20.0
     assert lost[1] == pytest.approx(lost[0], rel=0.2)
-
-
-def test_the_course_of_lost_time_has_no_spike_where_two_trips_stood_at_a_station() -> None:
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    drawn = draw_scenarios(line, train, count=12, seed=77)
-    first, second = simulate(drawn[10]), simulate(drawn[2])
-    lost = compare([first, second], reference=first).trip(second.name).lost
-    assert lost is not None
-    steps = np.diff(lost.behind)
-    # A spike is a step and its opposite at the next cell: as long as a dwell of the other trip.
-    assert np.all((np.abs(steps[1:]) < 15.0) | (np.abs(steps[1:] + steps[:-1]) > 15.0))

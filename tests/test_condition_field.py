@@ -96,10 +96,6 @@ class TestChanges:
         assert change.significance > 3.0
         assert np.all(np.abs(layer.log_mean[38:44] - np.log(after)) < 1.96 * layer.log_std[38:44])
 
-    def test_weeks_of_few_trips_are_no_change(self) -> None:
-        days = [*range(0, 20), 40, 41, 62, 80, 81]
-        assert layer_of([met(DAY + number, 38, 0.09, 0.06) for number in days]).changes == ()
-
 
 def test_what_one_day_alone_showed_may_have_passed() -> None:
     normal = [met(DAY + n, 4 + 12 * n, 0.16, 0.05, bins=8) for n in range(7)]
@@ -133,16 +129,6 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: 
         assert np.all((level > 0.145) & (level < 0.18)), number
         assert found.quantile(0.5).tobytes() == whole.expected(day(number)).quantile(0.5).tobytes()
         assert whole.model["trip_std"].value < 0.12
-
-
-def test_the_order_of_trips_does_not_matter() -> None:
-    pieces = [met(DAY + number // 3, 30 + number % 7, 0.1, 0.12) for number in range(20)]
-    one, other = layer_of(pieces), layer_of(pieces[::-1])
-    assert one.log_mean.tobytes() == other.log_mean.tobytes()
-    assert one.probability is not None
-    assert other.probability is not None
-    assert one.probability.tobytes() == other.probability.tobytes()
-    assert one.model == other.model
 
 
 def test_without_evidence_parameters_are_assumed_and_with_it_estimated() -> None:

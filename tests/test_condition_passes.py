@@ -128,13 +128,6 @@ def test_two_onsets_are_shared_out_between_the_level_its_neighbours_and_spots() 
     np.testing.assert_allclose(number[1], (one + 2.0 * both) / (one + both))
 
 
-def test_as_many_onsets_are_of_short_spots_as_the_level_does_not_explain() -> None:
-    _, _, number = said(2, np.log(0.06), 0.001, 0.0)
-    assert number[0, -1] > 1.99  # both are far below
-    _, _, number = said(2, np.log(np.sqrt(0.06 * 0.3)), (0.5 * np.log(0.06 / 0.3)) ** 2, 0.0)
-    assert number[0, -1] < 1.1  # one is of the level itself
-
-
 def test_the_pass_over_days_adds_up_all_that_may_have_been() -> None:
     """A day has no spot, or one of a level below the lasting one, which stays or is drawn anew."""
     rng = np.random.default_rng(2)

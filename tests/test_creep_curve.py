@@ -7,7 +7,7 @@ import pytest
 from test_adhesion import AXLE_LOAD, FORCE_RATE, ROTATING_MASS, climb
 
 from estimators.adhesion import smoothed_force
-from estimators.creep_curve import FEWEST, estimate_creep_curve
+from estimators.creep_curve import estimate_creep_curve
 from trainlog.arrays import FloatArray
 
 
@@ -43,13 +43,6 @@ def test_the_maximum_of_polachs_curves_is_found(
     top = int(np.argmax(slip_speed[part]))
     slope = float(np.interp(slip_speed[part][top], slip, np.gradient(curve, slip)))
     assert abs(found.slope[top] - slope) < 3.0 * found.slope_std[top]
-
-
-def test_too_few_samples_give_nothing() -> None:
-    few = np.arange(FEWEST - 1.0)
-    found = estimate_creep_curve(few, 1.0 + few, 0.1 + 0.0 * few, 0.005, 0.05)
-    assert np.isnan(found.maximum).all()
-    assert np.isnan(found.slope_std).all()
 
 
 def test_a_rail_on_which_less_slip_was_seen_is_less_well_known() -> None:

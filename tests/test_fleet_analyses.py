@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 import re
 import zlib
 from pathlib import Path
@@ -18,11 +17,11 @@ from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import evidence_of_log, own_line
 from analysis.adhesion.slip import slip
 from analysis.comparison.driven import driven_trip
-from analysis.fleet.analyses import ANALYSES, FleetAnalysis, analyses_named
+from analysis.fleet.analyses import ANALYSES, analyses_named
 from analysis.network.edges import EdgeOfLine, Stretch, edges_of, on_edge
 from analysis.resistance.fit import fit_trip
 from analysis.view import TOPICS, TripView, parts_of, view_of, views_of
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError
 from trainlog.formats.mapfile import packed_evidence
 from trainlog.mcap.reader import rows_of_log
 from trainlog.trip import Trip
@@ -96,13 +95,6 @@ def test_the_evidence_is_that_of_the_map(log: str) -> None:
     assert json.loads(row["entry"])["weather"] == piece.details["weather"]
 
 
-def test_a_trip_without_a_rail_condition_gives_no_evidence() -> None:
-    trip = trainlog.read(LOGS[0])
-    del trip.metadata["weather"]
-    refused(LogError, "does not state the rail's condition", one, "adhesion", TripView(trip))
-    assert len(one("driving", TripView(trip))) == 1
-
-
 @pytest.mark.parametrize("log", LOGS)
 def test_times_and_works_are_those_of_the_trip(log: str) -> None:
     row, trip = one("driving", log).iloc[0], driven_trip(log)
@@ -114,15 +106,6 @@ def test_times_and_works_are_those_of_the_trip(log: str) -> None:
     late = row["running_time"] - row["shortest_time"]
     assert row[lost].sum() == pytest.approx(late, abs=0.4)
     assert late > 0.0
-
-
-def test_a_trip_against_the_chainage_leaves_its_line_at_its_beginning() -> None:
-    trip = trainlog.read(LOGS[0])
-    turned = Trip(trip.topics, trip.metadata | {"direction": "reverse"}, (), trip.attachments)
-    row = one("driving", TripView(turned)).iloc[0]
-    assert row["direction"] == "reverse"
-    assert row["first"] > row["last"]
-    assert row["first"] - row["last"] == pytest.approx(row["distance"])
 
 
 def test_checks_list_what_is_wrong_with_a_recording() -> None:
@@ -141,21 +124,6 @@ def test_checks_list_what_is_wrong_with_a_recording() -> None:
     assert row["missing"] == "pneumatic braking effort"
     assert "/train/axles.wheel_speed" in row["frozen"]
     assert row["frozen_samples"] == 599
-
-
-def test_fixes_beside_the_line_show() -> None:
-    trip = trainlog.read(LOGS[1])
-    fix = trip["/gnss/fix"].assign(latitude=trip["/gnss/fix"]["latitude"] + 1e-3)
-    fix.attrs = trip["/gnss/fix"].attrs
-    sound, row = (one("checks", TripView(t)).iloc[0] for t in (trip, trip.with_topic(fix)))
-    assert sound["fix_beside"] < 5.0 < 50.0 < row["fix_beside"] < 112.0
-
-
-def test_results_are_the_same_bytes_again_and_through_a_pickle() -> None:
-    for analysis in ANALYSES.values():
-        other: FleetAnalysis = pickle.loads(pickle.dumps(analysis))
-        tables = [each.arrow([("k", each.table(view_of(LOGS[0])))]) for each in (analysis, other)]
-        assert tables[0].equals(tables[1])
 
 
 def test_parameters_are_part_of_what_identifies_a_result() -> None:

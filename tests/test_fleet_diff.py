@@ -149,18 +149,6 @@ def test_trips_that_one_side_alone_accepts_are_listed_with_the_reason() -> None:
     assert again.verdicts["first"].tolist() == 2 * ["refused: too short"]
 
 
-def test_texts_that_differ_are_listed_but_no_estimate_moved() -> None:
-    table = made_up()
-    other = table.assign(
-        source=["assumed" if key == "00007" else "recorded" for key in table["key"]]
-    )
-    found = difference(table, other)
-    assert not found.beyond
-    assert found.words[["trip", "estimate", "second"]].to_numpy().tolist() == [
-        ["trip-7", "source", "assumed"]
-    ]
-
-
 @pytest.fixture(scope="module")
 def adhesion() -> pd.DataFrame:
     """What the two sample trips show of the maximum adhesion."""
@@ -217,34 +205,6 @@ def test_a_count_moves_beyond_its_band_by_more_than_its_chance() -> None:
     assert "figures without a band" in found.sentence
 
 
-def test_a_correlation_of_residuals_moves_by_more_than_its_chance() -> None:
-    columns = {"windows": np.array([100, 100]), "residual_correlation": np.array([0.02, 0.02])}
-    other = columns | {"residual_correlation": np.array([0.21, 0.22])}
-    found = difference(*(counts_of(each, "resistance") for each in (columns, other)), "resistance")
-    assert found.moved["trip"].tolist() == ["trip-1"]
-    assert found.moved["bands"].tolist() == pytest.approx([0.2 / 0.196])
-
-
-def test_a_small_rise_of_a_count_in_all_trips_is_found_in_its_mean() -> None:
-    generator = np.random.default_rng(5)
-    before = generator.poisson(20.0, 200)
-    columns = ({"gaps": before}, {"gaps": before + generator.binomial(6, 0.5, 200)})
-    found = difference(*(counts_of(each, "checks") for each in columns), "checks")
-    assert len(found.moved) <= 2, "three of twenty are within the chance of a trip"
-    whole = found.means[found.means["of"] == "all trips"].iloc[0]
-    assert whole["beyond"]
-    assert whole["shift"] == pytest.approx(3.0, abs=0.4)
-    assert whole["value_std"] == pytest.approx(np.sqrt(20.0 / 200), rel=0.2)
-
-
-def test_a_small_figure_is_judged_by_the_size_that_it_has_in_other_trips() -> None:
-    """A time of a tenth of a second that grew by half beside hundreds of seconds is nothing."""
-    table = made_up()
-    size = np.where(np.arange(len(table)) == 7, 0.1, 300.0)
-    found = difference(table.assign(energy=size), table.assign(energy=size + 0.05))
-    assert not len(found.moved)
-
-
 def test_what_parameters_change_by_definition_is_not_compared() -> None:
     columns = {"bins": np.array([40, 30, 20]), "bin_length": 25.0, "weight": 10.0}
     columns |= {"weighted_log": np.array([-20.0, -18.0, -16.0])}
@@ -265,13 +225,6 @@ def test_what_parameters_change_by_definition_is_not_compared() -> None:
     assert set(slipperier.moved["estimate"]) == {"maximum adhesion"}
     assert slipperier.moved["second"].max() == pytest.approx(np.exp(-2.6))
     assert slipperier.moved["bands"].min() == pytest.approx((np.e - 1) / 1.96 * 10**0.5)
-
-
-def test_what_is_packed_and_differs_in_a_byte_is_not_the_same() -> None:
-    one = counts_of({"windows": np.ones(2, int), "gradients": np.array([b"a", b"b"])}, "made up")
-    found = difference(one, one.assign(gradients=[b"a", b"c"]))
-    assert not found.same
-    assert found.trip_counts["within"].tolist() == [1]
 
 
 def test_parameters_that_no_analysis_has_are_refused() -> None:

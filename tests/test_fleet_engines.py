@@ -24,7 +24,7 @@ from killed_fleet import contents, descendants, recorded
 from refusals import refused
 
 from analysis.fleet import engine
-from analysis.fleet.engine import MPI, PROFILED, Dask, Engine
+from analysis.fleet.engine import MPI, Dask, Engine
 from analysis.fleet.update import UpdateOptions, update_fleet
 from analysis.fleet.work import Batch
 from trainlog.catalogue import open_catalogue
@@ -188,27 +188,6 @@ def kill_scheduler(address: str, catalogue: str) -> None:
                 os.kill(int(entry.parent.name), signal.SIGKILL)
 
 
-def test_a_worker_of_dask_forgets_its_profile_of_earlier_trips(
-    tmp_path: Path, fleet_logs: Path
-) -> None:
-    pytest.importorskip("distributed")
-    from distributed import Worker
-
-    before = set(Worker._instances)
-    with dask_threads(tmp_path) as (address, _), open_catalogue(tmp_path / "dask") as catalogue:
-        workers = set(Worker._instances) - before
-        for worker in workers:
-            for history in (worker.profile_history, worker.profile_keys_history):
-                history.extend([(0.0, {"count": 0, "children": {}})] * 1000)
-        catalogue.add(sorted(fleet_logs.glob("*.mcap"))[:2])
-        update_fleet(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
-        kept = [len(worker.profile_history) for worker in workers]
-        keys = [len(worker.profile_keys_history) for worker in workers]
-    # A worker that had nothing to do keeps all; the profile goes on by an entry a second.
-    assert min(kept) < 2 * PROFILED
-    assert min(keys) < 2 * PROFILED
-
-
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr(engine, "PATIENCE", 0.3)
@@ -274,20 +253,6 @@ def test_mpi_gives_the_same_bytes_as_one_process(
     assert done.returncode == 0, done.stderr
     assert f"by MPI, {workers} worker" in done.stdout
     assert contents(tmp_path / "mpi" / "results") == contents(place / "one" / "results")
-
-
-def test_mpi_without_workers_states_how_it_is_started() -> None:
-    pytest.importorskip("mpi4py")
-    script = "from analysis.fleet.engine import MPI; MPI()"
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=PATIENCE,
-    )
-    assert "MPI has no workers" in done.stderr
-    assert "mpiexec -n 3 python -m mpi4py.futures" in done.stderr
 
 
 def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

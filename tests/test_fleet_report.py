@@ -25,9 +25,7 @@ from analysis.reports.fleet import (
     FleetFacts,
     FleetReportOptions,
     attention_parts,
-    energy_sources,
     fleet_page,
-    lowest_parts,
 )
 from analysis.reports.page import Page, Section
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
@@ -105,13 +103,6 @@ def test_trips_and_energy_are_those_of_the_tables(catalogue: Catalogue, page: Pa
     assert lost["slower"] == pytest.approx(driving["lost_slower"].mean())
 
 
-def test_sources_of_the_energy_from_the_line_are_stated_in_words() -> None:
-    words = energy_sources(pd.Series(["efficiencies", "efficiencies", "recorded", ""]))
-    assert "calculated by the efficiencies of the train's file: 2 runs" in words
-    assert "; recorded: 1 run" in words
-    assert "not known: 1 run" in words
-
-
 @pytest.mark.usefixtures("unpainted_page")
 def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(page: Page) -> None:
     (row,) = table_of(page, "refused")
@@ -133,15 +124,6 @@ def test_the_condition_is_that_of_the_maps(catalogue: Catalogue, page: Page) -> 
     assert onsets == evidence.to_dict()
     lowest = [row["expected_low"] for row in table_of(page, "lowest_wet")]
     assert np.all(np.diff(lowest) >= 0.0)
-
-
-def test_what_is_not_computed_asks_for_attention(page: Page) -> None:
-    rows = {(row["train"], row["what"]): row for row in table_of(page, "attention")}
-    waiting = rows["all", "resistance: not computed"]
-    assert (waiting["trips"], waiting["what_to_do"]) == (2, "'trainlog fleet update' computes it")
-    assert rows["all", "passport: not computed yet"]["trips"] == 1
-    assert not [what for _, what in rows if what.startswith(("driving", "checks", "adhesion"))]
-    assert next(iter(rows))[1].startswith("trains are not compared")
 
 
 def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> None:
@@ -225,15 +207,6 @@ def test_trips_whose_dates_contradict_each_other_are_named() -> None:
     assert "dated after its log was registered" not in set(contradicted_dates(simulated)["what"])
 
 
-def test_doubts_of_recordings_are_counted(catalogue: Catalogue, page: Page) -> None:
-    checks = catalogue.results("checks")
-    titles = [section.title for section in page.sections]
-    assert titles[-1] == "Quality of the recordings"
-    figures = {row["figure"]: row for row in table_of(page, "figures")}
-    gaps = figures["time in gaps, s"]
-    assert float(gaps["largest"]) == pytest.approx(checks["gap_time"].max(), rel=0.01)
-
-
 @pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_one_page_that_asks_for_nothing(
     place: Path, network: Path, tmp_path: Path, shell: Shell
@@ -254,18 +227,3 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     assert (status, complaint.count("\n")) == (2, 1)
     assert "no trip is chosen" in complaint
     assert not (tmp_path / "a.html").exists()
-
-
-def test_the_report_counts_low_places_that_it_does_not_list() -> None:
-    start = 1000.0 * np.arange(13)
-    bins = pd.DataFrame(
-        {"line": "east", "layer": "wet", "start_m": start, "end_m": start + 25.0, "events": 1.0,
-         "observed": True, "expected": 0.1 + start / 1e5, "expected_low": 0.05,
-         "expected_high": 0.2}
-    )  # fmt: skip
-    table, more = lowest_parts(bins, "wet")
-    assert isinstance(table, WordTable)
-    assert table.data is not None
-    assert len(table.data) == 10
-    assert str(more).startswith("3 more places")
-    assert len(lowest_parts(bins[:10], "wet")) == 1

@@ -19,7 +19,6 @@ from analysis.fleet.plot import findings_charts
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
 from analysis.reports.fleet import FleetFacts, attention_parts
-from estimators.mixed import Group, mixed_effects
 from trainlog.cli.terminal import as_json_text
 from trainlog.errors import InputError, NotIdentifiableError
 
@@ -148,23 +147,6 @@ def test_one_bad_train_moves_neither_its_kind_nor_the_spread_by_much() -> None:
     assert np.mean(curve(found["kiss-08"])) - mean > 5000.0
 
 
-def test_the_result_does_not_depend_on_the_order_of_trips() -> None:
-    rows = drawn_fleet(pool("virm"), 5, trains=4, trips=6)
-    one = fleet_resistance(rows)["virm"]
-    other = fleet_resistance(rows.sample(frac=1.0, random_state=2))["virm"]
-    assert one.mean.resistance == other.mean.resistance
-    assert np.array_equal(one.mean.covariance, other.mean.covariance)
-
-
-def test_trips_that_share_an_error_do_not_average_it_away() -> None:
-    generator = np.random.default_rng(0)
-    line = np.repeat(np.arange(2), 200)
-    values = 1.0 + generator.normal(0.0, 0.01, (400, 1))
-    groups = [Group(line, 2, None, np.array([[0.04]]))]
-    found = mixed_effects(values, np.full((400, 1, 1), 1e-4), groups, np.array([[1e-4]]), 2.0)
-    assert found.block(0, 0)[0, 0] == pytest.approx(0.04 / 2.0, rel=0.02)
-
-
 def test_a_gain_that_many_trips_share_does_not_explain_their_noise() -> None:
     rows = drawn_fleet(pool("flirt"), 12, trains=4, trips=150)
     # Two of them weigh no load: their efforts are as uncertain as a recorder's gain.
@@ -209,20 +191,6 @@ def test_a_fault_is_named_with_its_beginning_and_its_size(what: str) -> None:
             assert abs(cause.size - FAULTS[what]) < 3.0 * cause.std
         assert finding.p < found.unlike.rate
         assert finding.between[0] <= finding.since <= finding.between[1]
-
-
-def test_a_late_fault_is_one_finding_that_begins_with_it_where_the_channel_wanders() -> None:
-    fault = Fault("sensor delay", 0.3, 0, 200)
-    rows = drawn_fleet(pool("flirt"), 5, trains=5, trips=230, trips_a_day=8.0, faults=(fault,))
-    train = sorted(rows["train"].unique())[0]
-    mine = np.flatnonzero(rows["train"] == train)
-    # A delay that creeps by 0.04 s in the first month, which is none to act on.
-    creeping = np.interp(np.arange(mine.size), (0, 60, 120), (0.0, 0.0, 0.04))
-    rows.loc[rows.index[mine], "effort_delay"] += creeping
-    (found,) = fleet_trains(rows).of(train)
-    assert found.what == "sensor delay"
-    assert found.since == rows["start"].iloc[mine].sort_values().iloc[200]
-    assert found.trips <= 5
 
 
 def test_what_the_delays_of_a_train_err_by_alike_hides_no_change_of_them() -> None:
@@ -338,29 +306,6 @@ def test_a_step_that_is_no_finding_is_stated() -> None:
     assert "step of +2 %" in " ".join(row["what"] for row in table.data)
 
 
-def test_table_and_picture_state_one_band_above_zero() -> None:
-    (kind,) = fleet_resistance(drawn_fleet(pool("flirt"), 13, trains=2, trips=4))
-    low, high = kind.another.band_at(SPEEDS)
-    assert np.all(low >= 0.0)
-    assert high - curve(kind.another) == pytest.approx(kind.another.reach(SPEEDS))
-    # Two trains show a spread less well than a normal distribution would have it.
-    assert np.all(kind.another.reach(SPEEDS) > 2.3 * kind.another.std(SPEEDS))
-    rows = fleet_trains(kind.rows).tables()[0].data
-    another = next(row for row in rows if row["train"] == "another flirt")
-    at = 80.0 / 3.6
-    assert 1.96 * another["resistance_at_80_km_h_std_N"] == pytest.approx(
-        float(kind.another.reach(at)), rel=1e-6
-    )
-
-
-def test_the_reason_for_seeing_nothing_counts_the_trips_of_the_kind() -> None:
-    found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=2))
-    reasons = {each.channel: each.reason for each in found.unlike.limits}
-    assert reasons["effort gain"] == "only 4 trips of the kind with recorded load, fewer than 8"
-    assert reasons["constant resistance"] == "only 4 trips of the kind, fewer than 8"
-    assert reasons["size of the curve"] == "only 4 trips of the kind, fewer than 8"
-
-
 def test_what_is_not_recorded_is_not_judged_and_this_is_stated() -> None:
     fault = Fault("wheel diameter", 0.01, 0, SINCE), Fault("effort gain", 0.05, 1, SINCE)
     rows = drawn_fleet(pool("flirt"), 7, trains=5, trips=60, faults=fault)
@@ -425,15 +370,6 @@ def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(t
     assert season.highest_month in (4, 5, 6)
 
 
-def test_too_short_a_span_shows_no_trend_and_no_season() -> None:
-    short = drift(faulty(), "flirt-06", "speed scale")
-    rows = drawn_fleet(pool("flirt"), 12, trains=4, trips=20)
-    shorter = drift(fleet_trains(rows), "flirt-02", "speed scale")
-    assert np.isnan(shorter.trend_a_month)
-    assert "show no trend" in shorter.reason
-    assert np.isnan(short.season)
-
-
 # -------------------------------------------------------------------------------- catalogue
 
 
@@ -493,11 +429,3 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     other = replace(computation, code="other")
     monkeypatch.setattr(analyses, "computation_of", lambda _: other)
     assert [path.suffix for path in chosen_summaries("all", str(tmp_path))] == [".mcap"] * 2
-
-
-def test_a_recorder_that_rounds_is_judged_without_a_scatter_of_its_own() -> None:
-    rows = drawn_fleet(pool("flirt"), 7, trains=2, trips=20)
-    rows["speed_noise"] = np.where(rows["train"] == "flirt-01", 0.02, 0.05)
-    found = fleet_trains(rows)
-    assert found.unlike.findings == ()
-    assert found.unlike.series["flirt"]["speed noise"].std.min() > 0.01

@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,36 +17,29 @@ import pytest
 from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
 from fleet_trips import TRIPS, later, short_trips
 from killed_fleet import (
-    alive,
-    all_end,
     contents,
-    descendants,
-    forget_all,
     grow_old,
     kill_at_random,
     maps_in,
     rows_by_trip,
-    started,
-    workers,
 )
 from killed_points import ANALYSES as TWO, POINTS
 
 import trainlog
 from analysis.adhesion.condition_map import update_map
 from analysis.fleet import maps
-from analysis.fleet.analyses import ANALYSES, FleetAnalysis, code_of, computation_of
+from analysis.fleet.analyses import ANALYSES, FleetAnalysis, computation_of
 from analysis.fleet.engine import Processes
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.update import (
     FleetUpdate,
-    Problem,
     UpdateOptions,
     fleet_status,
     problems_table,
     update_fleet,
 )
 from trainlog import version
-from trainlog.catalogue import Catalogue, open_catalogue
+from trainlog.catalogue import open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import MapFile, read_map
@@ -132,18 +124,6 @@ def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch)
     assert again.counts["checks"].known == TRIPS
 
 
-def test_a_new_log_is_computed_alone(place: Path, tmp_path: Path) -> None:
-    late = tmp_path / "late.mcap"
-    shutil.move(tmp_path / "logs" / "trip-003.mcap", late)
-    with open_catalogue(tmp_path / "few") as catalogue:
-        catalogue.add(tmp_path / "logs")
-    assert updated(tmp_path / "few", "checks").trips == TRIPS - 1
-    with open_catalogue(tmp_path / "few") as catalogue:
-        catalogue.add(late)
-    assert updated(tmp_path / "few", "checks").trips == 1
-    assert len(results(tmp_path / "few", "checks")) == TRIPS
-
-
 def test_other_code_and_other_parameters_are_computed_anew(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,13 +134,6 @@ def test_other_code_and_other_parameters_are_computed_anew(
     other = replace(computation_of(ANALYSES["checks"]), code="0123456789abcdef")
     monkeypatch.setattr("analysis.fleet.update.computation_of", lambda _: other)
     assert updated(place, "checks").trips == TRIPS
-
-
-def test_the_code_of_an_analysis_is_what_it_runs_through_and_no_more() -> None:
-    code = code_of(ANALYSES["resistance"])
-    assert code == code_version_of("analysis.fleet.work")
-    assert code != code_version_of("analysis.fleet.update")
-    assert code_of(WRONG) != code
 
 
 USED = (
@@ -196,41 +169,6 @@ def test_a_change_of_a_module_counts_where_an_analysis_runs_through_it(
         changed = code_version_of.__wrapped__("analysis.fleet.work")
         assert (changed not in codes) is (module in USED), module
         codes.add(changed)
-
-
-def test_names_of_packages_that_load_on_first_use_are_followed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package = tmp_path / "trainlog" / "numbers"
-    package.mkdir(parents=True)
-    (tmp_path / "trainlog" / "__init__.py").write_text("")
-    (package / "__init__.py").write_text(
-        "from trainlog.extras import names_on_first_use\n"
-        "if TYPE_CHECKING:\n    from trainlog.numbers.one import one\n"
-        "    from trainlog.numbers.two import two as two\n    first = one\n"
-        "__all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)\n"
-    )
-    (tmp_path / "trainlog" / "user.py").write_text("from trainlog.numbers import first\n")
-    for name in ("one", "two"):
-        (package / f"{name}.py").write_text(f"{name} = 1\n")
-    monkeypatch.setattr(version, "_SOURCE", tmp_path)
-    monkeypatch.setattr(version, "_on_first_use", version._on_first_use.__wrapped__)
-    codes = [code_version_of.__wrapped__("trainlog.user")]
-    for name in ("two", "one"):
-        (package / f"{name}.py").write_text(f"{name} = 2\n")
-        codes.append(code_version_of.__wrapped__("trainlog.user"))
-    assert codes[0] == codes[1] != codes[2]
-
-
-def test_to_state_what_is_computed_loads_nothing_that_computes(place: Path) -> None:
-    words = ["fleet", "show", "--catalogue", str(place)]
-    script = (
-        f"import sys; from trainlog.cli import main; code = main.run({words!r});"
-        "heavy = ('numba', 'scipy', 'pint', 'analysis.adhesion.slip', 'trainlog.mcap.reader');"
-        "print([each for each in heavy if each in sys.modules], code)"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "[] 0", done.stdout + done.stderr
 
 
 def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> None:
@@ -295,20 +233,6 @@ def test_only_the_trips_that_are_chosen_are_computed(place: Path) -> None:
     assert updated(place, "checks").trips == TRIPS - TRIPS // 2
 
 
-def test_a_fleet_is_asked_for_page_by_page(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.fleet.update.PAGE", 2)
-    asked = []
-    pending = Catalogue.pending
-
-    def noted(*given: object, **named: object) -> pd.DataFrame:
-        asked.append(pending(*given, **named))  # type: ignore[arg-type]
-        return asked[-1]
-
-    monkeypatch.setattr(Catalogue, "pending", noted)
-    assert updated(place, "checks", "passport", batch=1).trips == TRIPS
-    assert max(map(len, asked)) == 2
-
-
 def test_options_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(InputError, match="several engines"):
         UpdateOptions(workers=2, scheduler="tcp://somewhere:1")
@@ -348,15 +272,6 @@ def test_trips_whose_logs_are_gone_are_counted_apart(
     assert json.loads(capsys.readouterr().out)["gone"] == 1
 
 
-def test_a_trip_without_a_result_is_listed_by_its_name_with_that_of_its_file() -> None:
-    about = ("resistance", "refused", "trip 'flirt-01' is short")
-    named = Problem("key", "/logs/trunc.mcap", *about, "flirt-01")
-    shown = problems_table([named]).data
-    assert shown[0]["trip"] == "flirt-01 (trunc.mcap)"
-    alike = replace(named, path="/logs/flirt-01.mcap")
-    assert problems_table([alike]).data[0]["trip"] == "flirt-01"
-
-
 # ---------------------------------------------------------------------------------------- maps
 
 
@@ -369,7 +284,7 @@ def test_the_map_is_that_of_the_logs(
 
 
 @pytest.mark.usefixtures("analysed_once")
-@pytest.mark.parametrize("kept", [maps.KEPT, 1])
+@pytest.mark.parametrize("kept", [pytest.param(maps.KEPT, marks=pytest.mark.long), 1])
 def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
     place: Path,
     undisturbed: dict[str, bytes],
@@ -509,19 +424,6 @@ def test_an_update_killed_at_random_moments_counts_each_trip_once(
     assert contents(place / "results") | maps_in(place / "maps") == undisturbed
 
 
-@pytest.mark.long
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_no_worker_outlives_an_update_that_is_killed(place: Path) -> None:
-    process = started(str(place), "--workers", "2", "--batch", "1")
-    while process.poll() is None and not workers(process.pid):
-        time.sleep(0.02)
-    every = descendants(process.pid)
-    process.kill()
-    process.wait()
-    assert every
-    assert all_end(every), alive(every)
-
-
 SERVERS = pytest.mark.parametrize("server", ["sqlite", "postgresql"])
 
 
@@ -541,37 +443,6 @@ def places(
 def kept(folder: Path) -> dict[str, bytes]:
     """Files of results and maps, to the byte, after what killed processes left has grown old."""
     return contents(folder / "results") | maps_in(folder / "maps")
-
-
-@pytest.mark.long
-@SERVERS
-def test_kills_of_the_command_leave_each_trip_once(
-    server: str, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    count = 12
-    short_trips(tmp_path / "logs", count)
-    place = places(server, tmp_path, request, "one", "many")
-    for at in place.values():
-        with open_catalogue(at) as known:
-            known.add(tmp_path / "logs")
-    assert updated(place["one"]).trips == count
-    at, kills = place["many"], dict.fromkeys(("parent", "worker", "interrupt", "runs"), 0)
-    for seed in range(15):
-        left = 15 - kills["parent"] - kills["worker"]
-        if left <= 0:
-            break
-        options = ("--workers", "2", "--batch", "1")
-        done = kill_at_random(at, left, seed, *options, within=2.0, each=1)
-        kills = {name: kills[name] + done[name] for name in kills}
-        (tmp_path / "kills.json").write_text(json.dumps(kills))
-        assert done["orphans"] == 0
-        assert updated(at, workers=2, retry=True).counts["checks"].pending == 0
-        assert {count for _, count in rows_by_trip(at)} == {ONCE}
-        grow_old(tmp_path / "many" / "results")
-        updated(at)
-        assert kept(tmp_path / "many") == kept(tmp_path / "one")
-        forget_all(at)  # compute all of it once more
-    print(kills)
 
 
 @pytest.mark.long

@@ -67,23 +67,6 @@ def test_a_row_holds_in_its_time_and_rail_condition_and_the_last_issued_counts(
     assert forecaster("wet", pd.Timestamp("2026-11-21T23:59Z")) is None
 
 
-def test_a_single_probability_is_a_forecast_too(tmp_path: Path, track: TrackConditionMap) -> None:
-    header = "line,from [m],to [m],valid from,valid to,below 0.08"
-    row = "CH_StGallen_Wil,0,500,2026-11-22,2026-11-23,0.3"
-    found = stated_forecast(read_forecast(written(tmp_path, row, header=header)), track)
-    here = found("wet", NOON)
-    assert here is not None
-    assert here.below(0.08)[3] == pytest.approx(0.3, abs=0.01)
-    assert here.observed.sum() == 20
-
-
-def test_a_row_without_figures_is_unknown(tmp_path: Path, track: TrackConditionMap) -> None:
-    silent = ROW.replace("0.08,0.12", ",")
-    found = stated_forecast(read_forecast(written(tmp_path, silent)), track)("wet", NOON)
-    assert found is not None
-    assert not found.observed.any()
-
-
 BAD = [
     (HEADER, ROW.replace(",1,2,", ",2,1,"), "line 2", "must end behind its beginning"),
     (HEADER, ROW.replace(",1,2,", ",-1,2,"), "line 2", "must end behind its beginning"),
@@ -116,25 +99,6 @@ def test_bad_rows_are_named(tmp_path: Path, header: str, row: str, place: str, w
         read_forecast(path)
     for each in (str(path), place, words):
         assert each in str(refused.value)
-
-
-def test_all_bad_rows_are_listed_in_order(tmp_path: Path) -> None:
-    rows = [
-        ROW,
-        ROW.replace("0.08", "8"),
-        ROW.replace("0.08", "low"),
-        ROW.replace(",1,2,", ",2,1,"),
-    ]
-    with pytest.raises(InputError) as refused:
-        read_forecast(written(tmp_path, *rows, ROW.replace("0.08", "0.2")))
-    assert [each.place for each in refused.value.each] == [
-        "line 3, column 'quantile 0.05'",
-        "line 4, column 'quantile 0.05'",
-        "line 5",
-        "line 6",
-    ]
-    with pytest.raises(InputError, match=r"30 problems: .*and 10 more"):
-        read_forecast(written(tmp_path, *[rows[1]] * 30))
 
 
 def test_all_that_is_wrong_is_listed_at_once(tmp_path: Path) -> None:

@@ -54,13 +54,6 @@ def normal(mean: FloatArray | float, std: FloatArray | float, bins: int = BINS) 
     )
 
 
-def on_grid(estimate: AdhesionEstimate) -> AdhesionEstimate:
-    levels = np.linspace(-7.0, 0.7, 1541)
-    density = stats.norm.pdf(levels, estimate.log_mean[:, None], estimate.log_std[:, None])
-    density /= density.sum(axis=1, keepdims=True)
-    return AdhesionEstimate(estimate.log_mean, estimate.log_std, estimate.observed, levels, density)
-
-
 @settings(max_examples=40)
 @given(st.floats(0.05, 0.4), st.floats(0.05, 0.5), st.floats(0.05, 0.4))
 def test_scores_of_a_normal_forecast_are_those_of_the_textbook(
@@ -76,18 +69,6 @@ def test_scores_of_a_normal_forecast_are_those_of_the_textbook(
         z * (2.0 * stats.norm.cdf(z) - 1.0) + 2.0 * stats.norm.pdf(z) - 1.0 / np.sqrt(np.pi)
     )
     assert crps(forecast, [met])[0] == pytest.approx(textbook, abs=2e-3)
-
-
-def test_a_forecast_on_a_grid_scores_as_the_distribution_that_it_stands_for() -> None:
-    forecast, met = normal(np.log([0.08, 0.1, 0.2]), [0.1, 0.2, 0.4], 3), [0.09, 0.15, 0.12]
-    for score in (onset_score, used_score, crps):
-        np.testing.assert_allclose(score(on_grid(forecast), met), score(forecast, met), atol=0.02)
-
-
-def test_what_was_held_for_impossible_costs_much_and_not_everything() -> None:
-    forecast = normal(np.log(0.3), 0.01, 1)
-    assert -12.0 < onset_score(forecast, [0.05])[0] < -8.0
-    assert -12.0 < used_score(forecast, [0.5])[0] < -8.0
 
 
 @settings(max_examples=40)
@@ -108,17 +89,6 @@ def test_the_brier_score_is_its_parts_together(rows: list[tuple[float, int, int]
     assert parts == pytest.approx(direct, abs=1e-12)
 
 
-def test_murphys_decomposition_of_forecasts_in_tenths() -> None:
-    # Rain forecast with .1, .5 and .9 on ten days each; it came on 2, 5 and 8 of them.
-    found = brier_score(
-        brier_sums(np.array([0.1, 0.5, 0.9]), np.full(3, 10.0), np.array([2.0, 5.0, 8.0]))
-    )
-    assert found.reliability == pytest.approx((0.01 + 0.0 + 0.01) / 3.0)
-    assert found.resolution == pytest.approx((0.09 + 0.0 + 0.09) / 3.0)
-    assert found.uncertainty == pytest.approx(0.25)
-    assert found.within == pytest.approx(0.0, abs=1e-12)
-
-
 def test_censored_values_do_not_bend_the_observed_shares() -> None:
     generator = np.random.default_rng(3)
     value, limit = generator.uniform(size=40_000), generator.beta(1.0, 2.0, 40_000)
@@ -131,17 +101,6 @@ def test_censored_values_do_not_bend_the_observed_shares() -> None:
     assert np.mean(value[shown] < 0.5) > 0.75
     assert trips[0] == 40_000
     assert np.all(np.diff(trips) <= 0.0)
-
-
-def test_two_trips_of_a_day_are_known_each_from_their_sums() -> None:
-    weight = np.array([40.0, 0.0])
-    pieces = [
-        DailyEvidence.of_bins(5, weight > 0, weight, weight * np.log([met, 1.0]), np.zeros((2, 3)))
-        for met in (0.08, 0.12)
-    ]
-    (day,) = passages_of("wet", DailyEvidence.total(pieces))
-    np.testing.assert_allclose(np.sort(day.onset_adhesion), [0.08, 0.12], rtol=1e-6)
-    assert day.onset_bin.tolist() == [0, 0]
 
 
 # ------------------------------------------------------------------ demand and references
@@ -318,33 +277,6 @@ def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored() -> No
     assert some.alarm().foreseen.value < whole.alarm().foreseen.value
     # Of the slips where it was known as many were foreseen as before.
     assert some.alarm().foreseen_known.value == pytest.approx(whole.alarm().foreseen.value, abs=0.1)
-
-
-def test_days_and_track_without_a_forecast_change_no_figure_of_the_known_part() -> None:
-    rail = drawn(4)
-    first = FIRST + 6
-    early = [day for day in rail.days if day.day < first]
-    alone = scored(Drawn(early, rail.demand, rail.knows, rail.level), rail.knows)
-    true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
-
-    def until(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
-        return true if time < pd.Timestamp(first, unit="D", tz="UTC") else None
-
-    diluted = scored(rail, until)
-    assert (alone.days.size, diluted.days.size, diluted.known_days) == (6, 30, 6)
-    assert diluted.known_train_km == alone.train_km < 0.3 * diluted.train_km
-    for one, other in zip(alone.alarm_curve(), diluted.alarm_curve(), strict=True):
-        assert other.false_alarms.value == one.false_alarms.value
-        assert other.foreseen_known.value == one.foreseen.value == one.foreseen_known.value
-        assert other.foreseen.value < 0.3 * one.foreseen.value or one.foreseen.value == 0.0
-    # False alarms per train-km times the train-km are the false alarms.
-    false = diluted.alarms[:, 1].sum(axis=0)
-    rates = np.array([each.false_alarms.value for each in diluted.alarm_curve()])
-    np.testing.assert_allclose(rates * diluted.alarm_train_km, false)
-    # Thirty days of trips on four of which something was forecast are too few for bands.
-    few = scored(rail, lambda layer, time: true if time.day_of_year % 8 == 0 else None)
-    assert few.known_days < 5
-    assert np.isnan(few.log_score().low)
 
 
 def test_bands_need_some_days_and_hold_the_figure() -> None:

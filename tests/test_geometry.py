@@ -20,8 +20,6 @@ from trainlog.railway.geometry import (
     from_plane,
     place,
     plane_curve,
-    similarity,
-    thinned,
     to_plane,
 )
 
@@ -38,21 +36,6 @@ def profile(*elements: tuple[float, float, float]) -> CurvatureProfile:
 
 def line(curvatures: CurvatureProfile | None, length: float) -> Line:
     return replace(level_line(length, limit=20.0), curvatures=curvatures)
-
-
-def test_a_straight_line_goes_north() -> None:
-    positions, points = plane_curve(profile((0.0, 0.0, 0.0)), 100.0)
-    assert positions.tolist() == [0.0, 25.0, 50.0, 75.0, 100.0]
-    assert points == pytest.approx(1j * positions)
-
-
-@pytest.mark.parametrize(("radius", "side"), [(340.0, 1.0), (-340.0, -1.0)])
-def test_a_quarter_of_a_circle_ends_beside_its_start(radius: float, side: float) -> None:
-    length = 340.0 * np.pi / 2.0
-    _, points = plane_curve(profile((0.0, 1.0 / radius, 1.0 / radius)), length)
-    assert points[-1] == pytest.approx(340.0 * (side + 1j), abs=1e-9)
-    centre = 340.0 * side
-    assert np.abs(points - centre) == pytest.approx(340.0, abs=1e-9)
 
 
 def test_a_clothoid_is_fresnel_s_integral() -> None:
@@ -114,29 +97,6 @@ def test_a_minute_of_arc_has_its_published_length() -> None:
     east = to_plane(45.0, 9.0 + half, origin) - to_plane(45.0, 9.0 - half, origin)
     assert complex(north) == pytest.approx(1j * 111_132.0 / 60.0, abs=0.02)
     assert complex(east) == pytest.approx(78_847.0 / 60.0, abs=0.02)
-
-
-@settings(max_examples=40)
-@given(
-    st.complex_numbers(min_magnitude=0.1, max_magnitude=10.0),
-    st.complex_numbers(max_magnitude=1e5),
-)
-def test_a_similarity_is_found_again(factor: complex, shift: complex) -> None:
-    sources = np.array([0.0, 1e3 + 2e3j, -4e3 + 1e2j])
-    found, moved = similarity(sources, factor * sources + shift)
-    assert found == pytest.approx(factor, rel=1e-9)
-    assert abs(moved - shift) < 1e-5
-
-
-def test_thinning_stays_within_its_tolerance_and_keeps_the_ends() -> None:
-    positions, points = plane_curve(
-        profile((0.0, 0.0, 0.0), (500.0, 0.0, 0.002), (700.0, 0.002, 0.002)), 2000.0, step=5.0
-    )
-    kept = thinned(positions, points, 0.5)
-    drawn = np.interp(positions, positions[kept], points[kept])
-    assert np.abs(drawn - points).max() <= 0.5
-    assert kept[[0, -1]].tolist() == [0, positions.size - 1]
-    assert kept.size < positions.size / 5
 
 
 def test_a_placed_line_meets_anchors_that_agree_with_it() -> None:

@@ -10,26 +10,21 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
-from map_bytes import map_from_bytes
 from refusals import refused
 
-from analysis.adhesion.condition_map import adhesion_map, empty_map, merge, update
+from analysis.adhesion.condition_map import adhesion_map, merge
 from analysis.estimates import estimate_log
 from analysis.geometry.centre_line import geometry_of
-from analysis.resistance import combine
 from analysis.resistance.coast_down import coast_down
-from analysis.resistance.combination import SAME_DRIVE, each_drive_once
-from analysis.resistance.fit import fit_trip
+from analysis.resistance.combination import SAME_DRIVE
 from analysis.resistance.logs import fit
 from trainlog.cli.map import map_update
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.files import sha256_of
 from trainlog.formats.mapfile import map_to_bytes
 from trainlog.formats.samples import sample
-from trainlog.formats.summaries import read_summaries, write_summaries
+from trainlog.formats.summaries import write_summaries
 from trainlog.identity import (
     SHARED,
     Known,
@@ -151,12 +146,6 @@ class TestIdentity:
         assert lost <= 2
         assert whole.shared(found) > 0.8
 
-    def test_the_halves_of_a_drive_share_nothing(self, versions: dict[str, Path]) -> None:
-        halves = [identity_of_log(versions[name]) for name in ("first_half", "second_half")]
-        assert halves[0] is not None
-        assert halves[1] is not None
-        assert halves[0].shared(halves[1]) == 0.0
-
     def test_a_table_in_other_units_is_the_same_drive(self, tmp_path: Path) -> None:
         """As CSV in km/h, in local time, with the load and the line not known."""
         state = WHOLE["/train/state"]
@@ -177,19 +166,6 @@ class TestIdentity:
         assert whole is not None
         np.testing.assert_array_equal(found.blocks, whole.blocks)
         assert same_drives([Known("table", found), Known("log", whole)])
-
-    def test_other_drives_share_nothing(self) -> None:
-        other = identity_of(read_log(sample("stopping.mcap")))
-        later = {
-            name: frame.set_axis(frame.index + pd.Timedelta("1D"))
-            for name, frame in WHOLE.topics.items()
-        }
-        whole, tomorrow = identity_of(WHOLE), identity_of(replace(WHOLE, topics=later))
-        assert whole is not None
-        assert other is not None
-        assert tomorrow is not None
-        assert whole.shared(other) == 0.0
-        assert whole.shared(tomorrow) == 0.0
 
     def test_trains_that_stand_at_the_same_time_are_two(self) -> None:
         """All standing trains are alike: what they record must not make them one."""
@@ -256,13 +232,6 @@ class TestSameDrives:
         assert all(len(set(a) & set(b)) <= SHARED * 60 for a, b in pairwise(hours))
         assert same_drives([Known(str(hour), drive(hour)) for hour in hours]) == []
 
-    def test_of_parts_that_overlap_the_fuller_is_used(self) -> None:
-        (found,) = same_drives([Known("a", drive(range(40))), Known("b", drive(range(30, 80)))])
-        assert (found.trip, found.of, found.share) == ("a", "b", 0.25)
-        assert found.sentence == (
-            "trip 'a' is to 25% of the shorter one the same drive as 'b', which is used"
-        )
-
     def test_the_recorded_file_decides_where_rules_have_moved_the_times(self) -> None:
         """A leap second found: no minute is as it was, but the file is the same."""
         one = replace(drive(range(60)), source="a")
@@ -274,12 +243,6 @@ class TestSameDrives:
         assert same_drives([Known("one", one), Known("later", later)]) == []
         other = replace(moved, source="b")
         assert same_drives([Known("one", one), Known("other", other)]) == []
-
-    def test_a_part_that_is_held_keeps_the_whole_out(self) -> None:
-        """What a map has counted cannot be taken out of it; to count it twice would be wrong."""
-        trips = [Known("part", drive(range(4)), held=True), Known("whole", drive(range(100)))]
-        (found,) = same_drives(trips)
-        assert (found.trip, found.of, found.held) == ("whole", "part", True)
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
@@ -306,14 +269,6 @@ class TestFit:
         np.testing.assert_array_equal(both.common.covariance, single.common.covariance)
         assert sum("the loads that were given differ" in words for words in both.same) in (1, 2)
 
-    def test_once_more_they_would_narrow_it(self, versions: dict[str, Path], alone: object) -> None:
-        """Without identities, as in files of older versions, they count as trips of their own."""
-        rows = fit([LOG, versions["estimated"], versions["converted"]]).summaries
-        assert len(combine(rows).trips) == 1
-        unknown = combine(rows.assign(identity=""))
-        assert len(unknown.trips) == 3
-        assert unknown.std(20.0) < 0.9 * alone.common.std(20.0)
-
     def test_order_and_pieces_do_not_matter(
         self, versions: dict[str, Path], tmp_path: Path
     ) -> None:
@@ -329,45 +284,6 @@ class TestFit:
         together = fit(sorted(tmp_path.glob("*.parquet"), reverse=True))
         assert together.common.resistance == one.common.resistance
         np.testing.assert_array_equal(together.common.covariance, one.common.covariance)
-
-    def test_logs_of_one_name_are_listed_with_their_digests(
-        self, versions: dict[str, Path]
-    ) -> None:
-        (words,) = fit([LOG, versions["converted"]]).same
-        digests = {sha256_of(path)[:8] for path in (LOG, versions["converted"])}
-        assert all(f"'{WHOLE.name} ({digest})'" in words for digest in digests)
-
-    def test_the_table_lists_what_was_counted_once(self, versions: dict[str, Path]) -> None:
-        from io import StringIO
-
-        from rich.console import Console
-
-        shown = Console(file=StringIO(), width=200)
-        shown.print(*fit([LOG, versions["reloaded"]]).shown())
-        text = " ".join(shown.file.getvalue().split())  # type: ignore[attr-defined]
-        assert "counted once: trip" in text
-        assert "is the same drive as" in text
-
-    def test_two_drives_of_one_name_are_two(self, tmp_path: Path) -> None:
-        stopping = read_log(sample("stopping.mcap"))
-        named = replace(stopping, metadata={**stopping.metadata, "trip": WHOLE.name})
-        found = fit([WHOLE, named])
-        assert found.common.trips == (WHOLE.name, WHOLE.name)
-        assert found.same == ()
-        names = [each.name for each in found.parameters.configurations]
-        assert len(set(names)) == len(names)
-
-    def test_summaries_of_older_versions_are_read(self, tmp_path: Path) -> None:
-        rows = fit([LOG]).summaries
-        write_summaries(rows, tmp_path / "new.parquet")
-        table = pq.read_table(tmp_path / "new.parquet").drop_columns(["identity"])
-        pq.write_table(table, tmp_path / "old.parquet")
-        old = read_summaries(tmp_path / "old.parquet")
-        assert old["identity"].tolist() == [""]
-        pd.testing.assert_frame_equal(each_drive_once(old), old)
-
-    def test_a_fit_knows_its_drive(self) -> None:
-        assert identity_from_text(fit_trip(WHOLE).identity) == identity_of(WHOLE)
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
@@ -387,15 +303,6 @@ class TestMap:
                 np.testing.assert_array_equal(getattr(found, field), getattr(layer, field))
         assert map_to_bytes(adhesion_map(paths[::-1]).track) == map_to_bytes(every.track)
 
-    def test_a_map_knows_the_drives_that_it_holds(
-        self, versions: dict[str, Path], mapped: TrackConditionMap
-    ) -> None:
-        held = map_from_bytes(map_to_bytes(mapped))
-        again = adhesion_map([*versions.values(), WHOLE], held)
-        assert map_to_bytes(again.track) == map_to_bytes(held)
-        assert len(again.reasons) == len(versions) + 1
-        assert all("counted already" in reason for reason in again.reasons)
-
     def test_the_halves_of_a_drive_are_two(
         self, versions: dict[str, Path], mapped: TrackConditionMap
     ) -> None:
@@ -408,27 +315,6 @@ class TestMap:
         apart = [adhesion_map([half]).track for half in halves]
         assert map_to_bytes(merge(*apart)) == map_to_bytes(found.track)
         refused(InputError, "the sums of several maps hold one drive", merge, apart[0], mapped)
-
-    def test_two_drives_of_one_name_are_two(self) -> None:
-        stopping = read_log(sample("stopping.mcap"))
-        named = replace(stopping, metadata={**stopping.metadata, "trip": WHOLE.name})
-        one, other = adhesion_map([WHOLE, named]), adhesion_map([named, WHOLE])
-        assert len(one.track.trips) == 2
-        assert map_to_bytes(one.track) == map_to_bytes(other.track)
-
-    def test_a_log_is_known_by_its_bytes_where_its_drive_is_not(
-        self, mapped: TrackConditionMap
-    ) -> None:
-        trips = tuple({**trip, "identity": ""} for trip in mapped.trips)
-        held = map_from_bytes(map_to_bytes(replace(mapped, trips=trips)))
-        assert adhesion_map([LOG], held).skipped == (WHOLE.name,)
-        assert update(empty_map(_line()), []) is not None
-
-
-def _line() -> object:
-    from trainlog.formats.railway import line_of
-
-    return line_of(WHOLE)
 
 
 def test_a_line_rests_on_each_drive_once(versions: dict[str, Path]) -> None:

@@ -24,7 +24,7 @@ from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import WordTable
 from trainlog.railway import Line, LineReference
-from trainlog.railway.line import in_km, km_ticks, position_of, section_of_km
+from trainlog.railway.line import in_km, km_ticks, position_of
 from trainlog.trip import LINE_ATTACHMENT
 
 PLAIN = read_line(sample(DEFAULT_LINE))
@@ -108,23 +108,6 @@ def ticks(figure: Figure) -> list[list[tuple[float, float]]]:
 
 
 Counted = tuple[Path, Line, Callable[[float], float]]
-
-
-def test_tables_name_a_place_by_the_same_kilometre(
-    counted: Counted, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, _, expected = counted
-    log = folder / "trip.mcap"
-    _, shown, _ = run(monkeypatch, capsys, "show", log)
-    ends = re.search(r"km (\d+\.\d+) to km (\d+\.\d+) \((\d+\.\d+) km\)", shown)
-    assert ends is not None
-    assert float(ends[1]) == pytest.approx(expected(0.0), abs=0.06)
-    assert float(ends[2]) == pytest.approx(expected(LENGTH), abs=0.06)
-    assert float(ends[3]) == pytest.approx(LENGTH / 1e3, abs=0.1)
-    _, compared, _ = run(monkeypatch, capsys, "compare", log)
-    row = re.search(r"Flawil - Uzwil +(\d+\.\d)", compared)
-    assert row is not None
-    assert float(row[1]) == pytest.approx(expected(FLAWIL), abs=0.06)
 
 
 @pytest.mark.parametrize("counted", ["jump"], indirect=True)
@@ -212,12 +195,6 @@ def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(
         assert reach in problem
 
 
-def test_without_the_operators_kilometres_they_are_the_chainage() -> None:
-    assert in_km(PLAIN, FLAWIL) == in_km(None, FLAWIL) == 14.4761
-    assert position_of(PLAIN, 14.4761) == position_of(None, 14.4761) == pytest.approx(FLAWIL)
-    assert section_of_km(PLAIN, 3.2, None) == (3_200.0, None)
-
-
 @pytest.mark.parametrize("name", KILOMETRES)
 def test_a_kilometre_gives_its_place_again(name: str) -> None:
     reference, expected = KILOMETRES[name]
@@ -227,14 +204,6 @@ def test_a_kilometre_gives_its_place_again(name: str) -> None:
         assert position_of(line, expected(place)) == pytest.approx(place, abs=1e-6)
     places, labels = km_ticks(line, 0.0, LENGTH)
     assert [float(each) for each in labels] == pytest.approx([expected(s) for s in places])
-
-
-def test_an_open_section_has_the_kilometres_above_or_below() -> None:
-    falling = replace(PLAIN, reference=KILOMETRES["falling"][0])
-    assert section_of_km(falling, 80.0, None) == (None, pytest.approx(5_700.0))
-    assert section_of_km(falling, None, 80.0) == (pytest.approx(5_700.0), None)
-    rising = replace(PLAIN, reference=KILOMETRES["rising"][0])
-    assert section_of_km(rising, 65.0, None) == (pytest.approx(3_800.0), None)
 
 
 def test_a_kilometre_that_a_jump_leaves_out_is_refused() -> None:

@@ -50,23 +50,12 @@ def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
         assert row["curvature_per_km"] == pytest.approx(1e3 * sharpest, rel=2e-3, abs=1e-6)
 
 
-def test_stations_stand_in_their_bins() -> None:
-    table = line_table(made_up(), empty_map(made_up()))
-    named = table.station.dropna()
-    assert named.to_dict() == {0: "A", 20: "B west, B", 40: "C"}
-
-
 def test_what_the_line_does_not_state_is_not_a_number() -> None:
     line = made_up(curvatures=None, assumed=("gradients", "speed_limits", "stations"))
     table = line_table(line, empty_map(line))
     unknown = table[["gradient_permil", "curvature_per_km", "speed_limit_km_h"]]
     assert unknown.isna().all(axis=None)
     assert table.station.isna().all()
-
-
-def test_a_straight_line_has_no_curvature() -> None:
-    straight = made_up(curvatures=CurvatureProfile([0.0], [0.0], [0.0]))
-    assert (line_table(straight, empty_map(straight)).curvature_per_km == 0.0).all()
 
 
 def test_a_map_of_another_line_is_refused() -> None:

@@ -11,24 +11,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from refusals import refused
 from scipy.special import ndtr
 
 import analysis
 import trainlog
-from analysis.adhesion import map_history
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.map_difference import detectable_ratio, q_values
 from analysis.charts import draw
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
-from trainlog.railway import Line, LineReference, Station, StepProfile, TrackConditionMap
-from trainlog.railway.condition import ConditionChange, ConditionLayer
+from trainlog.railway import Line, Station, StepProfile, TrackConditionMap
+from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.line import position_of
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -181,14 +178,6 @@ def test_a_change_of_the_detectable_ratio_is_found_four_times_in_five() -> None:
     assert found / 1_000 == pytest.approx(0.8, abs=0.05)
 
 
-def test_a_second_date_after_the_last_evidence_is_stated(whole: TrackConditionMap) -> None:
-    found = analysis.map_difference(whole, since=DAY + 29, until=DAY + 70)
-    assert found.after == "evidence after it up to 2026-07-25"
-    assert found.notes == ("The evidence ends on 2026-07-25, before the date 2026-08-05.",)
-    exact = analysis.map_difference(whole, since=DAY + 29)
-    np.testing.assert_array_equal(found.bins["q_value"], exact.bins["q_value"])
-
-
 def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
     for given, message in (
         ({}, "one map is given; give a second one, or"),
@@ -236,23 +225,6 @@ def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
     assert found.near == "at Mitte"
 
 
-def test_of_many_days_a_dozen_get_an_estimate_the_last_among_them(
-    whole: TrackConditionMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(map_history, "layer_before", lambda *_: whole.layer("wet"))
-    found = analysis.map_history(whole, 3_910.0, "wet")
-    assert len(found.known) == 12
-    assert found.data()["notes"] == list(found.notes)
-    assert "made for 12 of 60 days with evidence nearby" in found.notes[0]
-    assert found.known["day"].iloc[-1] == pd.Timestamp("2026-07-25")
-    last = analysis.map_history(whole, 3_910.0, "wet", days=1)
-    assert last.known["day"].tolist() == [pd.Timestamp("2026-07-25")]
-    few = analysis.map_history(a_map(range(3)), 3_910.0, "wet")
-    assert (len(few.known), few.thinned, few.notes) == (3, False, ())
-    with pytest.raises(InputError, match="days must be 1 or more, got 0"):
-        analysis.map_history(whole, 3_910.0, "wet", days=0)
-
-
 def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
     whole: TrackConditionMap, tmp_path: Path
 ) -> None:
@@ -270,33 +242,6 @@ def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
     assert (tmp_path / "place.png").stat().st_size > 5_000
     with pytest.raises(InputError, match=r"km 11 is not on line 'A-B'; it reaches from km 0 to 10"):
         analysis.map_history(whole, 11_000.0, "wet")
-
-
-def test_changes_there_are_part_of_the_history(whole: TrackConditionMap) -> None:
-    change = ConditionChange(
-        3_750.0, 4_050.0, DAY + 30, DAY + 29, DAY + 31, 0.12, 0.18, 0.05, 0.05, 9.0
-    )
-    wet = replace(whole.layer("wet"), changes=(change,))
-    changed = replace(whole, layers={"wet": wet})
-    found = analysis.map_history(changed, 4_000.0, "wet", days=1)
-    assert found.changes["day"].astype(str).tolist() == ["2026-06-26"]
-    assert analysis.map_history(changed, 4_051.0, "wet", days=1).changes.empty
-
-
-def test_a_place_is_named_by_the_operators_kilometre(whole: TrackConditionMap) -> None:
-    reference = LineReference(
-        "850",
-        np.array([0.0, 5_000.0]),
-        np.array([61_200.0, 56_000.0]),
-        np.array([56_200.0, 51_000.0]),
-    )
-    line = replace(LINE, reference=reference)
-    assert position_of(line, 61.2) == 0.0
-    assert position_of(line, 57.2) == pytest.approx(4_000.0)
-    assert position_of(line, 52.0) == pytest.approx(9_000.0)
-    assert position_of(LINE, 4.0) == position_of(None, 4.0) == 4_000.0
-    with pytest.raises(InputError, match=r"has no km 56\.1; its kilometres are 61\.200 to 51\.000"):
-        position_of(line, 56.1)
 
 
 @pytest.mark.usefixtures("unpainted")

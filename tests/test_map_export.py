@@ -104,23 +104,6 @@ def test_gdal_reads_from_a_geopackage_what_the_map_knows(
     assert info["dataset_metadata"]["expected_at"] == "2024-10-09T06:00:00+00:00"
 
 
-def test_spots_and_changes_have_dates_and_probabilities(
-    track: TrackConditionMap, line: Line, tmp_path: Path
-) -> None:
-    path = tmp_path / "map.gpkg"
-    analysis.export_map(track, path, line=line, at=AT)
-    spots, courses, _ = read_layer(path, "spots")
-    assert spots["first_day"].astype(str).tolist() == ["2024-10-07"]
-    # Nine tenths when last checked, then a life of two days: a day and a quarter later.
-    assert spots["probability"][0] == pytest.approx(0.9 * np.exp(-1.25 / 2.0))
-    assert len(points_of(courses[0])) >= 2
-    changes, _, _ = read_layer(path, "changes")
-    assert changes["day"].astype(str).tolist() == ["2024-10-06"]
-    assert changes["before_low"][0] == pytest.approx(0.10 * np.exp(-1.96 * 0.05))
-    in_spot = bins_table(track, line, AT).query("layer == 'wet' and spot_probability > 0")
-    assert in_spot["start_m"].tolist() == [9_675.0, 9_700.0, 9_725.0]
-
-
 def test_kilometres_are_those_of_the_operator(track: TrackConditionMap, line: Line) -> None:
     rows = bins_table(track, line, layers=["dry"]).set_index("start_m")
     assert rows.loc[0.0, ["start_km", "end_km"]].tolist() == [61.2, 61.175]
@@ -216,7 +199,7 @@ def test_sections_cover_the_line_and_lose_no_extreme(
     np.testing.assert_array_equal(found.adhesion[6], wet["expected_high"])
 
 
-@pytest.mark.parametrize("name", ["map.geojson", "map.gpkg", "map.parquet", "map.csv"])
+@pytest.mark.parametrize("name", ["map.gpkg", "map.parquet"])
 def test_the_same_map_gives_the_same_bytes(
     name: str, track: TrackConditionMap, line: Line, tmp_path: Path
 ) -> None:
@@ -257,25 +240,6 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
     with pytest.raises(MissingExtraError, match=r"pip install 'trainlog\[gis\]'"):
         analysis.export_map(track, tmp_path / "map.gpkg", line=line)
     assert (tmp_path / "map.gpkg").read_text() == "older"
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["show", "--at", "tomorrow"], "'tomorrow' is not a time"),
-        (["export", "-o", "map.csv", "--at", "tomorrow"], "'tomorrow' is not a time"),
-        (["export", "-o", "map.shp"], "not exported to files of this kind"),
-        (["diff", "--from", "tomorrow"], "'tomorrow' is not a time"),
-        (["show", "--km", "3", "--picture", "map.pdf"], r"is not the name of a \.png"),
-    ],
-)
-def test_arguments_are_checked_before_a_map_is_read(
-    words: list[str], message: str, tmp_path: Path
-) -> None:
-    """The file is not a map: what is refused first is the argument."""
-    command, *options = words
-    (tmp_path / "other.map").write_bytes(b"not a map")
-    refused(InputError, message, run, ["map", command, str(tmp_path / "other.map"), *options])
 
 
 def test_pieces_beyond_the_known_course_have_no_geometry(

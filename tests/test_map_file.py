@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import sqlite3
 from dataclasses import replace
 from functools import cache
@@ -36,7 +34,6 @@ from trainlog.formats.packed import pack, unpack, unpack_joined
 from trainlog.formats.samples import sample
 from trainlog.identity import TripIdentity
 from trainlog.railway.condition import ConditionLayer
-from trainlog.railway.evidence import DailyEvidence
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -132,34 +129,6 @@ class TestSet:
         assert map_to_bytes(again) == map_to_bytes(known), "with the estimate that was kept"
         np.testing.assert_array_equal(again.layer("wet").log_mean, known.layer("wet").log_mean)
 
-    def test_evidence_of_many_trips_adds_up_as_that_of_all_at_once(self, tmp_path: Path) -> None:
-        """Several on a day, some over midnight or in the opposite direction, some without any."""
-        rng = np.random.default_rng(3)
-        pieces = []
-        for number in range(60):
-            bins = 80
-            events = np.where(rng.uniform(size=bins) < 0.3 * (number % 7 > 0), 1.0, 0.0)
-            weight = np.round(events * rng.uniform(20.0, 60.0, bins))
-            used = np.zeros((bins, 59))
-            used[np.arange(bins), rng.integers(0, 12, bins)] = (events == 0) & (number % 5 > 0)
-            day = 20_000 + number % 9 + (np.arange(bins) > rng.integers(0, 3 * bins))
-            found = DailyEvidence.of_bins(
-                day[:: (-1) ** number], events, weight, -2.0 * weight, used,
-                weighted_square=4.0 * weight,
-            )  # fmt: skip
-            pieces.append(replace(piece(number, "wet"), daily=found))
-        expected = DailyEvidence.total([each.layers["wet"] for each in pieces])
-        given_to(tmp_path / "a.map", [pieces[n] for n in rng.permutation(60)])
-        with MapFile(tmp_path / "a.map") as file:
-            assert file.summed(file.trips()).evidence["wet"][0] == expected
-            assert file.compact(20_005) > 20
-            assert file.summed(file.trips()).evidence["wet"][0] == expected
-        order = np.lexsort((expected.used_level, expected.used_bin, expected.used_day))
-        assert np.array_equal(order, np.arange(expected.used_day.size))
-        assert expected.used_trips.sum() == sum(
-            each.layers["wet"].used_trips.sum() for each in pieces
-        )
-
     def test_which_recordings_of_a_drive_count_does_not_depend_on_their_order(
         self, tmp_path: Path
     ) -> None:
@@ -174,19 +143,6 @@ class TestSet:
             assert sorted(counted) == ["trip-1", "trip-3"]
             found.add(bytes_of(path))
         assert len(found) == 1
-
-    def test_what_became_of_a_recording_is_stated(self, tmp_path: Path) -> None:
-        with MapFile(tmp_path / "a.map", empty_map(LINE)) as file:
-            first = file.append(recording_of(part(1, 0, 9)))
-            fuller = file.append(recording_of(part(2, 0, 20)))
-            poorer = file.append(recording_of(part(3, 3, 8)))
-            again = file.append(recording_of(part(2, 0, 20)))
-            assert file.amount() == (1, 1)
-        assert (first.counted, first.replaced) == (True, ())
-        assert (fuller.counted, fuller.replaced) == (True, ("trip-1",))
-        assert (poorer.counted, poorer.held) == (False, False)
-        assert poorer.reason == "trip 'trip-3' is the same drive as 'trip-2', which is used"
-        assert again.held
 
     def test_a_trip_that_is_taken_out_leaves_the_map_that_never_had_it(
         self, tmp_path: Path
@@ -233,12 +189,6 @@ class TestSet:
         with pytest.raises(InputError, match="no map was given"):
             merge_files([], tmp_path / "c.map")
         assert not (tmp_path / "c.map").exists()
-
-    def test_a_map_without_trips_is_a_map(self, tmp_path: Path) -> None:
-        with MapFile(tmp_path / "a.map", empty_map(LINE)) as file:
-            assert file.amount() == (0, 0)
-        track = read_map(tmp_path / "a.map")
-        assert (track.line, track.layers, track.trips) == (LINE.name, {}, ())
 
 
 class TestCompaction:
@@ -315,21 +265,6 @@ class TestCompaction:
         assert np.all((old[old < newest - 365 - 28] + 1) % 28 == 0)
         for day in (newest - 400, newest - 200):
             assert found.between(0, day).events.sum() <= days.between(0, day).events.sum()
-
-    def test_sums_that_several_maps_hold_are_added_up(self, tmp_path: Path) -> None:
-        parts = []
-        for number in range(2):
-            given_to(tmp_path / f"{number}.map", [piece(number, "wet")])
-            with MapFile(tmp_path / f"{number}.map") as file:
-                file.compact(99_999)
-                parts.append(file.sums()["wet"])
-        merge_files([tmp_path / "0.map", tmp_path / "1.map"], tmp_path / "both.map")
-        given_to(tmp_path / "whole.map", [piece(0, "wet"), piece(1, "wet")])
-        assert bytes_of(tmp_path / "both.map") == bytes_of(tmp_path / "whole.map")
-        total = DailyEvidence.total(parts)
-        with MapFile(tmp_path / "both.map") as file:
-            assert file.sums() == {"wet": total}
-        assert MapFile.of_map(read_map(tmp_path / "whole.map")).sums() == {"wet": total}
 
     def test_a_log_is_still_known_and_its_drive_decided(self, tmp_path: Path) -> None:
         path = tmp_path / "a.map"
@@ -536,19 +471,6 @@ class TestOtherFiles:
         with pytest.raises(InputError, match="is not JSON but a track-condition map"):
             trainlog.read_line(SAMPLE)
 
-    def test_a_map_that_may_only_be_read_is_read(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.map"
-        given_to(path, [piece(1)])
-        before = path.read_bytes()
-        path.chmod(0o444)
-        tmp_path.chmod(0o555)
-        everything_allowed = os.access(path, os.W_OK)  # to root
-        try:
-            assert len(read_map(path).trips) == 1
-        finally:
-            tmp_path.chmod(0o755)
-        assert everything_allowed or path.read_bytes() == before
-
     def test_reading_changes_no_file_that_was_written_whole(self, tmp_path: Path) -> None:
         path = tmp_path / "a.map"
         write_map(update(empty_map(LINE), [piece(1)])[0], path)
@@ -617,23 +539,11 @@ class TestPacked:
         with pytest.raises(ValueError, match="their arrays differ"):
             unpack_joined([whole, pack({}, {"day": np.arange(9)})])
 
-    def test_numbers_in_order_take_a_byte_each(self) -> None:
-        data = pack({}, {"bin": np.arange(0, 30_000, 3), "day": np.full(10_000, 20_000)})
-        assert len(data) < 10_200
-
     @pytest.mark.parametrize("data", [b"", b"\xff\xff\xff\xff", b"\x02\x00\x00\x00{}", b"junk" * 9])
     def test_other_bytes_are_refused(self, data: bytes) -> None:
         with pytest.raises(ValueError):  # noqa: PT011 - of several makers
             unpack(data)
         assert json.dumps({})
-
-
-def test_days_of_evidence_that_was_added_up_count(tmp_path: Path) -> None:
-    path = tmp_path / "own.map"
-    shutil.copy(sample("CH_StGallen_Wil.map"), path)
-    track = read_map(path)
-    with MapFile(path) as file:
-        assert file.amount()[1] == track.days.size > 0
 
 
 def test_a_trip_in_memory_is_no_log_of_a_map(tmp_path: Path) -> None:

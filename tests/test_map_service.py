@@ -25,7 +25,6 @@ from analysis.adhesion.condition_map import adhesion_map, empty_map, naming_log
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError, NotRecordedError
 from trainlog.formats.mapfile import MapFile, Row, map_to_bytes, read_map
-from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
@@ -199,16 +198,6 @@ class TestUpdate:
         os.utime(logs / "trip-02.mcap", (1_700_000_001, 1_700_000_001))
         monkeypatch.undo()
         assert len(update_map(logs, path).of("held")) == 3
-
-    def test_a_bad_log_is_listed_and_the_others_are_added(self, logs: Path, tmp_path: Path) -> None:
-        (logs / "a-bad.mcap").write_bytes(b"PAR1 and more")
-        shutil.copy(sample("nonstop.mcap"), logs / "trip-02b.mcap")
-        seen = []
-        found = update_map(logs, tmp_path / "a.map", report=lambda each: seen.append(each.outcome))
-        assert seen == ["refused", "added", "added", "refused", "added"]
-        assert found.sentence == "3 trips added, 2 refused; the map holds 3 trips of 1 day"
-        assert "is not an MCAP file but a Parquet file" in found.refused[0].reason
-        assert "keep one map a line" in found.refused[1].reason
 
     def test_the_readable_part_of_a_damaged_log_counts_with_its_account(
         self, written: Path, tmp_path: Path
@@ -414,36 +403,6 @@ class TestCommand:
         assert complaint.count("bad.mcap") == 2
         assert not (tmp_path / "a.map").exists()
 
-    def test_what_is_no_map_is_named_and_kept(self, written: Path, tmp_path: Path) -> None:
-        earlier = b'{"format": "trainlog/condition", "version": 1}'
-        for name, data, message in (
-            ("a.map.json", earlier, "of an earlier version (JSON); build the map anew from the"),
-            ("a.map", earlier, "of an earlier version (JSON); build the map anew from the"),
-            ("b.map", (written / "trip-01.mcap").read_bytes(), "but a log (MCAP); name a map that"),
-            ("trip.mcap", (written / "trip-01.mcap").read_bytes(), "but a log (MCAP); name a map"),
-            ("empty.map", b"", "is empty; build the map anew from the logs"),
-        ):
-            path = tmp_path / name
-            path.write_bytes(data)
-            with pytest.raises(InputError) as found:
-                self.run("map", "update", written, "--map", path)
-            assert message in str(found.value)
-            assert str(path) in str(found.value)
-            assert path.read_bytes() == data
-
-    def test_info_lists_what_a_map_holds(self, path: Path) -> None:
-        before = path.read_bytes()
-        status, shown, _ = self.run("show", path, sample("CH_StGallen_Wil.map"))
-        assert status == 0
-        assert path.read_bytes() == before
-        words = " ".join(shown.split())
-        assert f"line {SHORT.name}, " in words
-        assert "trips 3 trips, 1 day, 2" in words
-        assert "layer dry" in words
-        assert "line CH_StGallen_Wil, 29.6 km, 1183 bins of 25 m" in words
-        track = read_map(sample("CH_StGallen_Wil.map"))
-        assert f"trips {len(track.trips)} trips" in words
-
     def test_maps_are_merged_and_compacted(self, written: Path, path: Path, tmp_path: Path) -> None:
         every = sorted(written.iterdir())
         parts = tmp_path / "a.map", tmp_path / "b.map"
@@ -462,13 +421,3 @@ class TestCommand:
         rows, others = content(one), content(other)
         assert rows[2] == others[2]
         assert [row.entry for row in rows[1]] == [row.entry for row in others[1]]
-
-    def test_it_imports_neither_pictures_nor_solvers(self, written: Path, tmp_path: Path) -> None:
-        log = written / "trip-01.mcap"
-        code = (
-            "import sys; from trainlog.cli.main import run;"
-            f"run(['map', 'update', {str(log)!r}, '--map', {str(tmp_path / 'a.map')!r}]);"
-            "print(sorted({'matplotlib', 'cvxpy', 'casadi', 'filterpy'} & set(sys.modules)))"
-        )
-        shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
-        assert shown.splitlines()[-1] == "[]"

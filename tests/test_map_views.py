@@ -17,7 +17,6 @@ from rich.console import Console
 
 import analysis
 import trainlog
-from analysis.adhesion import map_plot as plot
 from analysis.adhesion.condition_table import bins_table
 from analysis.charts import draw
 from trainlog.cli.main import run
@@ -26,16 +25,13 @@ from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.condition import (
     ADHESION_CLASSES,
-    ADHESION_COLOURS,
     AdhesionEstimate,
     ConditionChange,
     ConditionLayer,
     ModelParameter,
     PassingSpot,
-    adhesion_class,
 )
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.spans import runs_of
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -172,30 +168,6 @@ def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -
     assert not list(tmp_path.glob("none*"))
 
 
-def test_spots_are_listed_the_likeliest_first_and_medians_stated(track: TrackConditionMap) -> None:
-    old = replace(SPOT, start=9_000.0, end=9_100.0, checked=19_900)
-    wet = replace(track.layer("wet"), spots=(old, SPOT))
-    state = analysis.map_state(replace(track, layers={"wet": wet}), AT)
-    listed = state.data()["spots"]
-    assert [each["start_m"] for each in listed] == [SPOT.start, old.start]
-    assert listed[0]["probability"] > listed[1]["probability"]
-    model = {each["parameter"]: each for each in state.data()["model"]}
-    assert model["mean"]["median"] == pytest.approx(np.exp(-1.238))
-    assert model["trip_std"]["median"] is None
-
-
-def test_the_names_that_remove_takes_are_listed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "wil.map"
-    path.write_bytes(Path(trainlog.sample("CH_StGallen_Wil.map")).read_bytes())
-    with pytest.raises(InputError, match=r"trainlog show .*wil.map --all lists its trips"):
-        run(["map", "remove", str(path), "nope"])
-    assert run(["show", str(path), "--all"]) == 0
-    listed = " ".join(capsys.readouterr().out.split())
-    assert "trip-03 wet 2024-10-07 yes" in listed
-
-
 def test_the_default_time_is_right_after_the_last_evidence(track: TrackConditionMap) -> None:
     state = analysis.map_state(track)
     assert state.at == state.last_evidence == pd.Timestamp("2024-10-08", tz="UTC")
@@ -233,16 +205,6 @@ def test_a_spot_is_described_in_words_and_what_cannot_be_known_is_stated(
         assert ("cannot be distinguished yet" in words) is expected
         met = "2024-10-08 to 2024-10-09" if spot is seen_before else "on 2024-10-07"
         assert met in words
-
-
-def test_a_map_states_spots_changes_and_its_last_day(track: TrackConditionMap) -> None:
-    shown = repr(track)
-    assert "1 passing spot, 1 lasting change" in shown
-    assert "evidence  up to 2024-10-07" in shown
-    assert "passing" not in repr(replace(track, layers={"dry": track.layer("dry")}))
-    page = track._repr_html_()
-    assert "<table" in page
-    assert "up to 2024-10-07" in page
 
 
 def words_of(figure: Figure) -> set[str]:
@@ -292,39 +254,6 @@ def test_the_five_lowest_places_are_named_with_kilometre_and_band(
     # Each is shown within sight of its place, and marked on the strip of a layer that knows it.
     marked = {label.words for panel in strips.panels for label in panel.labels}
     assert {"1", "2", "3", "4", "5"} <= marked
-
-
-def test_a_strip_shows_what_was_observed_wide_enough_to_be_seen(track: TrackConditionMap) -> None:
-    strips = track.charts(at=AT)[0]
-    for panel, (name, layer) in zip(strips.panels, track.layers.items(), strict=True):
-        cells = panel.curves[0]
-        coloured = cells.colours[0] != ""
-        assert coloured[layer.observed].all()
-        runs = runs_of(coloured)
-        least = 0.005 * track.length / track.bin_length
-        assert min(end - begin for begin, end in runs) >= least - 1.0
-        # The colour of a piece is that of the lowest of its bins.
-        low = bins_table(track, None, AT, [name])["expected_low"].to_numpy()
-        begin, end = runs[0]
-        known = low[begin:end][np.isfinite(low[begin:end])]
-        worst = ADHESION_COLOURS[int(adhesion_class(known.min()))]
-        assert worst in cells.colours[0, begin:end]
-    # What is not observed is grey, and named so.
-    assert [span.label for span in strips.panels[0].spans] == ["not observed"]
-
-
-def test_a_long_line_labels_its_likeliest_spots_without_overlap(track: TrackConditionMap) -> None:
-    many = tuple(
-        replace(SPOT, start=500.0 * number, end=500.0 * number + 75.0, present=number / 59)
-        for number in range(59)
-    )
-    wet = replace(track.layer("wet"), spots=many, changes=())
-    strip = replace(track, layers={"wet": wet}).charts()[0].panels[0]
-    labels = [each for each in strip.labels if "%" in each.words]
-    assert len(labels) == plot.LABELLED
-    places = np.sort([each.x for each in labels])
-    assert np.diff(places).min() >= plot.LABEL_SPACE * track.length / 1e3
-    assert places[-1] == pytest.approx(29.0375)  # the likeliest is among them
 
 
 @pytest.mark.usefixtures("unpainted")

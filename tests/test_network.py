@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import run
 from format_examples import assert_same, lines
 from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 from refusals import refused
@@ -20,8 +19,6 @@ from analysis.charts import draw_charts
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.railway import (
-    line_from_bytes,
-    line_of,
     line_to_bytes,
     network_from_bytes,
     read_line,
@@ -193,13 +190,6 @@ def test_a_network_reads_back_as_it_was_written(network: Network) -> None:
     assert thing_to_bytes(again) == thing_to_bytes(network_from_bytes(thing_to_bytes(again)))
 
 
-@given(routes())
-@CASES
-def test_the_file_of_a_routes_line_keeps_its_legs(route: trainlog.Route) -> None:
-    again = line_from_bytes(line_to_bytes(route.line))
-    assert again.legs == route.line.legs
-
-
 def test_files_as_toml_and_with_lines_beside_them(tmp_path: Path) -> None:
     network = Network("one", (Node("St. Gallen"), Node("Wil")), (
         Edge("own", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
@@ -221,17 +211,6 @@ def test_files_as_toml_and_with_lines_beside_them(tmp_path: Path) -> None:
     assert route.legs[0].edge_start == gossau.position
     with pytest.raises(InputError, match=r"absent\.toml"):
         read_line(f"{tmp_path}/absent.toml#Gossau SG,Wil")
-
-
-def test_a_route_takes_the_shortest_way_in_both_directions() -> None:
-    network = y_network()
-    there = network.route("B", "C")
-    assert [(leg.edge, leg.forward) for leg in there.legs] == [("to B", False), ("to C", False)]
-    assert there.line.gradient([500.0, 2_500.0]).tolist() == [-0.02, 0.005]
-    via = network.route("A", "B", "A")
-    assert [leg.edge for leg in via.legs] == ["trunk", "to B", "to B", "trunk"]
-    assert [station.name for station in via.line.stations] == ["A", "B", "A"]
-    assert via.line.stations[1].position == 5_000.0
 
 
 def test_a_route_turns_back_at_stations_only() -> None:
@@ -263,21 +242,6 @@ def test_a_train_turns_round_in_a_balloon_loop() -> None:
     assert [leg.edge for leg in again.legs] == ["track", "loop", "loop", "track"]
     assert again.legs[1].edge_start == again.legs[2].edge_start
     assert again.length == 3_200.0
-
-
-def test_a_route_begins_and_ends_inside_an_edge() -> None:
-    network = Network("one", (Node("A"), Node("B")), (Edge("own", WHOLE, "A", "B"),))
-    route = network.route("own@20", "Gossau SG")
-    leg = route.legs[0]
-    gossau = next(each for each in WHOLE.stations if each.name == "Gossau SG")
-    assert (leg.edge_start, leg.edge_end) == (20_000.0, gossau.position)
-    assert route.line.stations[0] == Station("own@20", 0.0)
-    assert route.line.stations[-1].name == "Gossau SG"
-    same = WHOLE.section(gossau.position, 20_000.0).reversed()
-    assert_same(replace(route.line, name="", stations=(), legs=()), replace(
-        same, name="", stations=()))  # fmt: skip
-    back = network.route("own@20", "Gossau SG", "own@20")
-    assert back.length == pytest.approx(2.0 * route.length)
 
 
 def test_kilometres_survey_and_geometry_of_edges_are_kept() -> None:
@@ -367,33 +331,6 @@ def test_places_that_are_not_known_are_refused_with_those_that_are_like_them() -
     )  # fmt: skip
     with pytest.raises(InputError, match="has no place 'West'; did you mean 'West_station'"):
         named.route("West", "East_station")
-
-
-@pytest.mark.parametrize("change", [str.upper, str.lower, "  {} ".format, str.title])
-def test_a_place_is_found_whatever_its_capitals_and_spaces(change: Callable[[str], str]) -> None:
-    network = y_network()
-    names = [network.edges[0].start, network.edges[0].end]
-    found = network.route(*map(change, names))
-    assert found.places == tuple(names)
-    assert found.line == network.route(*names).line
-
-
-def test_mistakes_in_a_file_name_the_edge(tmp_path: Path) -> None:
-    path = tmp_path / "y.network.json"
-    text = thing_to_bytes(y_network()).decode()
-    path.write_text(text.replace('"name": "to B",', '"name": "to B", "slope": 3,'))
-    refused(InputError, r"y.network.json, edges\[1\].line.slope: unknown key", read_network, path)
-    path.write_text(text.replace('"start": "J"', '"start": "I"'))
-    refused(InputError, r"y.network.json: network 'Y': edge 'to B'.*'I'", read_network, path)
-
-
-def test_a_network_is_recognised_by_its_content(tmp_path: Path) -> None:
-    from analysis.contents import contents_of
-
-    write_network(y_network(), tmp_path / "some.json")
-    found = contents_of(tmp_path / "some.json")
-    assert found.kind == "network"
-    assert found.summary == "Network 'Y', 6.0 km"
 
 
 def test_a_route_over_given_edges() -> None:
@@ -487,56 +424,3 @@ def test_a_picture_of_a_network_with_and_without_coordinates(
     figure = one.plot()
     assert figure.axes[0].get_xlabel() == "east [km]"
     assert not caplog.records
-
-
-def test_trains_obey_the_limits_of_their_direction(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    part = WHOLE.section(0.0, 5_000.0)
-    slow = StepProfile([0.0, 2_000.0], [50.0 / 3.6, 70.0 / 3.6])
-    ends = (Station("A", 50.0), Station("B", 4_950.0))
-    line = replace(part, stations=ends, speed_limits_reverse=slow)
-    write_line(line, tmp_path / "one.line.json")
-    assert read_line(tmp_path / "one.line.json").reversed().speed_limits.values.tolist() == (
-        pytest.approx([70.0 / 3.6, 50.0 / 3.6])
-    )
-    words = (
-        "simulate",
-        "drive",
-        "--train",
-        "sample",
-        "--line",
-        tmp_path / "one.line.json",
-        "--count",
-        2,
-    )
-    status, _, problems = run(monkeypatch, capsys, *words, "--seed", 4, "-o", tmp_path)
-    assert status == 0, problems
-    there, back = (trainlog.read(tmp_path / f"trip-0{number}.mcap") for number in (1, 2))
-    assert (there.metadata["direction"], back.metadata["direction"]) == ("forward", "reverse")
-    assert there["/truth"]["speed"].max() > 75.0 / 3.6
-    for name in ("/truth", "/environment"):
-        frame = back[name]
-        column = "speed" if name == "/truth" else "speed_limit"
-        true = back["/truth"]["position"].reindex(frame.index, method="nearest")
-        permitted = np.where(true < 3_000.0, 70.0, 50.0) / 3.6
-        near = (true - 3_000.0).abs() < 60.0
-        over = frame[column].to_numpy() - permitted
-        assert over[~near].max() < 1.0
-        assert frame[column].max() > 60.0 / 3.6
-    # A comparison finds the same limits: its line is that of the log.
-    assert line_of(back).speed_limits == line.reversed().speed_limits
-
-
-def test_a_network_states_all_its_stations() -> None:
-    """OSRD and railML have junctions for nodes; the stations lie within edges."""
-    edges = (
-        Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
-        Edge("west", WHOLE.section(10_000.0, WHOLE.length), "Mid", "West"),
-    )
-    nodes = tuple(Node(name, "junction") for name in ("East", "Mid", "West"))
-    found = Network("cut", nodes, edges)
-    stations = {each.name for edge in edges for each in edge.line.stations}
-    assert len(stations) == len(WHOLE.stations)
-    assert f"stations  {len(stations)}, at nodes and within edges" in repr(found)
-    assert "3, 3 junctions among them" in repr(found)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import io
 import itertools
 import json
 from dataclasses import replace
@@ -16,14 +15,12 @@ import pytest
 from command import run
 from infrastructure_files import RAILML_2, RAILML_3, TUNNELS_2, TUNNELS_3
 from refusals import refused
-from rich.console import Console
 
 import trainlog
-from analysis.network.edges import export_network
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.imports import ImportOptions, import_file, networks_in
-from trainlog.formats.railway import read_line, read_network, write_network
+from trainlog.formats.imports import import_file, networks_in
+from trainlog.formats.railway import read_line, read_network
 from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.network import Network, network_of_lines
@@ -204,24 +201,6 @@ def test_a_route_has_the_gradients_curves_and_limits_of_the_file_at_random_point
 
 
 @needs_osrd
-def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_path: Path) -> None:
-    source = OSRD / "infras" / "overlapping_routes.json"
-    for name in ("assumed", "known"):
-        (tmp_path / name).mkdir()
-    (assumed,) = import_file(source, tmp_path / "assumed")
-    (known,) = import_file(source, tmp_path / "known", ImportOptions(gradients_known=True))
-    (words,) = [each for each in assumed.assumed if each.startswith("level where")]
-    assert known.assumed == [each for each in assumed.assumed if each != words]
-    before, after = read_network(assumed.path), read_network(known.path)
-    assert "gradients" in before.assumed
-    assert "gradients" not in after.assumed
-    route = (
-        after.route(*list(after.places)[:2]).line if len(after.places) > 1 else after.edges[0].line
-    )
-    assert not route.gradient(np.linspace(0.0, route.length, 50)).any()
-
-
-@needs_osrd
 def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
     found = networks_in(OSRD / "infras" / "small_infra.json")
     assert found is not None
@@ -241,13 +220,6 @@ def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
     assert not {each.partition(":")[0] for each in found.assumed} & {
         each.partition(":")[0] for each in words
     }
-
-
-@needs_osrd
-def test_nodes_of_drawings_have_no_coordinates() -> None:
-    """tiny_infra draws 200 m of track as one degree of latitude."""
-    assert all(node.latitude is None for node in imported("tiny_infra").nodes)
-    assert all(node.latitude is not None for node in imported("nested_switches").nodes)
 
 
 @needs_osrd
@@ -281,34 +253,6 @@ def test_limits_are_those_of_the_direction_and_of_the_category_of_the_train(
     assert (differ > 40) is (name == "nested_switches")
 
 
-def test_a_route_against_its_edges_has_their_limits_of_that_direction(tmp_path: Path) -> None:
-    sections = [
-        {"id": "x", "speed_limit": 20.0, "track_ranges": [
-            {"track": "a", "begin": 0.0, "end": 600.0, "applicable_directions": "START_TO_STOP"}]},
-        {"id": "y", "speed_limit": 15.0, "speed_limit_by_tag": {"freight": 10.0}, "track_ranges": [
-            {"track": "a", "begin": 300.0, "end": 1e3, "applicable_directions": "STOP_TO_START"}]},
-        {"id": "z", "speed_limit": 30.0, "track_ranges": [
-            {"track": t, "begin": 0.0, "end": 1e3 if t == "a" else 500.0,
-             "applicable_directions": "BOTH"} for t in "ab"]},
-    ]  # fmt: skip
-    (network,), _, assumed = read_small(tmp_path, speed_sections=sections)
-    there, back = (network.route(*ends).line for ends in (("a@0", "b@0.5"), ("b@0.5", "a@0")))
-    assert there.speed_limit([100.0, 700.0, 1_200.0]).tolist() == [20.0, 30.0, 30.0]
-    # From b against a: 10 m/s of all categories as far as 300 m of a, then 30.
-    assert back.speed_limit([100.0, 600.0, 1_100.0, 1_400.0]).tolist() == [30.0, 10.0, 10.0, 30.0]
-    assert there.reversed().speed_limits == back.speed_limits
-    assert back.reversed().speed_limits == there.speed_limits
-    # The longest stretch of 'c' states nothing.
-    assert any("36 km/h where no speed limits are stated: 0.700 km" in each for each in assumed)
-    freight = networks_in(tmp_path / "small.json", category="freight")
-    for_all = networks_in(tmp_path / "small.json", category="none")
-    assert freight is not None
-    assert for_all is not None
-    for found, limit in ((freight, 10.0), (for_all, 15.0)):
-        assert found.networks[0].edge("a").line.limits_against(800.0) == limit
-    assert "speed limits of other categories of trains (freight): 1" in for_all.left_out
-
-
 def small(**changes: Any) -> dict[str, Any]:
     """Two sections and a branch, as railjson."""
     infra: dict[str, Any] = {
@@ -339,25 +283,6 @@ def read_small(tmp_path: Path, **changes: Any) -> Infrastructure:
     found = networks_in(path)
     assert found is not None
     return found
-
-
-def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) -> None:
-    kind = {
-        "id": "odd",
-        "ports": ["A", "B1", "B2"],
-        "groups": {"one": [{"src": "B1", "dst": "B2"}], "two": [{"src": "A", "dst": "B1"}]},
-    }
-    switch = small()["switches"][0] | {"switch_type": "odd"}
-    (network,), *_ = read_small(tmp_path, switches=[switch], extended_switch_types=[kind])
-    assert network.route("b@0.4", "c@0.5").length == pytest.approx(900.0)
-    refused(InputError, "no route", network.route, "a@0.4", "c@0.5")
-
-
-def test_tracks_that_nothing_connects_are_networks_of_their_own(tmp_path: Path) -> None:
-    networks = read_small(tmp_path, switches=[]).networks
-    assert [each.length for each in networks] == [1000.0, 700.0, 500.0]
-    written = import_file(tmp_path / "small.json", tmp_path)
-    assert [each.path.name for each in written] == [f"small-{n}.network.json" for n in (1, 2, 3)]
 
 
 def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None:
@@ -419,23 +344,6 @@ def test_infrastructure_of_osrd_that_contradicts_itself_is_refused(
     refused(InputError, words, read_small, tmp_path, **changes)
 
 
-def test_gradients_that_contradict_each_other_are_counted_and_the_later_holds(
-    tmp_path: Path,
-) -> None:
-    slopes = [
-        {"gradient": 5.0, "begin": 0.0, "end": 600.0},
-        {"gradient": -2.0, "begin": 500.0, "end": 1200.0},
-    ]
-    track = small()["track_sections"][0] | {"slopes": slopes}
-    (network,), left_out, assumed = read_small(
-        tmp_path, track_sections=[track, *small()["track_sections"][1:]]
-    )
-    line = network.edge("a").line
-    assert line.gradient([250.0, 550.0, 900.0]).tolist() == [0.005, -0.002, -0.002]
-    assert "tracks with gradients that contradict each other, the later taken: 1" in assumed
-    assert "gradients that reach beyond their track, cut off there: 1" in left_out
-
-
 # ---- railML
 
 
@@ -493,27 +401,6 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
     back = network.route("Cham", "Anfang").line
     s = np.linspace(10.0, 4_990.0, 60)
     assert np.allclose(back.gradient(5_000.0 - s), -line.gradient(s))
-
-
-def test_what_a_network_does_not_hold_of_railml_2_is_counted(tmp_path: Path) -> None:
-    (network,), left_out, assumed = railml(RAILML_2, tmp_path)
-    assert any(
-        each.startswith(
-            "gradients assumed on all or a part of 1 edge, 2.050 km long together: loop"
-        )
-        for each in network.notes
-    )
-    assert "signals: 2" in left_out
-    assert "levelCrossings: 1" in left_out
-    assert "operation control points without a place on a track: 1" in left_out
-    assert (
-        "the lowest speed limits of all categories of trains hold for all (freight): 1" in assumed
-    )
-    assert (
-        "level where no gradients are stated: 2.050 km of track, on all or a part of 1 edge,"
-        " 2.050 km long together"
-    ) in assumed
-    assert "tracks with a main direction, over which trains may run both ways: 1" in assumed
 
 
 def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path: Path) -> None:
@@ -590,16 +477,6 @@ def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> Non
     assert "tunnels whose cross-section is not stated, taken as 50 m²: 1" in assumed
 
 
-def test_a_limit_can_be_given_for_where_a_file_states_none(tmp_path: Path) -> None:
-    path = tmp_path / "given.xml"
-    path.write_text(RAILML_3)
-    found = networks_in(path, limit=25.0)
-    assert found is not None
-    line = found.networks[0].edge("ne_c").line
-    assert line.speed_limit(100.0) == pytest.approx(40.0 / 3.6)
-    assert line.limits_against(100.0) == 25.0
-
-
 @pytest.mark.parametrize("version", ["2.2", "2.3", "2.5"])
 def test_each_version_of_railml_2_is_recognised(version: str, tmp_path: Path) -> None:
     years = {"2.2": "http://www.railml.org/schemas/2013", "2.3": "http://www.railml.org/schemas/2016",
@@ -669,44 +546,7 @@ def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -
     assert network.route("C", "D").line.gradient(100.0) == pytest.approx(0.01)
 
 
-def test_lines_of_another_height_between_the_same_stations_are_two_tracks() -> None:
-    low, high = (plain(f"{g}", ("A", 0.0), ("B", 4e3), gradient=g) for g in (0.0, 0.01))
-    assert len(network_of_lines("both", [low, high])[0].edges) == 2
-
-
-def test_lines_that_do_not_meet_are_refused() -> None:
-    with pytest.raises(InputError, match="not connected"):
-        network_of_lines("two", [plain("a", ("A", 0.0), ("B", 1e3)),
-                                 plain("b", ("C", 0.0), ("D", 1e3))])  # fmt: skip
-
-
 # ---- tables
-
-
-@needs_osrd
-@pytest.mark.parametrize("width", [80, 120])
-@pytest.mark.parametrize("name", INFRAS)
-def test_no_name_is_folded_in_the_tables_of_a_network(name: str, width: int) -> None:
-    network = imported(name)
-    console = Console(width=width, file=io.StringIO(), markup=False)
-    console.print(*network.shown())
-    printed = console.file.getvalue()  # type: ignore[attr-defined]
-    rows = printed.partition("Nodes")[0].splitlines()
-    assert max(map(len, rows)) <= width
-    for edge in network.edges:
-        cells = [each.split() for each in rows if f" {edge.line.length / 1e3:.3f} " in each]
-        shown = [row for row in cells if _abbreviates(row[0], edge.name)]
-        assert any(
-            _abbreviates(row[1], edge.start) and _abbreviates(row[2], edge.end) for row in shown
-        )
-        # With enough columns nothing is cut.
-        assert width < 120 or edge.name in {row[0] for row in shown}
-
-
-def _abbreviates(cell: str, name: str) -> bool:
-    """Whether a cell is a name, or the name without its middle."""
-    begin, _, end = cell.partition("…")
-    return cell == name or ("…" in cell and name.startswith(begin) and name.endswith(end))
 
 
 # ---- commands
@@ -769,13 +609,6 @@ def test_a_train_of_osrd_is_driven_along_a_route_and_stops_at_its_station(
     assert agrees.mean() > 0.98
 
 
-def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:
-    network, _ = network_of_lines("one", [plain("a", ("A", 0.0), ("B", 1e3))])
-    refused(InputError, "has coordinates", export_network, network, tmp_path / "a.geojson")
-    write_network(network, tmp_path / "a.network.json")
-    assert list(tmp_path.iterdir()) == [tmp_path / "a.network.json"]
-
-
 def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> None:
     """As an operator has them: one file a direction, whose limits differ."""
     main = plain("there", ("A", 0.0), ("B", 4e3), ("C", 9e3), gradient=0.004)
@@ -807,24 +640,6 @@ def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> No
             None if limit is None else [limit]
         ] * 2
         assert any(note.endswith(words) for note in notes)
-
-
-def test_a_speed_change_of_railml_2_without_a_direction_holds_in_both(tmp_path: Path) -> None:
-    """Changes of one direction end it in that one alone."""
-    changes = (
-        '<speedChange id="x1" pos="0" vMax="100"/>'
-        '<speedChange id="x2" pos="500" dir="up" vMax="60"/>'
-        '<speedChange id="x3" pos="800" dir="down" vMax="72"/>'
-        '<speedChange id="x4" pos="1100" vMax="90"/>'
-    )
-    text = RAILML_2.replace('<speedChange id="v6" pos="0" vMax="40"/>', changes)
-    (network,), _, assumed = railml(text, tmp_path)
-    line = network.edge("loop").line
-    places = [100.0, 600.0, 900.0, 1_200.0]
-    assert KMH * line.speed_limit(places) == pytest.approx([100.0, 60.0, 60.0, 90.0])
-    # That of 'down' holds from 800 m to the beginning of the track, and is the lower one there.
-    assert KMH * line.limits_against(places) == pytest.approx([72.0, 72.0, 100.0, 90.0])
-    assert "speed changes without a direction, taken to hold in both: 3" in assumed
 
 
 def test_an_import_takes_the_limits_of_a_category(

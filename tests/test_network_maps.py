@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,8 +14,6 @@ from typer.testing import CliRunner
 import trainlog
 from analysis import view
 from analysis.adhesion.condition_map import empty_map_of, update_map
-from analysis.adhesion.evidence import Evidence
-from analysis.network.edges import EdgeOfLine
 from analysis.network.maps import (
     LogOnEdges,
     NetworkMap,
@@ -24,18 +21,16 @@ from analysis.network.maps import (
     forecasts_of_network,
     map_along,
     network_map,
-    network_table,
     update_network_map,
 )
 from analysis.reports.fleet import condition_parts, known_maps
 from analysis.verification.scoring import score_network, score_network_on
 from trainlog.arrays import same_values
 from trainlog.cli.main import app
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.railway import line_to_bytes, read_line
 from trainlog.formats.samples import sample
-from trainlog.presentation import WordTable
 from trainlog.railway import Edge, Line, Network, Node
 
 WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
@@ -252,30 +247,6 @@ def test_a_log_too_long_for_the_memory_is_one_trip_on_each_of_its_edges(
     assert [each.trip for each in found] == ["day-0@east", "day-0@west/old"]
 
 
-def test_a_trip_refused_on_one_edge_is_scored_on_the_others(
-    maps: Path, logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = network_map(maps)
-    early = found.known_before(pd.Timestamp("2024-10-08T00:00Z"))
-    every = sorted(logs.glob("*.mcap"))[1:]
-    first = LogOnEdges(every[-1], found.network).edges[0].name
-    whole, edges = score_network_on(early, every)
-    evidence_on = LogOnEdges.evidence_on
-
-    def refusing(given: LogOnEdges, edge: EdgeOfLine, *rest: Any) -> Evidence:
-        if edge.name == first:
-            raise LogError(f"trip '{given.trip.name}' was not recorded on edge '{edge.name}'")
-        return evidence_on(given, edge, *rest)
-
-    monkeypatch.setattr(LogOnEdges, "evidence_on", refusing)
-    partial, rest = score_network_on(early, every)
-    assert set(rest) == set(edges) - {first}
-    for name, score in rest.items():
-        assert same_values(score.layers["all"].details(), edges[name].layers["all"].details())
-    assert len(partial.refused) == len(every) > len(whole.refused)
-    assert all(words.startswith(f"edge '{first}': ") for words in partial.refused)
-
-
 @pytest.mark.usefixtures("unpainted")
 def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     picture = tmp_path / "network.png"
@@ -293,22 +264,3 @@ def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert "network cut" in run.output
     assert "west/old" in run.output
-
-
-def test_a_report_and_the_command_state_one_band_of_the_evidence_before_a_time(
-    maps: Path,
-) -> None:
-    last = max(int(track.days[-1]) for track in network_map(maps).maps.values())
-    for day in (last, last + 1):
-        at = pd.Timestamp(day, unit="D", tz="UTC")
-        rows = network_table(network_map(maps).known_before(at), at).data
-        lowest = min((row for row in rows if row["lowest"]), key=lambda row: row["lowest"])
-        table = next(
-            each
-            for each in condition_parts(known_maps(maps, None, at))
-            if isinstance(each, WordTable)
-        )
-        low, high = lowest["lowest_low"], lowest["lowest_high"]
-        (found,) = (row for row in table.data if row["edge"] == lowest["edge"])
-        assert found == lowest
-        assert low < lowest["lowest"] < high

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from analysis.resistance import combine, parameter_set, summarised
@@ -46,13 +45,6 @@ def test_the_worst_case_of_few_bounds_the_stated_share_of_trips_not_yet_seen() -
     assert np.mean(shares, axis=0).min() > 0.94
 
 
-def test_a_higher_share_takes_more_configurations() -> None:
-    trips = features(500, 1)
-    sizes = [choose(trips, cover).rows.size for cover in (0.8, 0.95, 0.99)]
-    assert sizes == sorted(sizes)
-    assert sizes[0] < sizes[-1]
-
-
 @pytest.mark.parametrize("most", [1, 3, 8])
 def test_so_many_at_most_and_the_level_says_what_they_reach(most: int) -> None:
     trips, others = features(300, 2), features(3000, 3)
@@ -60,13 +52,6 @@ def test_so_many_at_most_and_the_level_says_what_they_reach(most: int) -> None:
     assert 1 <= chosen.rows.size <= most
     assert chosen.level < 0.95
     assert bounded(others, trips[chosen.rows]).min() > chosen.level - 0.06
-
-
-def test_a_dozen_trips_are_all_kept_and_promise_what_a_dozen_can() -> None:
-    chosen = choose(features(12, 4), 0.95)
-    assert chosen.rows.tolist() == list(range(12))
-    assert chosen.level <= 12 / 13
-    assert chosen.weights.tolist() == [1] * 12
 
 
 def test_trips_that_do_not_differ_need_one_configuration() -> None:
@@ -113,15 +98,3 @@ def test_the_set_says_where_each_configuration_comes_from() -> None:
     older = json.loads(data)
     del older["cover"]
     assert thing_from_bytes(ParameterSet, json.dumps(older).encode()).cover == {}
-
-
-def test_trips_of_one_name_become_configurations_of_two_names() -> None:
-    fits, _ = drawn(4, 0.05, (150.0, 60.0, 100.0), seed=8)
-    one, other = (
-        summarised(fits, digests={fit.trip: f"{k}{number:063x}" for number, fit in enumerate(fits)})
-        for k in (1, 2)
-    )
-    shifted = other.assign(mass=other["mass"] + 5e3)
-    names = [c.name for c in parameter_set(pd.concat([one, shifted])).configurations]
-    assert len(set(names)) == 8
-    assert "trip-000 10000000" in names

@@ -87,24 +87,6 @@ def test_deviations_are_honest_whatever_is_missing(missing: str) -> None:
     assert np.all(np.mean(inside, axis=0) > 0.8), inside
 
 
-def test_the_wheels_diameter_and_the_accelerometers_bias_are_found() -> None:
-    time = 0.1 * np.arange(3_000)
-    estimator = OdometryFilter(speed=20.0, speed_std=1.0)
-    for now in time:
-        found = estimator.update(now, 0.05, wheel_speed=20.4, satellite_speed=20.0)
-    assert found.estimate[3] == pytest.approx(0.02, abs=1e-3)
-    assert found.estimate[2] == pytest.approx(0.05, abs=0.01)
-    assert found.excitation > 0.5
-
-
-def test_without_a_speed_it_is_not_valid() -> None:
-    estimator = OdometryFilter(speed=20.0, speed_std=1.0)
-    assert estimator.update(0.0, wheel_speed=20.0).valid
-    for k in range(1, 1_000):
-        found = estimator.update(float(k))
-    assert not found.valid
-
-
 def test_an_axle_that_locks_does_not_make_the_train_stand() -> None:
     """For 20 s all of the wheel's samples are 0 while the train runs at speed."""
     for missing in (None, "satellite_speed"):

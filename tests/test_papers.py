@@ -94,10 +94,3 @@ def test_figures_that_are_reached_are_those_of_the_studies() -> None:
     stated = set(re.findall(r"\d+\.\d{2,}(?:e-\d+)?|\d+\.\de-\d+", " ".join(clauses)))
     assert len(stated) > 20
     assert {number for number in stated if number not in studies} == set()
-
-
-def test_code_that_is_not_there_shows() -> None:
-    with pytest.raises(AttributeError):
-        named("H.model.no_such_thing")
-    assert numbered("eqs. (2)-(4)") == [("eq.", 2), ("eq.", 3), ("eq.", 4)]
-    assert numbered("statement: all is well") == []

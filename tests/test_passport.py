@@ -9,27 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import run
-from refusals import refused
 
 import trainlog
-from analysis import passport
 from analysis.resistance import fit_trip, passport as passports
 from analysis.resistance.passport import (
-    EFFORT_DRIFT,
-    GAIN_STD,
     estimated_passport,
     ratio_of_speeds,
     shared_delay_std,
     with_effort_delay,
 )
-from trainlog.errors import InputError, LogError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.railway import (
-    TRAIN_ATTACHMENT,
     passport_of,
-    recorded_load,
-    train_of,
-    with_passport,
 )
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Passport, Quantity
@@ -120,26 +111,6 @@ def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping:
     assert any(each.startswith("no load recorded") for each in found.findings)
 
 
-def test_the_band_holds_wrong_rotating_parts_and_a_wrong_speed_scale(
-    stopping: Trip, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Both enter like mass: what the motion shows moves by as much, however sure the motion is."""
-    ratio = estimated_passport(stopping).effort_over_mass
-    train = train_of(stopping)
-    heavier = replace(train, rotating_mass_factor=train.rotating_mass_factor * (1.0 + GAIN_STD))
-    attached = {**stopping.attachments, TRAIN_ATTACHMENT: thing_to_bytes(heavier)}
-    wrong = estimated_passport(replace(stopping, attachments=attached)).effort_over_mass
-    moved = wrong.value - ratio.value
-    assert abs(moved) > 0.003 * ratio.value
-    assert ratio.std > np.hypot(moved, EFFORT_DRIFT * ratio.value)
-    known, unsure = passports.scale_of, 0.03
-    monkeypatch.setattr(passports, "scale_of", lambda view: replace(known(view), std=unsure))
-    wider = estimated_passport(stopping).effort_over_mass
-    assert wider.value == ratio.value
-    added = wider.std**2 - ratio.std**2
-    assert np.sqrt(added) == pytest.approx(unsure * ratio.value, rel=0.01)
-
-
 @pytest.mark.parametrize("std", [0.01, 0.15])
 def test_gain_and_load_are_what_all_pairs_of_them_say(std: float) -> None:
     """On a grid of both. A gain that the load hides is assumed: its error is that about the mean
@@ -169,30 +140,6 @@ def test_gain_and_load_are_what_all_pairs_of_them_say(std: float) -> None:
     assert mass.value == pytest.approx(train.mass + of_load)
 
 
-def test_axle_efforts_that_contradict_the_total_are_stated(stopping: Trip) -> None:
-    axles = stopping["/train/axles"]
-    efforts = {n: 0.82 * axles[n] for n in axles.columns if n.startswith("wheel_effort_")}
-    changed = axles.assign(**efforts)
-    changed.attrs = axles.attrs
-    found = estimated_passport(stopping.with_topic(changed))
-
-    assert found.axle_effort_ratio.value == pytest.approx(0.82, abs=0.01)
-    assert "axle efforts are 0.82 times the total effort" in found.findings
-
-
-@pytest.mark.parametrize(
-    "unknown", [["wheel_effort_2"], [f"wheel_effort_{i}" for i in (1, 2, 3, 4)]]
-)
-def test_missing_axle_efforts_are_not_compared(stopping: Trip, unknown: list[str]) -> None:
-    axles = stopping["/train/axles"]
-    changed = axles.assign(**dict.fromkeys(unknown, np.nan))
-    changed.attrs = axles.attrs
-    found = estimated_passport(stopping.with_topic(changed)).axle_effort_ratio
-
-    assert not found.known
-    assert "axle" in found.reason
-
-
 def test_noise_of_a_speed_is_estimated_in_its_size(stopping: Trip) -> None:
     axles = stopping["/train/axles"]
     generator = np.random.default_rng(4)
@@ -215,16 +162,6 @@ def test_a_trip_without_efforts_states_why_nothing_is_known_of_them(stopping: Tr
     assert found.load.source == "recorded"
 
 
-def test_without_a_line_delay_and_gain_are_assumed(stopping: Trip) -> None:
-    bare = {name: data for name, data in stopping.attachments.items() if name != "line.json"}
-    found = estimated_passport(replace(stopping, attachments=bare))
-
-    assert found.effort_delay == Quantity(
-        0.0, 0.25, "assumed", "the trip carries no line, whose gradients are needed"
-    )
-    assert found.effort_gain.source == "assumed"
-
-
 def test_a_trip_with_nothing_but_fixes_has_a_passport() -> None:
     trip = trainlog.read("sample_logs/stopping.mcap", topics=["/gnss/motion"])
     found = estimated_passport(replace(trip, attachments={}, metadata={"trip": "ride"}))
@@ -235,39 +172,6 @@ def test_a_trip_with_nothing_but_fixes_has_a_passport() -> None:
     assert thing_to_bytes(thing_from_bytes(Passport, thing_to_bytes(found))) == thing_to_bytes(
         found
     )
-
-
-def test_a_stored_passport_is_the_one_that_is_used(stopping: Trip, tmp_path: object) -> None:
-    found = estimated_passport(stopping)
-    other = replace(found, effort_gain=Quantity(1.05, 0.01, "estimated"))
-    stored = with_passport(stopping, other)
-
-    assert passport_of(stored) == other
-    assert passport(stored) == other
-    assert stored.provenance[-1]["step"] == "passport"
-
-
-def test_the_estimate_is_the_same_each_time(stopping: Trip) -> None:
-    once, again = (thing_to_bytes(estimated_passport(stopping)) for _ in range(2))
-    assert once == again
-
-
-def test_a_load_that_is_no_mass_is_refused(stopping: Trip) -> None:
-    with pytest.raises(LogError, match="load_std 'much' is not a mass in kg"):
-        recorded_load(Trip({}, {"load": "1000", "load_std": "much"}))
-
-
-def test_a_quantity_refuses_a_source_that_is_none() -> None:
-    refused(InputError, "source 'guessed'", Quantity, 1.0, 0.1, "guessed")
-
-
-def test_a_passport_reads_as_a_few_lines(stopping: Trip) -> None:
-    found: Passport = estimated_passport(stopping)
-    lines = repr(found).splitlines()
-
-    assert lines[0] == "Passport of trip 'trip-03'"
-    assert len(lines) < 16
-    assert "<table>" in found._repr_html_()
 
 
 def test_ingest_stores_the_passport_and_info_shows_it(
@@ -326,17 +230,3 @@ def test_wheel_factors_of_rounded_speeds_are_within_their_bands(
         inside.append(abs(errors[-1]) < 1.96 * std + 1e-7)
     assert np.mean(inside) > 0.9
     assert np.sqrt(np.mean(np.square(errors))) < 1e-4 + 0.005 * step
-
-
-def test_the_passport_of_a_rounded_log_has_the_wheel_factors_of_the_log(stopping: Trip) -> None:
-    rounded = stopping
-    for topic in ("/train/axles", "/train/state"):
-        frame = rounded[topic]
-        names = [n for n in frame if n == "speed" or n.startswith("wheel_speed_")]
-        changed = frame.assign(**{n: np.round(frame[n] * 36.0) / 36.0 for n in names})
-        changed.attrs = frame.attrs
-        rounded = rounded.with_topic(changed)
-    fine, coarse = (estimated_passport(each).wheel_factor for each in (stopping, rounded))
-    for one, other in zip(fine, coarse, strict=True):
-        assert abs(one.value - other.value) < 1e-4
-        assert other.std >= 0.9 * one.std

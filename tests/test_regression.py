@@ -66,17 +66,6 @@ def test_rows_that_err_together_widen_what_is_known() -> None:
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.std(errors), rel=0.15)
 
 
-def test_a_mean_of_rows_that_err_alone_has_the_variance_of_a_sample() -> None:
-    """Two rows are enough; of one cluster nothing is known."""
-    left = np.random.default_rng(5).normal(3.0, 2.0, 7)
-    for count in (2, 7):
-        found = regress(left[:count], [Free("mean", np.ones(count), 1e6)])
-        each, mean, clusters = found.clustered(np.arange(count))
-        assert clusters == count
-        np.testing.assert_allclose([each[0], mean], np.var(left[:count], ddof=1), rtol=1e-6)
-    assert regress(left, [Free("mean", np.ones(7), 1e6)]).clustered(np.zeros(7))[1:] == (1.0, 1)
-
-
 def test_a_ratio_has_the_spread_of_both() -> None:
     columns = np.random.default_rng(3).standard_normal((200, 2))
     columns[:, 1] += 0.8 * columns[:, 0]
@@ -87,21 +76,3 @@ def test_a_ratio_has_the_spread_of_both() -> None:
         ratio, std = found.over("b", "a")
         ratios.append(ratio)
     assert std == pytest.approx(np.std(ratios), rel=0.15)
-
-
-@pytest.mark.parametrize("rounds", [None, 1, 2, 3])
-def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds: int | None) -> None:
-    """Rows one by one, where only the worst of all is left out in a round."""
-    values = np.zeros(20)
-    values[[3, 8, 11, 17]] = 1e3, 2e3, 3e3, 4e3
-    cut = Cut(5.0, apart=41) if rounds is None else Cut(5.0, apart=41, rounds=rounds)
-    found = regress(values, [Free("mean", np.ones(20), 1e-3)], cut)
-    assert np.count_nonzero(~found.kept) == (4 if rounds is None else rounds) - 1
-    assert found.kept[3]
-
-
-def test_neighbours_are_left_out_together_unless_it_is_said_otherwise() -> None:
-    values = np.zeros(20)
-    values[[7, 8]] = 2e3, 1e3
-    found = regress(values, [Free("mean", np.ones(20), 1e-3)], Cut(5.0, rounds=2))
-    assert np.flatnonzero(~found.kept).tolist() == [7, 8]

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
-import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from command import Shell
 from report_folder import SCRIPT, hostile_trip, planned
 
-from analysis.charts import Chart, Curve, Panel, draw_charts, rows_to_draw
+from analysis.charts import Chart, Curve, Panel, rows_to_draw
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.reports import build, page as pages
 from analysis.reports.answers import verdict
 from analysis.reports.build import ReportOptions, kind_of, write_report
-from analysis.reports.page import DARK, LIGHT, Commands, Page, Section, drawn, inline, item_of
+from analysis.reports.page import DARK, LIGHT, Page, Section
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.resistance.logs import fit
 from analysis.view import TripView
@@ -144,18 +141,6 @@ def test_a_trip_states_what_the_command_line_states(trip_page: str) -> None:
     assert "10:06:58" in rows[0]
 
 
-@pytest.mark.usefixtures("unpainted_page")
-def test_fields_without_a_value_are_listed_apart(tmp_path: Path) -> None:
-    trip = read_log(sample("nonstop.mcap"))
-    names = ["tractive_effort_demand", "lever"]
-    controls = trip["/train/controls"].assign(**dict.fromkeys(names, np.nan))
-    controls.attrs = trip["/train/controls"].attrs
-    write_log(trip.with_topic(controls), tmp_path / "a.mcap")
-    page = tmp_path / "a.html"
-    write_report(tmp_path / "a.mcap", page)
-    assert "not recorded: lever, tractive_effort_demand" in page.read_text("utf-8")
-
-
 def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
     trip = read_log(sample("stopping.mcap"))
     calls = station_calls(Motion.of(trip), line_of(trip))
@@ -173,28 +158,6 @@ def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
         assert call.dwell == pytest.approx(dwells[call.name], abs=0.5)
     assert calls[0].arrival is None
     assert calls[-1].departure is None
-
-
-def test_passed_stations_are_listed_with_their_times() -> None:
-    trip = read_log(sample("nonstop.mcap"))
-    calls = station_calls(Motion.of(trip), line_of(trip))
-    passed = [call for call in calls if not call.stopped]
-    assert [call.name for call in passed] == ["Gossau SG", "Flawil", "Uzwil"]
-    state = trip["/train/state"]
-    for call in passed:
-        place = np.interp(
-            pd.Timestamp(call.arrival).value,
-            pd.DatetimeIndex(state.index).as_unit("ns").asi8,
-            state["position"],
-        )
-        assert place == pytest.approx(call.position, abs=5.0)
-
-
-def test_the_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:
-    write_trajectory(planned(), tmp_path / "plan.json")
-    for name in ("one", "other"):
-        write_report(tmp_path / "plan.json", tmp_path / f"{name}.html")
-    assert (tmp_path / "one.html").read_bytes() == (tmp_path / "other.html").read_bytes()
 
 
 @pytest.mark.usefixtures("unpainted_page")
@@ -339,40 +302,6 @@ def test_thinning_keeps_every_peak_and_both_ends() -> None:
     assert np.nanmax(gap[rows_to_draw(gap)]) == np.nanmax(gap)
 
 
-def test_a_band_is_not_drawn_over_what_is_not_known() -> None:
-    x = np.arange(6.0)
-    y = np.array([1.0, 1.0, np.nan, np.nan, 2.0, 2.0])
-    item = item_of(Chart("km", [Panel("y", [Curve("", x, y, low=y - 1, high=y + 1)])]))
-    assert item is not None
-    glyphs = re.findall(r'"name": "VArea"', json.dumps(item))
-    # Two stretches, each in its usual, muted and unselected form.
-    assert len(glyphs) in (4, 6)
-
-
-def test_a_picture_takes_the_colours_of_the_page() -> None:
-    text = inline(drawn(lambda path: draw_charts(_chart(), path), "a <curve>"), "p1-")
-    assert "var(--blue)" in text
-    assert LIGHT["blue"] not in text
-    assert 'aria-label="a &lt;curve&gt;"' in text
-    identifiers = re.findall(r'id="([^"]+)"', text)
-    assert all(each.startswith("p1-") for each in identifiers)
-    targets = re.findall(r'(?:href="#|url\(#)([^")]+)', text)
-    assert set(targets) <= set(identifiers)
-
-
-def test_commands_are_text() -> None:
-    page = Page("<b>", "", [Section("<i>", [Commands(("trainlog fit a&b.mcap",))])])
-    assert "<b>" not in page.to_html()
-    assert "a&amp;b.mcap" in page.to_html()
-
-
-def test_no_warning_is_lost_without_a_damaged_log(tmp_path: Path) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_report(sample("stopping.mcap"), tmp_path / "page.html")
-    assert 'class="warning"' not in (tmp_path / "page.html").read_text("utf-8")
-
-
 def test_a_report_begins_with_five_answers(trip_page: str) -> None:
     first = trip_page[trip_page.index('id="section-1"') : trip_page.index('id="section-2"')]
     assert "<h2>Summary</h2>" in first
@@ -457,7 +386,7 @@ def test_a_speed_is_off_against_what_it_was_compared_with() -> None:
     assert re.search(r"is \+[23]\.\d% off, compared with recorded distance", str(verdict(fast)))
 
 
-@pytest.mark.parametrize("rule", ["clock_jump", "clock_step", "time_backwards", "position_steps"])
+@pytest.mark.parametrize("rule", ["clock_jump", "position_steps"])
 def test_a_doubtful_clock_leaves_the_speed_undecided(rule: str) -> None:
     fast = _fast(read_log(sample("stopping.mcap")), 1.03)
     found = verdict(_ingested(fast, Finding(rule, 3, (1,))))
@@ -465,29 +394,6 @@ def test_a_doubtful_clock_leaves_the_speed_undecided(rule: str) -> None:
     counter = " or the counter of the distance" if rule == "position_steps" else ""
     assert f"the clock{counter} is doubtful ({rule}=3)" in str(found)
     assert found.level == 1
-
-
-def test_a_clock_that_jumps_over_a_gap_does_not_put_the_speed_off() -> None:
-    trip = _fast(read_log(sample("stopping.mcap")), 1.0)
-    state = trip["/train/state"]
-    fast = int(np.argmax(state["speed"]))
-    late = pd.to_timedelta(np.where(np.arange(len(state)) > fast, 40.0, 0.0), unit="s")
-    jumped = replace(
-        trip, topics={**trip.topics, "/train/state": state.set_index(state.index + late)}
-    )
-    assert verdict(jumped).reasons[0].startswith("1 gap, 40 s in all")
-    assert "% off" not in str(verdict(jumped))
-
-
-def test_empty_fixes_are_no_repairs() -> None:
-    trip = read_log(sample("stopping.mcap"))
-    fixes = [
-        Finding("empty", 5_000, (1,), f"/gnss/fix.{name}") for name in ("latitude", "longitude")
-    ]
-    assert verdict(_ingested(trip, *fixes)).level == 0
-    assert "repair" not in str(verdict(_ingested(trip, *fixes)))
-    speeds = Finding("empty", 5_000, (1,), "/train/state.speed")
-    assert "5,000 repairs by ingest (empty=5000)" in str(verdict(_ingested(trip, *fixes, speeds)))
 
 
 def test_details_fold_and_the_contents_lead_into_them(trip_page: str) -> None:

@@ -39,16 +39,6 @@ def test_probabilities_of_good_residuals_are_spread_evenly() -> None:
         assert below == pytest.approx(0.5, abs=0.07), name
 
 
-def test_correlations_are_those_of_neighbours_as_far_as_there_are_any() -> None:
-    value = np.array([3.0, -1.0, 2.0, -2.0, 3.0])
-    about = value - 1.0
-    power = 4.0 + 4.0 + 1.0 + 9.0 + 4.0
-    pairs = [-4.0 - 2.0 - 3.0 - 6.0, 2.0 + 6.0 + 2.0, -6.0 - 4.0, 4.0]
-    assert about @ about == power
-    np.testing.assert_allclose(residuals(value).correlation(), np.array(pairs) / power)
-    assert residuals(np.arange(99.0)).correlation().size == 10
-
-
 def test_each_defect_is_reported() -> None:
     noise = np.random.default_rng(1).standard_normal(300)
     wind = np.convolve(noise, np.ones(5) / np.sqrt(5.0), mode="same")
@@ -64,15 +54,6 @@ def test_each_defect_is_reported() -> None:
         assert "change with speed" in " ".join(found.doubts)
     nothing = diagnosed(residuals(np.zeros(20), np.full(20, 9.0)))
     assert (nothing.normality, nothing.flatness, nothing.independence) == (1.0, 1.0, 1.0)
-
-
-def test_a_fit_gives_its_residuals_their_place() -> None:
-    fit = fit_trip(trip(noise=0.03, duration=900.0))
-    found = fit.residuals
-    assert found.value.size == found.time.size == found.speed.size == found.position.size
-    assert np.all(np.diff(found.time) > 0.0)
-    assert np.all(np.diff(found.position) > 0.0)
-    assert diagnosed(found).std == pytest.approx(1.0, abs=0.15)
 
 
 def blind(made: Trip) -> Trip:
@@ -113,10 +94,3 @@ def test_refusals_say_why_in_a_word_and_show_where() -> None:
             assert timeline.masks[reason].mean() > 0.9
     caught = refused(TripRefusedError, "", fit_trip, trip(noise=1.0, seed=1), speeds=(0.5, 44.0))
     assert caught.reason == "excitation"
-
-
-def test_residuals_at_one_speed_do_not_change_with_it() -> None:
-    noise = np.random.default_rng(1).standard_normal(100)
-    assert diagnosed(residuals(noise, np.full(100, 20.0))).flatness == 1.0
-    alike = diagnosed(residuals(np.ones(100)))
-    assert (alike.normality, alike.flatness) == (1.0, 1.0)

@@ -18,18 +18,16 @@ from resistance_trips import (
     RESISTANCE,
     TRAIN,
     changed,
-    constant_speed,
     random_trip,
     trip,
     with_exact_efforts,
 )
 
 import analysis
-from analysis.estimates import with_estimates, without_wheel_error
-from analysis.resistance import TripFit, estimated_resistance, fit_trip
+from analysis.estimates import with_estimates
+from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.curve import band_factor, curve_std
-from analysis.resistance.fit import mass_prior
 from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.windows import build_windows
@@ -42,7 +40,7 @@ from trainlog.formats.railway import (
     train_to_bytes,
 )
 from trainlog.formats.samples import sample
-from trainlog.mcap import read_log, write_log
+from trainlog.mcap import read_log
 from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
 from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.resistance import basis
@@ -105,25 +103,6 @@ def test_truth_lies_in_the_band_of_trips_on_lines_surveyed_apart() -> None:
     assert sum(inside) >= 3, inside
 
 
-def test_fit_describes_itself(fitted: list[TripFit]) -> None:
-    for fit in fitted:
-        assert fit.asked[0] == 10.0
-        assert fit.asked[1] == pytest.approx(125 / 3.6)
-        assert fit.windows["used"] > 800
-        assert fit.condition < 300.0
-        assert fit.scale.source == "GNSS speed"
-        assert 0.8 < fit.residual_std < 1.2
-        assert abs(fit.residual_correlation) < 0.4
-        assert fit.masked["braking"] > 0.0
-        assert fit.masked["gap"] == 0.0
-        assert 2.0 < fit.speed_range[0] < 10.0
-        assert fit.speed_range[1] > 30.0
-        assert fit.noise["gradient"] < 3e-4  # the simulation's map is 0.1 per mille off
-        assert np.sum(~fit.points.used) == fit.windows["outlier"]
-        assert 0.08 < np.sum(fit.points.used) / fit.windows["used"] < 0.15
-        assert np.median(np.diff(fit.history.time)) < pd.Timedelta(seconds=11)
-
-
 @settings(max_examples=3, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -152,13 +131,6 @@ def test_any_trip_is_fitted_or_refused(
     assert np.max(np.abs(fit.residuals.value)) < 5.0 or fit.windows["outlier"] >= 59
 
 
-def test_windows_scatter_around_the_curve_as_they_say(fitted: list[TripFit]) -> None:
-    for fit in fitted:
-        points = fit.points
-        z = (points.value - fit.resistance(points.speed)) / points.std
-        assert np.median(np.abs(z)) < 1.5
-
-
 def test_a_wrong_wheel_diameter_moves_the_curve_as_the_covariance_states() -> None:
     """Speeds times s: r1 over s, r2 over s², mass over s, where no satellites calibrate."""
     train = replace(TRAIN, rotating_mass_factor=0.0, axles=replace(TRAIN.axles, rotating_mass=0.0))
@@ -180,18 +152,6 @@ def test_a_wrong_wheel_diameter_moves_the_curve_as_the_covariance_states() -> No
     assert np.all(np.linalg.eigvalsh(rest / np.outer(scale, scale)) > -0.02)
 
 
-def test_wheels_that_roll_have_the_rotating_momentum_of_the_train() -> None:
-    """Recorded axles or not: what turns is counted once."""
-    made = trip(noise=0.0, duration=300.0)
-    speed = made["/train/state"]["speed"]
-    columns = {f"wheel_speed_{axle}": speed.to_numpy() for axle in range(1, 5)}
-    columns |= {f"wheel_effort_{axle}": np.zeros(speed.size) for axle in range(1, 5)}
-    axles = made.with_topic(frame_of(TRAIN_AXLES, speed.index, columns))
-    for one in (made, axles):
-        momentum = prepare(view_of(one)).rotating_momentum
-        np.testing.assert_allclose(momentum, TRAIN.rotating_mass * speed, rtol=1e-9)
-
-
 def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[TripFit]) -> None:
     blind = replace(
         simulated[0],
@@ -203,30 +163,6 @@ def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[Tri
     again = fit_trip(blind)
     np.testing.assert_array_equal(again.beta, fitted[0].beta)
     np.testing.assert_array_equal(again.covariance, fitted[0].covariance)
-
-
-def test_estimates_go_back_into_the_log(
-    simulated: list[Trip], fitted: list[TripFit], tmp_path: Path
-) -> None:
-    frame = estimated_resistance(fitted[0])
-    path = tmp_path / "with_estimates.mcap"
-    write_log(simulated[0].with_topic(frame), path)
-    back = read_log(path, topics=["/estimates/running_resistance"])["/estimates/running_resistance"]
-    pd.testing.assert_frame_equal(back, frame, check_freq=False)
-    last = frame.iloc[-1]
-    np.testing.assert_allclose(last[["r0", "r1", "r2"]].to_numpy(float), fitted[0].beta)
-    assert last["mass"] == pytest.approx(fitted[0].mass)
-    assert np.all(frame["resistance_std"] < 0.5 * frame["resistance"].max())
-    assert simulated[0].start < frame.index[0] < frame.index[-1] < simulated[0].end
-
-
-def test_level_track_without_satellites_or_axles() -> None:
-    fit = fit_trip(trip(noise=0.03))
-    assert in_band(fit, RESISTANCE)
-    assert fit.scale.source == "nothing"
-    assert abs(fit.mass - 130e3) < 4.0 * fit.mass_std
-    # Level track of two pieces says next to nothing of how wrong gradients are.
-    assert 2 <= fit.freedom <= fit.windows["used"] - 4
 
 
 def test_wrong_wheels_are_found_by_satellites_and_charged_without_them() -> None:
@@ -433,36 +369,6 @@ def test_power_limit_is_read_off_a_curve_of_effort() -> None:
     assert found == pytest.approx(weak.max_power, rel=0.01)
 
 
-def test_constant_speed_is_refused() -> None:
-    for seed in range(3):
-        with pytest.raises(NotIdentifiableError, match="vary too little"):
-            fit_trip(trip(constant_speed, noise=0.03, seed=seed))
-
-
-def test_too_short_is_refused_with_what_was_masked() -> None:
-    with pytest.raises(NotIdentifiableError, match=r"only 14\d s can be used of 150 s"):
-        fit_trip(trip(duration=150.0))
-
-
-def test_braking_all_the_time_is_refused() -> None:
-    made = trip()
-    friction = np.full(len(made["/train/controls"]), 30e3)
-    with pytest.raises(NotIdentifiableError, match=r"masked: .*braking 1200 s"):
-        fit_trip(changed(made, "/train/controls", pneumatic_braking_effort=friction))
-
-
-def test_standing_all_the_time_is_refused() -> None:
-    with pytest.raises(NotIdentifiableError, match="standstill 600 s"):
-        fit_trip(trip(lambda time: np.zeros(time.size), noise=0.0, duration=600.0))
-
-
-@pytest.mark.parametrize("column", ["speed", "position", "tractive_effort"])
-def test_nothing_recorded_is_refused(column: str) -> None:
-    topic = "/train/controls" if column == "tractive_effort" else "/train/state"
-    with pytest.raises(NotIdentifiableError, match=f"no {column.replace('_', ' ')} recorded"):
-        fit_trip(changed(trip(), topic, **{column: np.nan}))
-
-
 @pytest.mark.parametrize("factor", [0.0, 0.25, 3.6])
 def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], factor: float) -> None:
     kept = ("/train/state", "/train/controls")
@@ -475,37 +381,12 @@ def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], fac
     refused(NotIdentifiableError, said, coast_down, [wrong])
 
 
-def test_satellites_alone_are_refused() -> None:
-    made = trip()
-    frame = frame_of(GNSS_MOTION, made["/train/state"].index, {"speed": np.ones(12_000)})
-    with pytest.raises(NotIdentifiableError, match="no speed recorded"):
-        fit_trip(Trip({"/gnss/motion": frame}, {"trip": "gnss"}))
-
-
-def test_speeds_beyond_the_data_are_refused() -> None:
-    slow = trip(lambda time: 12.0 + 5.0 * np.sin(time / 30.0) + 2.0 * np.sin(time / 7.0))
-    fit = fit_trip(slow, speeds=(8.0, 18.0))
-    assert in_band(fit, RESISTANCE)
-    with pytest.raises(NotIdentifiableError, match="is uncertain by"):
-        fit_trip(trip(noise=1.0, seed=1), speeds=(0.5, 44.0))
-
-
 def test_bad_trips_are_refused() -> None:
     made = trip()
     refused(LogError, "carries no line", fit_trip, replace(made, attachments={}))
     state = made["/train/state"]
     backwards = state.iloc[np.r_[0:100, 50 : len(state)]]
     refused(LogError, "time does not increase", fit_trip, made.with_topic(backwards))
-
-
-def test_mass_prior_is_weak() -> None:
-    mass, std = mass_prior(TRAIN)
-    assert (mass, std) == (130e3, 20e3)
-    mass, std = mass_prior(replace(TRAIN, max_load=0.0))
-    assert std == pytest.approx(0.15 * TRAIN.mass)
-    for true in (105e3, 170e3):
-        fit = fit_trip(with_exact_efforts(trip(mass=true, noise=0.02)))
-        assert fit.mass == pytest.approx(true, rel=5e-3)
 
 
 def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
@@ -540,13 +421,6 @@ def test_estimated_chainage_is_free_of_the_wheels_error(simulated: list[Trip]) -
     assert np.max(np.abs(wrong["/train/state"]["position"].to_numpy() - true)) > 4.5
     assert np.max(error) < 1.0
     assert np.mean(error < 1.96 * found["position_std"].to_numpy()) > 0.95
-
-
-def test_chainage_without_balises_is_left_alone() -> None:
-    time = np.arange(0.0, 600.0, 0.1)
-    speed = np.full(time.size, 20.0)
-    position = 1.01 * 20.0 * time
-    np.testing.assert_array_equal(without_wheel_error(time, speed, position, 1.0), position)
 
 
 @pytest.mark.parametrize(

@@ -6,19 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from resistance_trips import LINE, recording, trip
 from test_resistance_together import SPEED, TRUE, covariance_of, fit_of
 from test_resistance_windows import NOISE, dense, drawn_errors, rough
 
 from analysis.resistance import TripFit, combine, fit_trip, summarised
-from analysis.resistance.combination import shared_variance
 from analysis.resistance.noise import NoiseModel
 from analysis.resistance.regression import fit_windows
 from analysis.resistance.windows import build_windows
 from trainlog.formats.railway import line_to_bytes
-from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries
+from trainlog.formats.summaries import read_summaries, surveys_of, write_summaries
 from trainlog.railway import StepProfile, Survey
 from trainlog.railway.resistance import basis
 from trainlog.trip import LINE_ATTACHMENT
@@ -97,27 +95,6 @@ def test_errors_that_reach_over_several_elements_are_reported_by_the_lines_file(
     assert better < 0.85 * worse
 
 
-def test_a_survey_that_is_reported_is_known_before_the_trip() -> None:
-    stated = on_wrong_map(100.0, Survey(2e-4), seed=1)
-    unstated = on_wrong_map(100.0, None, seed=1)
-    assert stated.freedom > unstated.freedom
-    assert abs(np.log(stated.noise["gradient"] / 2e-4)) < abs(
-        np.log(unstated.noise["gradient"] / 2e-4)
-    )
-
-
-def test_errors_that_all_trips_share_do_not_average_out() -> None:
-    survey = np.diag([4.0, 1.0, 9.0])
-    count = 10
-    weights, surveys = np.tile(np.eye(3) / count, (count, 1, 1)), np.tile(survey, (count, 1, 1))
-    one_line = shared_variance(weights, surveys, np.zeros(count, dtype=np.int64))
-    np.testing.assert_allclose(survey / count + one_line, survey, atol=1e-12)
-    two = shared_variance(weights, surveys, np.arange(count) % 2)
-    np.testing.assert_allclose(survey / count + two, survey / 2.0, atol=1e-12)
-    apart = shared_variance(weights, surveys, np.arange(count))
-    np.testing.assert_allclose(apart, 0.0, atol=1e-12)
-
-
 def over_one_line(count: int, seed: int, gradients: tuple[str, ...]) -> list[TripFit]:
     """Trips that hardly differ, over a line whose errors are most of what is uncertain."""
     generator = np.random.default_rng(seed)
@@ -156,13 +133,6 @@ def test_the_common_band_covers_whatever_the_lines_errors_are(gradients: tuple[s
     assert np.mean(without) < 0.85
 
 
-def test_a_line_travelled_once_adds_nothing() -> None:
-    """Trips over lines of their own are combined as independent ones are."""
-    fits = over_one_line(8, 1, tuple(f"line-{k}" for k in range(8)))
-    one, other = combine(fits), combine([replace(f, gradients="") for f in fits])
-    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9)
-
-
 def test_the_mean_is_no_better_known_than_the_line() -> None:
     """A thousand trips in one direction leave the line's errors as they are."""
     fits = over_one_line(1000, 2, ("there",))
@@ -178,13 +148,3 @@ def test_summaries_tell_what_trips_share(tmp_path: Path) -> None:
     back = read_summaries(tmp_path / "rows.parquet")
     np.testing.assert_allclose(surveys_of(back), [f.survey[:3, :3] for f in fits], rtol=1e-12)
     np.testing.assert_array_equal(combine(back).covariance, combine(fits).covariance)
-
-
-def test_summaries_of_older_versions_are_taken_for_independent(tmp_path: Path) -> None:
-    fits = over_one_line(6, 3, ("there",))
-    write_summaries(summarised(fits), tmp_path / "rows.parquet")
-    table = pq.read_table(tmp_path / "rows.parquet").drop_columns(["gradients", *SURVEY])
-    pq.write_table(table, tmp_path / "old.parquet")
-    old = combine(read_summaries(tmp_path / "old.parquet"))
-    apart = combine([replace(fit, gradients="") for fit in fits])
-    np.testing.assert_allclose(old.covariance, apart.covariance, rtol=1e-9)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from resistance_trips import RESISTANCE, constant_speed, recording
-from scipy.sparse import vstack
+from resistance_trips import RESISTANCE, recording
 from scipy.special import ndtri
 
-import analysis.resistance.regression as module
 from analysis.resistance.noise import (
     FLOOR,
-    Expected,
     Likelihood,
     NoiseModel,
     NoiseParts,
@@ -25,14 +22,11 @@ from analysis.resistance.regression import (
     BRAKE_SCALE_STD,
     DELAY_STD,
     LEAST_FORCE,
-    STRETCHES,
-    White,
     _best_stretch,
     condition_number,
     fit_windows,
 )
 from analysis.resistance.windows import Windows, build_windows
-from estimators.regression import Free, regress
 from trainlog.arrays import FloatArray
 from trainlog.railway import RunningResistance
 from trainlog.railway.resistance import OVER_MASS_STD
@@ -87,29 +81,6 @@ def test_merged_windows_are_the_sums_of_their_parts() -> None:
         )
     assert np.isin(merged.end, windows.end).all()
     assert windows.select(np.zeros(windows.count, dtype=bool)).merged().count == 0
-
-
-def test_a_window_sums_over_the_pieces_it_crosses() -> None:
-    windows = build_windows(recording())
-    seconds = windows.sections.sum(axis=1)
-    np.testing.assert_allclose(seconds, windows.duration, atol=0.11)
-
-
-def test_no_usable_stretch_gives_no_windows() -> None:
-    made = recording(duration=60.0)
-    nothing = replace(made, usable=np.zeros(made.time.size, dtype=bool))
-    assert build_windows(nothing).count == 0
-
-
-def test_uneven_sampling_gives_the_same_regression() -> None:
-    """Times as they come: the windows do not assume a rate."""
-    made = recording(step=0.05)
-    kept = np.sort(np.random.default_rng(1).permutation(made.time.size)[: made.time.size // 2])
-    thinned = type(made)(**{name: array[kept] for name, array in made.__dict__.items()})
-    windows = build_windows(thinned)
-    mass = 130e3
-    theta = np.array([1.0, RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2]) / mass
-    np.testing.assert_allclose(windows.x @ theta, windows.y, atol=3e-4)
 
 
 def dense(windows: Windows, noise: NoiseModel, mass: float = 130e3) -> FloatArray:
@@ -250,20 +221,6 @@ def test_regression_finds_the_truth_within_its_deviation() -> None:
     assert np.all(np.std(z, axis=0) > 0.4)
 
 
-def test_exact_data_give_the_exact_answer() -> None:
-    fit = fit_windows(build_windows(recording()), 120e3, 20e3)
-    truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
-    np.testing.assert_allclose(fit.beta, truth, rtol=2e-3)
-
-
-def test_history_ends_with_the_result_and_gets_sharper() -> None:
-    fit = fit_windows(build_windows(recording(noise=0.03)), 120e3, 20e3)
-    np.testing.assert_array_equal(fit.history[-1], fit.beta)
-    np.testing.assert_array_equal(fit.history_covariance[-1], fit.covariance)
-    mass_std = np.sqrt(fit.history_covariance[:, 3, 3])
-    assert mass_std[-1] < 0.05 * mass_std[0]
-
-
 def test_outliers_are_left_out() -> None:
     windows = build_windows(recording(noise=0.03))
     spoilt = windows.y.copy()
@@ -351,24 +308,6 @@ def test_the_best_stretch_is_that_of_all_fitted_one_by_one() -> None:
     assert score == pytest.approx(found[best], rel=1e-6)
 
 
-def test_points_lie_on_the_curve_where_brakes_are_recorded_too_large() -> None:
-    """Those that were used, and none of the two outliers, which stand by themselves."""
-    made = recording()
-    braking = np.maximum(-made.effort, 0.0)
-    wrong = replace(made, effort=made.effort - 0.05 * braking, braking=1.05 * braking)
-    windows = build_windows(wrong)
-    spoilt = windows.y.copy()
-    spoilt[[100, 400]] += np.array([0.5, -0.8])
-    windows = replace(windows, y=spoilt)
-    found = fit_windows(windows, 120e3, 20e3)
-    points = found.points(windows, found.beta[-1])
-    speed, value, used = points.speed, points.value, points.used
-    assert used.sum() == speed.size - np.count_nonzero(~found.kept)
-    assert np.count_nonzero(~found.kept) >= 2
-    np.testing.assert_allclose(value[used], RESISTANCE(speed[used]), atol=0.02 * RESISTANCE(30.0))
-    assert np.ptp(value[~used]) > 10.0 * RESISTANCE(30.0)
-
-
 def test_errors_that_stay_for_kilometres_widen_the_covariance() -> None:
     """A slowly changing head wind is not in the noise model; the clusters see it."""
     calm = build_windows(recording(noise=0.03))
@@ -396,32 +335,6 @@ def test_delay_and_brake_scale_do_not_spoil_the_fit() -> None:
     assert fit.brake_scale == pytest.approx(1.03, abs=0.01)
 
 
-def test_condition_number_tells_constant_speed_from_varied() -> None:
-    assert fit_windows(build_windows(recording()), 120e3, 20e3).condition < 100.0
-    cruise = recording(constant_speed, noise=0.03)
-    assert fit_windows(build_windows(cruise), 120e3, 20e3).condition > 1000.0
-    assert condition_number(np.zeros((3, 2))) == np.inf
-    assert condition_number(np.eye(3)) == pytest.approx(1.0)
-
-
-def test_a_line_run_up_and_down_all_day_keeps_the_filter_small() -> None:
-    """Pieces that the train comes back to after an hour are other pieces, as in another trip."""
-    once = build_windows(recording(seed=5))
-
-    every = once.end[-1] + 3600.0
-    runs = [replace(once, start=once.start + k * every, end=once.end + k * every) for k in range(3)]
-    columns = {item.name: [getattr(run, item.name) for run in runs] for item in fields(Windows)}
-    day = Windows(
-        **{
-            name: vstack(parts, format="csr")
-            if name in ("sections", "edges")
-            else np.concatenate(parts)
-            for name, parts in columns.items()
-        }
-    )
-    assert NoiseParts.of(day, 130e3).slots == NoiseParts.of(once, 130e3).slots
-
-
 @pytest.mark.parametrize(
     ("first", "last", "seed", "unlike"),
     [
@@ -444,18 +357,6 @@ def test_of_two_parts_the_shorter_one_is_unlike_the_other(
         pytest.approx(unlike[1], abs=20.0),
     )
     assert np.sign(only.force) == (1.0 if unlike == (first, last) else -1.0)
-
-
-def test_a_force_that_is_known_to_be_none_changes_no_odds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a prior that pins it both likelihoods are the same."""
-    windows = build_windows(recording(noise=0.02, seed=4))
-    inside = (windows.start >= 300.0) & (windows.end <= 420.0)
-    dragged = replace(windows, y=windows.y - 0.02 * windows.duration * inside)
-    monkeypatch.setattr(module, "OFFSET_STD", 1e-9)
-    monkeypatch.setattr(module, "LEAST_FORCE", -1.0)
-    for least, count in ((-0.3, STRETCHES), (0.3, 0)):
-        monkeypatch.setattr(module, "UNLIKE", (3.0, least))
-        assert len(fit_windows(dragged, 130e3, 20e3, search=True).stretches) == count
 
 
 @pytest.mark.parametrize("name", ["effort_change", "braking", "tunnel"])
@@ -512,55 +413,6 @@ def test_condition_number_of_columns_at_an_angle(alike: float) -> None:
     assert condition_number(x) == pytest.approx(expected)
     assert condition_number(x[:, [0, 1, 0]]) > 1e12
     assert condition_number(x * [1.0, 0.0, 1.0]) == np.inf
-
-
-def test_what_is_expected_may_as_well_be_taken_off_the_left_hand_side() -> None:
-    """Parameters about their means have the same likelihood, and so the same noise."""
-    windows = build_windows(recording(noise=0.03, duration=400.0))
-    means = np.append(1.0 / 120e3, RESISTANCE.coefficients / 120e3)
-    spread = np.array([1e-7, 1e-3, 1e-4, 1e-6])
-    found = []
-    for factor in (1.0, 0.0):
-        free = [
-            Free(str(k), column, std, factor * mean)
-            for k, (column, std, mean) in enumerate(zip(windows.x.T, spread, means, strict=True))
-        ]
-        left = windows.y - (1.0 - factor) * windows.x @ means
-        white = White(windows, 130e3, free, left, Expected())
-        estimate = regress(white, free).estimate + (1.0 - factor) * means
-        found.append((white.noise.sizes, estimate))
-    np.testing.assert_allclose(*(sizes for sizes, _ in found), rtol=1e-6)
-    np.testing.assert_allclose(*(estimate for _, estimate in found), rtol=1e-6)
-
-
-def test_points_scatter_by_the_noise_of_efforts_as_they_state() -> None:
-    """Of a tenth of each sample, beside which that of the speed is nothing."""
-    made = recording(noise=0.01, seed=3)
-    fit = fit_windows(build_windows(made), 130e3, 20e3)
-    wrong = 1.0 + 0.1 * np.random.default_rng(1).standard_normal(made.time.size)
-    windows = build_windows(replace(made, effort=made.effort * wrong))
-    every = np.ones(windows.count, dtype=np.bool_)
-    noise = replace(fit.noise, effort=0.1)
-    points = replace(fit, kept=every, noise=noise).points(windows, 130e3)
-    z = (points.value - RESISTANCE(points.speed)) / points.std
-    # Samples are averaged at the ends of windows, which leaves less of their noise.
-    assert 0.75 < np.std(z) < 1.1
-
-
-def test_a_mass_that_is_known_beforehand_is_kept() -> None:
-    windows = build_windows(recording(noise=0.3, duration=300.0, mass=131e3))
-    found = fit_windows(windows, 130e3, 50.0)
-    assert found.beta[3] == pytest.approx(130e3, abs=25.0)
-    assert np.sqrt(found.covariance[3, 3]) == pytest.approx(50.0, rel=0.05)
-
-
-@pytest.mark.parametrize(("duration", "count"), [(242.0, 0), (246.0, 1)])
-def test_a_trip_of_four_minutes_is_looked_through(duration: float, count: int) -> None:
-    """A shorter one is not: its parts are too few."""
-    windows = build_windows(recording(noise=0.01, seed=4, duration=duration))
-    inside = (windows.start >= 100.0) & (windows.end <= 150.0)
-    dragged = replace(windows, y=windows.y - 0.03 * windows.duration * inside)
-    assert len(fit_windows(dragged, 130e3, 20e3, search=True).stretches) == count
 
 
 def test_a_wrong_momentum_of_wheels_that_slip_is_not_taken_for_noise_of_the_speed() -> None:

@@ -20,7 +20,6 @@ from trainlog.errors import InputError
 from trainlog.formats.csv_tables import read_forecast
 from trainlog.formats.mapfile import read_map, write_map
 from trainlog.formats.samples import copy_samples
-from trainlog.mcap import read_log, write_log
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
@@ -124,16 +123,6 @@ def test_a_map_is_scored_day_by_day(
         assert words in printed
 
 
-def test_a_map_is_scored_on_later_trips(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = scored(capsys, folder / "earlier.map", folder / "stopping.mcap")
-    assert found["left_out"] == []
-    whole = found["layers"]["all"]
-    assert whole["onsets"] + whole["unknown_onsets"] > 0
-    assert found["notes"][0].startswith("1 day: too few for bands")
-    with pytest.raises(InputError, match="ran on a day of which the map holds evidence"):
-        run(["map", "score", str(next(folder.glob("CH_*.map*"))), str(folder / "stopping.mcap")])
-
-
 def test_the_forecast_of_anyone_is_scored(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = folder / "forecast.csv"
     path.write_text(FORECAST)
@@ -230,20 +219,6 @@ def test_what_cannot_be_stated_has_one_sign_and_every_trip_left_out_is_named(
     assert reason in str(refused.value)
 
 
-def test_the_weather_file_gives_the_rail_condition_of_logs_that_state_none(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    trip = read_log(folder / "stopping.mcap")
-    silent = {name: value for name, value in trip.metadata.items() if name != "weather"}
-    write_log(replace(trip, metadata=silent), tmp_path / "silent.mcap")
-    (tmp_path / "weather.csv").write_text(
-        "time [UTC],until,condition\n2024-10-07T00:00Z,2024-10-07T23:59Z,leaves\n"
-    )
-    (tmp_path / "f.csv").write_text(FORECAST)
-    words = (tmp_path / "f.csv", tmp_path / "silent.mcap", "--weather", tmp_path / "weather.csv")
-    assert set(scored(capsys, *words)["layers"]) == {"leaves", "all"}
-
-
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
@@ -296,18 +271,3 @@ def test_a_forecast_of_a_past_time_uses_evidence_of_days_before_alone(
     first = pd.Timestamp(FIRST * 86_400, unit="s", tz="UTC").isoformat()
     with pytest.raises(InputError, match="holds no evidence of a day before 2024-10-04"):
         run(["map", "forecast", str(folder / "month.map"), "--at", first, "-o", str(path)])
-
-
-def test_what_is_shown_for_a_past_time_states_the_later_evidence(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    known = str(folder / "month.map")
-    words = "without the evidence of 7 days, 2024-10-09 to 2024-10-15"
-    for command in (["show", known], ["export", known, "-o", str(folder / "bins.csv")]):
-        run(["map", *command, "--at", "2024-10-09T12:00Z"])
-        assert words in " ".join(capsys.readouterr().out.split())
-        run(["map", *command, "--at", "2024-10-16T00:00Z"])
-        assert "without the evidence" not in capsys.readouterr().out
-    run(["map", "show", known, "--at", "2024-10-09T12:00Z", "--json"])
-    notes = json.loads(capsys.readouterr().out)["notes"]
-    assert any(words in each for each in notes)

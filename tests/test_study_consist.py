@@ -11,9 +11,8 @@ from refusals import refused
 from simulated_line import level_line, steps
 
 from analysis.studies.in_train_forces import simulation as study
-from analysis.studies.in_train_forces.run import consist_trip, forces_tables
+from analysis.studies.in_train_forces.run import consist_trip
 from trainlog.cli.main import run as command
-from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.declared import thing_from_bytes
 from trainlog.formats.railway import read_consist, write_consist, write_line
@@ -80,17 +79,6 @@ def test_the_couplers_carry_what_accelerates_the_vehicles_behind_them(
     np.testing.assert_allclose(run.forces[calm, -1], needed, atol=0.05 * needed.max())
 
 
-def test_a_single_particle_goes_about_the_same_way(run: study.ConsistRun) -> None:
-    assert 0.0 < np.abs(run.ahead).max() < 0.02 * run.way[-1]
-
-
-def test_an_emergency_pushes_harder_than_full_service_braking(run: study.ConsistRun) -> None:
-    service, sudden = (
-        run.forces[run.phase(name)].min() for name in ("full service braking", "emergency braking")
-    )
-    assert sudden < service < 0.0
-
-
 def test_a_run_becomes_a_log(run: study.ConsistRun, tmp_path: Path) -> None:
     write_log(consist_trip(run), tmp_path / "run.mcap")
     again = read_log(tmp_path / "run.mcap")
@@ -101,13 +89,6 @@ def test_a_run_becomes_a_log(run: study.ConsistRun, tmp_path: Path) -> None:
         == run.consist.couplers
     )
     assert "emergency braking" in set(again["/events"]["message"])
-
-
-def test_the_report_is_made(run: study.ConsistRun) -> None:
-    with console.capture() as captured:
-        console.print(*forces_tables(run), *run.consist.shown())
-    assert "largest draft" in captured.get()
-    assert "2 to 3" in captured.get()
 
 
 def test_the_command_runs_a_file(tmp_path: Path) -> None:

@@ -126,17 +126,6 @@ def test_case_4_the_others_give_more_while_a_motor_fails(literal: dict[int, stud
     assert restored == pytest.approx([4_125.0] * 4, abs=2.0)
 
 
-@pytest.mark.long
-def test_the_coarse_step_of_the_paper_and_a_fine_one_come_to_rest_at_the_same(
-    literal: dict[int, study.Run], exact: dict[int, study.Run]
-) -> None:
-    for number, run in exact.items():
-        other = literal[number]
-        for span in (STILL_DRY, WET_AT_REST):
-            found, paper = run.mean(run.torque, *span), other.mean(other.torque, *span)
-            assert found == pytest.approx(paper, abs=2.0)
-
-
 def test_no_motor_and_no_total_is_ever_exceeded(
     literal: dict[int, study.Run],
     exact: dict[int, study.Run],
@@ -402,13 +391,6 @@ def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:
     for each, curve in ((dry, DRY), (wet, WET)):
         assert each.adhesion == pytest.approx(curve.peak, abs=0.02)
         assert np.all((each.low <= each.maximum) & (each.maximum <= each.high))
-
-
-def test_before_anything_is_seen_the_estimator_says_that_it_knows_nothing() -> None:
-    estimator = RailEstimator(LOCOMOTIVE, Tuning(), 0.05, 0.02)
-    found = estimator.update(0.0, np.zeros(4), np.zeros(4))
-    assert np.all(found.high > 3.0 * found.low)
-    refused(InputError, "noise", RailEstimator, LOCOMOTIVE, Tuning(), -1.0, 0.02)
 
 
 @pytest.mark.long

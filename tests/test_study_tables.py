@@ -156,23 +156,6 @@ def test_rows_of_a_table_may_be_left_out_and_none_may_be_added() -> None:
             check("torques", [*printed[:2], row], printed)
 
 
-@pytest.mark.parametrize(
-    ("page", "now", "kept"),
-    [
-        ("2802.67", "2802.69", True),
-        ("2802.89", "2802.67", False),
-        ("19.8", "20.3", False),
-        ("1.9e-05", "2.4e-06", False),
-        ("1.9e-05", "1.4e-05", True),
-        ("A 12", "B 12", False),
-        ("12", "15", False),
-        ("4 x 4125", "4 x 4126", True),
-    ],
-)
-def test_a_number_that_changed_shows(page: str, now: str, kept: bool) -> None:
-    assert same(page, now) is kept
-
-
 def test_nothing_but_the_command_imports_a_study() -> None:
     """The contract of `lint-imports` lists packages; this covers every module."""
     root = PAGE.parents[1]

@@ -11,8 +11,6 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
-from analysis.control.follow import following_scenarios
-from analysis.control.route import effort_limits, route_tables, train_limits
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import TripRefusedError, track_slope
@@ -40,7 +38,6 @@ from trainlog.railway import (
     Train,
     Trajectory,
 )
-from trainlog.railway.motion import timetable_run
 from trainlog.simulation import draw_scenarios, drive, recorded
 from trainlog.simulation.dynamics import held_back
 from trainlog.simulation.plant import Plant
@@ -159,29 +156,6 @@ def test_spikes_of_a_survey_are_averaged_or_refused_with_the_reason() -> None:
     assert abs(left) < 1e-3 * float((np.abs(force) * np.diff(fine)).sum())
 
 
-def test_timetables_and_plans_count_on_the_strip() -> None:
-    spike = line_of(StepProfile([0.0, 3e3, 3.05e3], [0.0, 0.05, 0.0]), 6e3)
-    strip = replace(FREIGHT, mass_model="homogeneous_strip")
-    times = [timetable_run(spike, train, 0.0, 6e3).running_time for train in (FREIGHT, strip)]
-    assert times[0] != times[1]
-    assert TrajectoryProblem.nominal(spike, strip).track_acceleration(np.array([3_200.0]))[
-        0
-    ] == pytest.approx(GRAVITY * 0.05 / np.hypot(1.0, 0.05) * 50.0 / 400.0)
-
-
-def test_the_result_states_the_formula() -> None:
-    options = OptimiserOptions(cells=60)
-    energies = {}
-    for formula in ("proportional", "roeckl"):
-        line = replace(WIL, curve_resistance=formula)
-        found = optimise(
-            TrajectoryProblem.nominal(line, FLIRT, end=6e3, running_time=260.0), options
-        )
-        assert found.provenance["settings"]["curve_resistance"] == formula
-        energies[formula] = found.certificate["energy"]
-    assert energies["roeckl"] > 1.001 * energies["proportional"]
-
-
 HILLS = line_of(StepProfile([0.0, 700.0, 3e3, 5e3], [-0.03, 0.0, -0.02, 0.03]), 6e3)
 NET = replace(FLIRT, max_acceleration=0.5, max_deceleration=0.5, acceleration_limits="net")
 
@@ -224,24 +198,6 @@ def test_net_limits_hold_for_the_trains_own_acceleration_on_hills() -> None:
     assert checked.braking[0] > 1.4
 
 
-@pytest.mark.usefixtures("unrenewed")
-def test_a_follower_keeps_net_limits() -> None:
-    reached = {}
-    for train in (NET, replace(NET, acceleration_limits="gross")):
-        run = TrajectoryProblem.nominal(HILLS, train)
-        limits = train_limits(run)
-        tables = route_tables(run, optimise(run, OptimiserOptions(cells=60)), limits)
-        speeds, places = np.array([5.0, 20.0]), np.array([300.0, 5_500.0])
-        pull, _ = effort_limits(places[0], speeds[0], tables, limits)
-        _, brake = effort_limits(places[1], speeds[1], tables, limits)
-        held = train.resistance(speeds) + train.mass * HILLS.track_acceleration(places)
-        forces = np.array([pull, -brake]) - held
-        reached[train.acceleration_limits] = np.abs(forces) / Configuration.of(train).inertia
-    assert reached["net"].max() <= 0.5 + 1e-9
-    assert reached["net"].min() > 0.45
-    assert reached["gross"].min() > 0.6
-
-
 def test_a_train_that_is_a_strip_is_identified_as_one() -> None:
     strip = replace(FLIRT, length=300.0, mass_model="homogeneous_strip")
     scenario = draw_scenarios(WIL, strip, count=1, seed=11)[0]
@@ -257,16 +213,6 @@ def test_a_train_that_is_a_strip_is_identified_as_one() -> None:
     errors = [coast_down([each]).curve(speeds) / true - 1.0 for each in (trip, mistaken)]
     strip_error, point_error = (float(np.sqrt(np.mean(each**2))) for each in errors)
     assert 2.0 * strip_error < point_error
-
-
-def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with() -> None:
-    strip = replace(FLIRT, mass_model="homogeneous_strip")
-    found = optimise(TrajectoryProblem.nominal(WIL, strip, end=6e3), OptimiserOptions(cells=60))
-    found.check_forces(WIL, strip)
-    with pytest.raises(InputError, match=r"mass_model 'homogeneous_strip', train .* 'mass_point'"):
-        following_scenarios(found, WIL, FLIRT)
-    with pytest.raises(InputError, match=r"curve_resistance 'proportional', line .* 'roeckl'"):
-        following_scenarios(found, replace(WIL, curve_resistance="roeckl"), strip)
 
 
 def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives() -> None:

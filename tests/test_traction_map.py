@@ -31,7 +31,6 @@ from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.charts import draw
 from estimators.condition_field import Prior, common_std, onset_std
 from trainlog.arrays import FloatArray
-from trainlog.condition import prior_of
 from trainlog.errors import InputError, LogError
 from trainlog.formats.mapfile import MapFile, map_to_bytes
 from trainlog.mcap import write_log
@@ -183,25 +182,11 @@ class TestMerging:
         assert map_to_bytes(one_by_one) == expected
         assert map_to_bytes(merged) == expected
 
-    def test_a_map_from_its_file_goes_on_as_if_it_had_not_been_away(self) -> None:
-        first, _ = update(empty_map(LINE), [piece(1), piece(2, "wet")])
-        again = map_from_bytes(map_to_bytes(first))
-        assert map_to_bytes(update(again, [piece(3)])[0]) == map_to_bytes(
-            update(first, [piece(3)])[0]
-        )
-
     def test_the_same_log_is_counted_once_and_reported(self) -> None:
         first, _ = update(empty_map(LINE), [piece(1)])
         again, skipped = update(first, [replace(piece(1), trip="renamed"), piece(2), piece(2)])
         assert skipped == ("renamed", "trip-2")
         assert map_to_bytes(again) == map_to_bytes(update(first, [piece(2)])[0])
-
-    def test_without_a_file_the_name_tells_trips_apart(self) -> None:
-        known, _ = update(empty_map(LINE), [replace(piece(1), sha256="")])
-        _, skipped = update(known, [replace(piece(2), sha256="", trip="trip-1")])
-        assert skipped == ("trip-1",)
-        _, skipped = update(known, [piece(2, name="trip-1")])
-        assert skipped == ()
 
     def test_maps_that_share_a_trip_cannot_be_merged(self) -> None:
         first, _ = update(empty_map(LINE), [piece(1), piece(2)])
@@ -218,15 +203,6 @@ class TestMerging:
         ):
             refused(InputError, f"differ in {said}", merge, first, other)
 
-    def test_provenance_names_each_trip(self) -> None:
-        track, _ = update(empty_map(LINE), [piece(2), piece(1, "wet")])
-        assert [(t["layer"], t["trip"], t["sha256"]) for t in track.trips] == [
-            ("dry", "trip-2", f"{2:064x}"),
-            ("wet", "trip-1", f"{1:064x}"),
-        ]
-        assert all(t["software"].startswith("trainlog ") for t in track.trips)
-        assert track.settings == SETTINGS
-
 
 class TestObserved:
     def spotted(self) -> TrackConditionMap:
@@ -240,13 +216,6 @@ class TestObserved:
         return update(empty_map(LINE), [replace(piece(1), daily=once)] + [
             replace(piece(1), sha256=f"{i:064x}", daily=later) for i in range(2, 8)
         ])[0]  # fmt: skip
-
-    def test_what_was_used_without_slip_is_not_observed(self) -> None:
-        """However many trips bore 0.12 without slip: the maximum was not seen."""
-        layer = self.spotted().layer("dry")
-        assert layer.observed[20]
-        assert not layer.observed[:15].any()
-        assert not layer.observed[26:].any()
 
     def test_the_prior_is_never_shown_as_data(self) -> None:
         track = self.spotted()
@@ -263,52 +232,12 @@ class TestObserved:
         assert layer.log_std.min() == pytest.approx(SETTINGS["model_std"], rel=0.15)
         assert layer.log_std.min() >= 0.99 * SETTINGS["model_std"]
 
-    def test_every_bin_with_an_onset_is_observed(self) -> None:
-        layer = update(empty_map(LINE), [piece(1)])[0].layer("dry")
-        assert layer.observed[layer.events > 0].all()
-
     def test_summary(self) -> None:
         (stated,) = summary(self.spotted())
         assert (stated.layer, stated.trips, stated.events, stated.bins) == ("dry", 7, 1, 80)
         assert stated.observed_length == 25.0 * stated.observed_bins
         assert stated.lowest[0].position == 512.5
         assert stated.lowest[0].low < stated.lowest[0].adhesion < stated.lowest[0].high
-
-    def test_low_spots_are_distinguished(self) -> None:
-        track, _ = update(empty_map(LINE), [piece(seed) for seed in range(8)])
-        spots = summary(track, spots=4)[0].lowest
-        assert len(spots) == 4
-        places = sorted(spot.position for spot in spots)
-        assert np.min(np.diff(places)) >= 250.0
-        assert [s.adhesion for s in spots] == sorted(s.adhesion for s in spots)
-
-    def test_a_rail_condition_of_another_name_is_expected_between_wet_and_dry(self) -> None:
-        track = empty_map(LINE)
-        means = [prior_of(track, name).mean for name in ("wet", "leaves", "std", "dry")]
-        assert means == sorted(means)
-
-
-class TestRefusals:
-    def test_another_line(self) -> None:
-        with pytest.raises(InputError, match=r"ran on line 'far' .* keep one map a line"):
-            update(empty_map(LINE), [replace(piece(1), line="far")])
-
-    def test_other_bins(self) -> None:
-        with pytest.raises(InputError, match="bins of 50 m does not fit"):
-            update(empty_map(LINE), [replace(piece(1), bin_length=50.0)])
-
-    def test_settings(self) -> None:
-        with pytest.raises(InputError, match="unknown setting 'speed'"):
-            empty_map(LINE, settings={"speed": 1.0})
-        with pytest.raises(InputError, match="trip_std must be positive"):
-            empty_map(LINE, settings={"trip_std": 0.0})
-        with pytest.raises(InputError, match="bin_length must be positive"):
-            empty_map(LINE, bin_length=-25.0)
-
-    def test_a_map_of_unknown_making(self) -> None:
-        foreign = replace(empty_map(LINE), settings={})
-        with pytest.raises(InputError, match="lacks the setting 'prior_dry'; begin a new map"):
-            update(foreign, [piece(1)])
 
 
 @pytest.fixture(scope="module")
@@ -346,14 +275,6 @@ class TestTrips:
         nothing = evidence_of(away, track, "dry").daily
         assert nothing.day.size == nothing.used_day.size == 0
 
-    def test_a_reverse_trip_counts_on_the_same_line(self) -> None:
-        both = draw_scenarios(hilly_line(), flirt(), 2, seed=1)
-        track = empty_map(hilly_line())
-        pieces = [evidence(simulate(scenario), track) for scenario in both]
-        assert {piece.line for piece in pieces} == {"hilly"}
-        merged, _ = update(track, pieces)
-        assert len(merged.trips) == 2
-
     def test_the_rail_condition_must_be_known(self, trip: Trip) -> None:
         stated = {n: v for n, v in trip.metadata.items() if n != "weather"}
         unknown = replace(trip, metadata=stated)
@@ -368,10 +289,6 @@ class TestTrips:
         with pytest.raises(LogError, match=r"b\.mcap: .* no topic /train/axles") as refused:
             adhesion_map([tmp_path / "b.mcap"])
         assert refused.value.file == tmp_path / "b.mcap"
-
-    def test_no_logs(self) -> None:
-        with pytest.raises(InputError, match="no trip was given"):
-            adhesion_map([])
 
 
 class TestPicture:
@@ -398,9 +315,6 @@ class TestWhatRecordersLack:
         console = Console(width=200, file=StringIO())
         console.print(*UpdatedMap(track, ()).shown())
         return str(console.file.getvalue())
-
-    def test_a_map_of_complete_recordings(self) -> None:
-        assert "demand never met the limit" in self.shown(piece(1), piece(2))
 
     def test_slips_without_a_level_and_slips_that_are_not_seen(self) -> None:
         notes = ["the axles are sampled every 1 s: slips shorter than 2 s may be missed"]
@@ -613,7 +527,7 @@ class TestTripsThatDisagree:
         assert np.ptp(track.days) < 10
 
     def test_trips_that_agree_are_left_as_they_are(self) -> None:
-        for seed in range(100, 125):
+        for seed in range(100, 108):
             rail = Rail(seed)
             trips = [
                 rail.trip(number, direction=("forward", "reverse")[number % 2])

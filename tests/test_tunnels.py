@@ -17,7 +17,6 @@ from trainlog.formats.railway import read_line, read_train, train_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.ttobench import read_track, read_train as read_published_train
 from trainlog.railway import Line, Train, Tunnel
-from trainlog.railway.resistance import published_tunnel_coefficient
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import TRAIN_ATTACHMENT, Trip, nanoseconds
 
@@ -80,19 +79,6 @@ def test_tunnels_spoil_no_curve_and_their_resistance_is_learned(strength: float)
         assert check(fit, trip, true) == (True, True)
         assert "kg/m in 33 m²" in fit.summary()["tunnels"]
         assert "published tunnels" in fit.summary()["tunnels"]
-
-
-def test_a_trip_without_tunnels_states_none() -> None:
-    fit = fit_trip(sample("nonstop.mcap"))
-    assert fit.tunnels is None
-    assert "tunnels" not in fit.summary()
-
-
-def test_narrower_tunnels_resist_more_and_the_open_track_not() -> None:
-    area = np.linspace(20.0, 100.0, 30)
-    found = published_tunnel_coefficient(area)
-    assert np.all(np.diff(found) < 0.0)
-    assert published_tunnel_coefficient(0.0) == 0.0
 
 
 @pytest.mark.long

@@ -59,22 +59,6 @@ def test_each_bin_is_seen_demonstrated_or_assumed() -> None:
     assert found.profile(210.0) == found.values[8] > 0.05
 
 
-def test_where_nothing_is_known_there_is_no_limit_unless_one_is_assumed() -> None:
-    found = usable_adhesion(made({3: 0.07}, {(8, 3): 1.0}), "wet")
-    assert np.flatnonzero(np.isfinite(found.values)).tolist() == [3]
-    assert not found.demonstrated.any()
-
-
-def test_a_level_is_trusted_the_more_the_more_trips_it_bore() -> None:
-    bound = demonstrated_adhesion(
-        made(demonstrated={(1, 2): 1.0, (2, 2): 4.0, (3, 2): 1e6}), "wet", 1.0
-    )
-    once = 0.08 * np.exp(-np.hypot(SETTINGS["trip_std"], SETTINGS["model_std"]))
-    assert bound[1] == pytest.approx(once)
-    assert once < bound[2] < bound[3] == pytest.approx(0.08 * np.exp(-SETTINGS["model_std"]))
-    assert bound[0] == 0.0
-
-
 @given(
     st.lists(st.integers(0, 5), min_size=4, max_size=4),
     st.floats(0.0, 3.0),
@@ -94,11 +78,6 @@ def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_noth
 def test_a_long_slippery_spot_counts_as_one_place() -> None:
     spots = made({**dict.fromkeys(range(10), 0.05), 20: 0.08, 30: 0.09})
     assert typical_adhesion(spots, "wet", 0.0) == pytest.approx(0.08)
-
-
-def test_nothing_is_typical_of_a_line_on_which_no_maximum_was_seen() -> None:
-    with pytest.raises(InputError, match="no trip has shown the maximum adhesion of layer 'wet'"):
-        typical_adhesion(made(demonstrated={(8, 3): 1.0}), "wet")
 
 
 def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -> None:

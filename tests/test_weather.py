@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from analysis.adhesion.condition_map import adhesion_map, empty_map
+from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import Evidence, evidence
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
@@ -55,14 +55,6 @@ class TestFile:
         assert (late.condition, late.since_rain) == ("dry", 1800.0)
         assert np.isnan(late.humidity)
 
-    def test_nothing_is_known_in_a_gap_and_after_the_last_row(self, tmp_path: Path) -> None:
-        rows = "2026-10-24T06:00,wet,,,\n2026-10-24T12:00,dry,,,\n"
-        weather = read_weather(written(tmp_path, HEADER + rows))
-        assert weather.at(when("2026-10-24T08:59Z")) is not None
-        assert weather.at(when("2026-10-24T09:00Z")) is None
-        assert weather.at(when("2026-10-24T05:59Z")) is None
-        assert weather.at(when("2026-10-24T15:00Z")) is None
-
     def test_a_stated_end_may_be_days_away(self, tmp_path: Path) -> None:
         text = (
             "time;until;condition\n2026-10-20T00:00Z;2026-10-24T00:00Z;leaves\n"
@@ -80,13 +72,6 @@ class TestFile:
         text = "time [Europe/Zurich];condition\n2026-10-24 06:00;wet\n2026-10-26 06:00;dry\n"
         weather = read_weather(written(tmp_path, text))
         assert weather.starts.tolist() == [when("2026-10-24T04:00Z"), when("2026-10-26T05:00Z")]
-
-    def test_rain_is_forgotten_where_nothing_is_known(self, tmp_path: Path) -> None:
-        rows = "2026-10-24T06:00,wet,,,1\n2026-10-24T07:00,dry,,,\n2026-10-24T08:00,dry,,,0\n"
-        weather = read_weather(written(tmp_path, HEADER + rows))
-        found = weather.at(when("2026-10-24T08:30Z"))
-        assert found is not None
-        assert np.isnan(found.since_rain)
 
     def test_what_is_written_is_read_again(self, tmp_path: Path) -> None:
         generator = np.random.default_rng(3)
@@ -164,12 +149,6 @@ class TestFile:
             read_weather(path)
         assert str(path) in str(raised.value)
 
-    def test_all_that_is_wrong_is_listed(self, tmp_path: Path) -> None:
-        rows = "2026-10-24T06,wett,8,93,0\n2026-10-24T07,wet,80,93,0\n"
-        with pytest.raises(InputError) as raised:
-            read_weather(written(tmp_path, HEADER + rows))
-        assert len(raised.value.each) == 2
-
 
 @pytest.mark.parametrize(
     ("time", "place", "elevation", "within"),
@@ -218,14 +197,6 @@ def onsets(found: Evidence) -> dict[str, float]:
 
 
 class TestTrips:
-    def test_the_layer_is_what_the_weather_states(self, trip: Trip) -> None:
-        track = empty_map(read_line(sample(DEFAULT_LINE)))
-        found = evidence(trip, track, weather=changing(trip, (-1.0, 2.0, "leaves")))
-        stated = evidence(trip, track, layer="leaves")
-        assert found.layer == "leaves"
-        assert found.layers == stated.layers
-        assert onsets(found)["leaves"] > 20.0
-
     def test_a_condition_that_changes_on_the_way_splits_the_evidence(self, trip: Trip) -> None:
         track = empty_map(read_line(sample(DEFAULT_LINE)))
         whole = evidence(trip, track, layer="wet").daily
@@ -240,15 +211,6 @@ class TestTrips:
         assert wet.used_bin.max() <= dry.used_bin.min() + 1
         total = wet.censored.sum() + dry.censored.sum()
         assert abs(total - whole.censored.sum()) <= 2.0
-
-    def test_a_map_holds_both_and_counts_the_trip_once(self, trip: Trip) -> None:
-        weather = changing(trip, (-1.0, 0.4, "wet"), (0.4, 2.0, "dry"))
-        found = adhesion_map([trip, trip], weather=weather)
-        assert sorted(found.track.layers) == ["dry", "wet"]
-        (entry,) = found.track.trips
-        assert (entry["layer"], entry["further_layers"]) == ("dry", ["wet"])
-        again = adhesion_map(trip, found.track, weather=weather)
-        assert again.skipped == (trip.name,)
 
     def test_what_was_seen_while_nothing_is_known_is_left_out_with_a_note(self, trip: Trip) -> None:
         track = empty_map(read_line(sample(DEFAULT_LINE)))
@@ -273,12 +235,6 @@ class TestTrips:
         found = evidence(stated, track, weather=weather)
         assert found.layer == "wet"
         assert found.details["weather"]["condition"] == "leaves"
-
-    def test_a_misspelt_layer_is_refused(self, trip: Trip) -> None:
-        track = empty_map(read_line(sample(DEFAULT_LINE)))
-        with pytest.raises(InputError, match="did you mean 'leaves'"):
-            evidence(trip, track, layer="leafs")
-        assert evidence(trip, track, layer="grease").layer == "grease"
 
     def test_covariates_are_kept_with_the_evidence(self, trip: Trip) -> None:
         track = empty_map(read_line(sample(DEFAULT_LINE)))
