@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,16 +13,15 @@ from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Seen, seen
 
-from analysis.adhesion.slip import _loads, slip
+from analysis.adhesion.slip import slip
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.railway import read_train, train_from_bytes, train_to_bytes, write_train
+from trainlog.formats.railway import read_train, train_to_bytes
 from trainlog.railway import Axles, Train
 from trainlog.railway.train import AxleGeometry, axle_loads, load_transfer
 from trainlog.simulation import draw_scenarios
 from trainlog.simulation.plant import Plant
 from trainlog.trip import TRAIN_ATTACHMENT
-from trainlog.units import GRAVITY
 
 GEOMETRY = AxleGeometry(2.6, 9.5, 0.6, 1.0, 1.6)
 
@@ -71,81 +68,12 @@ class TestMoments:
         expected = [-bogie - body, bogie - body, -bogie + body, bogie + body]
         np.testing.assert_allclose(transfer[:, :4] @ np.full(4, 60e3), expected)
 
-    def test_braking_loads_the_leading_axle(self) -> None:
-        loads = axle_loads(load_transfer(GEOMETRY, 4, 84e3), 206e3, np.full(4, -30e3), -0.8)
-        assert loads[0] > loads[2] > loads[1] > loads[3]
-        assert loads.sum() == pytest.approx(4 * 206e3)
-
-    def test_a_train_that_rolls_freely_downhill_keeps_its_loads(self) -> None:
-        """It accelerates by as much as the gradient pulls: nothing acts on it but its weight."""
-        rolling = -GRAVITY * 0.02 + GRAVITY * 0.02
-        loads = axle_loads(load_transfer(GEOMETRY, 4, 84e3), 206e3, np.zeros(4), rolling)
-        np.testing.assert_allclose(loads, 206e3)
-
-    def test_one_that_its_other_brakes_hold_there_does_not(self) -> None:
-        loads = axle_loads(load_transfer(GEOMETRY, 4, 84e3), 206e3, np.zeros(4), GRAVITY * 0.03)
-        per_bogie = 84e3 * GRAVITY * 0.03 * (1.6 - 1.0) / 9.5
-        np.testing.assert_allclose(loads - 206e3, np.array([-1, -1, 1, 1]) * per_bogie / 2.0)
-
-    def test_they_follow_what_accelerates_the_train_and_the_gradient(self) -> None:
-        """The force at the rail has turned the powered axles: their inertia is no part of it."""
-        train, load, rise = with_geometry(), 20e3, 0.02
-        count = train.axles.count
-        inertia = train.mass + load + train.rotating_mass - count * train.axles.rotating_mass
-        force = np.full((1, count), 10e3)
-        axles: Any = SimpleNamespace(
-            mass=train.mass + load, count=count, numbers=np.arange(count), axle_load=180e3,
-            total_effort=np.zeros(1),
-        )  # fmt: skip
-        other = np.array([0.7 * inertia - force.sum()])
-        loads = _loads(train, axles, force, other, np.array([rise]))
-        transfer = train.load_transfer(load)
-        assert transfer is not None
-        expected = axle_loads(transfer, 180e3, force, np.array([0.7 + GRAVITY * rise]))
-        np.testing.assert_allclose(loads, expected, rtol=1e-12)
-
-    def test_outer_bogies_of_a_unit_mirror_each_other(self) -> None:
-        transfer = load_transfer(replace(GEOMETRY, powered_bogies=1), 4, 72e3)
-        change = transfer[:, :4] @ np.full(4, 40e3)
-        np.testing.assert_allclose(change, -change[::-1])
-        assert change[:2].sum() < 0.0 < change[2:].sum()
-
     def test_a_wheel_does_not_lift_off(self) -> None:
         loads = axle_loads(load_transfer(GEOMETRY, 4, 20e3), 49e3, np.full(4, 500e3), 5.0)
         assert loads.min() == pytest.approx(0.05 * 49e3)
 
 
 class TestPlant:
-    def creep(self, plant: Plant, effort: float = 150e3) -> FloatArray:
-        """Slip speed of each axle under even efforts, in the end [m/s]."""
-        state = plant.at(50_000.0, 10.0)
-        rows = plant.advance(state, effort, 0.0, steps=600)
-        found = dict(zip(plant.columns, rows.T, strict=True))
-        wheels = np.column_stack([found[f"wheel_speed_{i}"] for i in range(1, 5)])
-        return np.asarray((wheels - found["speed"][:, None])[-1])
-
-    def test_without_geometry_all_axles_are_alike(self) -> None:
-        creep = self.creep(Plant.of(level_line(), flirt()))
-        np.testing.assert_allclose(creep, creep[0], rtol=1e-12)
-
-    def test_an_axle_that_carries_less_creeps_more(self) -> None:
-        train = with_geometry()
-        creep = self.creep(Plant.of(level_line(), train))
-        assert creep[0] > creep[2] > creep[1] > creep[3]
-
-    def test_a_climb_does_what_acceleration_does(self) -> None:
-        """The same force at the rails lifts a train or speeds it up: its loads are the same.
-
-        On the level some effort turns the axles faster besides.
-        """
-        tall = with_geometry(replace(GEOMETRY, centre_height=2.9))
-        level, climb = Plant.of(level_line(), tall), Plant.of(level_line(gradient=0.04), tall)
-        p, turned = level.parameters, 4 * level.parameters.axle_inertia
-        effort = 150e3 - turned * p.mass * GRAVITY * 0.04 / p.body_inertia
-        np.testing.assert_allclose(self.creep(climb, effort), self.creep(level), rtol=0.01)
-        lower = Plant.of(level_line(gradient=0.04), with_geometry())
-        assert self.creep(climb, effort)[0] > 1.05 * self.creep(lower, effort)[0]
-
     def test_the_loads_are_those_of_the_moments(self) -> None:
         """On a rail at whose limit the axles pull: what each transmits is its load times that."""
         train = with_geometry()
@@ -240,24 +168,8 @@ class TestAnalysis:
         assert np.median(np.sqrt(whole**2 - std**2)) > 0.02
         assert np.mean(np.abs(error) < 1.96 * whole) > 0.97
 
-    def test_geometry_a_tenth_off_is_better_than_none(self, wet: Seen) -> None:
-        rough = AxleGeometry(2.8, 9.0, 0.66, 1.05, 1.45)
-        known, _, _, _ = self.errors(wet, rough)
-        unknown, _, _, _ = self.errors(wet, None)
-        assert np.sqrt(np.mean(known**2)) < 0.85 * np.sqrt(np.mean(unknown**2))
-
 
 class TestFile:
-    def test_geometry_is_kept(self, tmp_path: Path) -> None:
-        train = with_geometry(replace(GEOMETRY, axles_per_bogie=4, powered_bogies=1))
-        write_train(train, tmp_path / "train.json")
-        assert read_train(tmp_path / "train.json").axles == train.axles
-
-    def test_a_file_without_it_is_as_before(self) -> None:
-        data = train_to_bytes(flirt())
-        assert b"geometry" not in data
-        assert train_from_bytes(data).axles.geometry is None
-
     @pytest.mark.parametrize(
         ("change", "words"),
         [

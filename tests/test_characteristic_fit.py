@@ -104,21 +104,6 @@ def test_polachs_own_curve_is_found_again_at_several_speeds() -> None:
     assert not fit.findings
 
 
-def test_slip_speeds_of_a_train_of_known_speed_are_fitted_over_creepage() -> None:
-    slip = np.linspace(0.02, 4.0, 40)
-    wet = polach_curve("wet")
-    points = AdhesionPoints(slip, wet(slip, 15.0), "slip speed")
-    known = fit_adhesion_characteristic(points, speed=15.0)
-    assert known.family == "polach"
-    assert known.maximum == pytest.approx(float(wet.maximum(15.0)), rel=2e-3)
-    assert known.optimal_slip == pytest.approx(float(wet.optimal_slip_speed(15.0)), rel=0.05)
-    unknown = fit_adhesion_characteristic(points)
-    assert unknown.family == "exponentials"
-    assert any("without the train's speed" in each for each in unknown.findings)
-    with pytest.raises(NotIdentifiableError, match="without the train's speed"):
-        fit_adhesion_characteristic(points, "polach")
-
-
 class TestRefused:
     slips = np.linspace(0.001, 0.1, 25)
     adhesions = magic_formula(slips, 0.25, 0.02, 1.6)
@@ -138,11 +123,6 @@ class TestRefused:
 
     def test_points_beyond_the_maximum_alone(self) -> None:
         assert "below the maximum" in self.refusal(self.slips > 0.04)
-
-    def test_of_a_file_with_its_name(self, tmp_path: Path) -> None:
-        path = written(tmp_path, "creepage [%];adhesion\n0.1;0.1\n0.2;0.15\n")
-        with pytest.raises(NotIdentifiableError, match=r"curve\.csv: 2 points do not determine"):
-            fit_adhesion_characteristic(path)
 
 
 # --------------------------------------------------------------------------------------- files
@@ -238,23 +218,6 @@ def test_tables_that_would_mislead_are_refused(tmp_path: Path, text: str, messag
         read_adhesion_points(written(tmp_path, text))
 
 
-@pytest.mark.parametrize(("speed", "stated"), [("-3", "-3"), ("0", "0"), ("800", "800")])
-def test_a_train_speed_is_named_as_it_was_given(tmp_path: Path, speed: str, stated: str) -> None:
-    path = written(tmp_path, "creepage [%];adhesion\n1;0.2\n2;0.3\n")
-    with pytest.raises(InputError, match=f"--speed '{stated}' must be above 0 km/h"):
-        run(
-            [
-                "fit",
-                "adhesion",
-                str(path),
-                "-o",
-                str(tmp_path / "a.json"),
-                "--speed",
-                speed,
-            ]
-        )
-
-
 def test_a_train_speed_beside_those_of_the_points_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, "creepage [%];adhesion;speed [km/h]\n1;0.2;72\n2;0.3;72\n")
     with pytest.raises(InputError, match="the points state their train speeds, and one is given"):
@@ -313,3 +276,18 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     assert run([*arguments[:5], "polach-dry", *arguments[6:]]) == 0
     with pytest.raises(InputError, match="'icy' is unknown; give a file, or one of polach-dry"):
         run([*arguments[:5], "icy", *arguments[6:]])
+
+
+def test_slip_speeds_of_a_train_of_known_speed_are_fitted_over_creepage() -> None:
+    slip = np.linspace(0.02, 4.0, 40)
+    wet = polach_curve("wet")
+    points = AdhesionPoints(slip, wet(slip, 15.0), "slip speed")
+    known = fit_adhesion_characteristic(points, speed=15.0)
+    assert known.family == "polach"
+    assert known.maximum == pytest.approx(float(wet.maximum(15.0)), rel=2e-3)
+    assert known.optimal_slip == pytest.approx(float(wet.optimal_slip_speed(15.0)), rel=0.05)
+    unknown = fit_adhesion_characteristic(points)
+    assert unknown.family == "exponentials"
+    assert any("without the train's speed" in each for each in unknown.findings)
+    with pytest.raises(NotIdentifiableError, match="without the train's speed"):
+        fit_adhesion_characteristic(points, "polach")

@@ -14,11 +14,8 @@ from refusals import refused
 from analysis.charts import draw
 from analysis.resistance.coast_down import (
     CoastDown,
-    Curve,
-    MassRatio,
     coast_down,
     coast_down_without_gradient,
-    fit_segments,
     lever_at_rest,
 )
 from analysis.resistance.coasting_detection import motion_of
@@ -150,15 +147,6 @@ def test_what_is_missing_is_named() -> None:
     refused(NotIdentifiableError, "no trip was given", coast_down, [])
 
 
-def test_a_line_may_be_given_and_is_turned_round_for_the_way_back() -> None:
-    back = HILLY.reversed()
-    time, position, speed, _ = driven(back, CURVE, DRIVE)
-    own = coast_down([recorded(time, position, speed, line=HILLY, direction="reverse")])
-    given = coast_down([recorded(time, position, speed, direction="reverse")], HILLY)
-    assert own.curve.theta == pytest.approx(given.curve.theta, rel=1e-9)
-    assert error(own, CURVE) < 0.03
-
-
 def test_several_trips_are_sharper_than_one_and_come_in_any_order() -> None:
     trips = []
     for number in range(3):
@@ -183,29 +171,6 @@ def test_several_trips_are_sharper_than_one_and_come_in_any_order() -> None:
     masses = [(train.mass + load) / 1e3 for load in (0.0, 18_000.0)]
     (note,) = [each for each in coast_down(loaded).notes if "t on these trips" in each]
     assert f"from {masses[0]:.0f} to {masses[1]:.0f} t" in note
-
-
-def test_doubt_about_segments_widens_the_band_and_moves_nothing() -> None:
-    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
-    fit = coast_down([recorded(time, position, speed, line=HILLY)]).trips[0]
-    at, stds = np.linspace(*fit.curve.covered, 9), []
-    for probability in (1.0, 0.98, 0.9):
-        doubted = tuple(replace(each, probability=probability) for each in fit.segments)
-        again = fit_segments(fit.motion, HILLY, doubted, MassRatio.expected(None))
-        assert again.curve(at) == pytest.approx(fit.curve(at), rel=0.02)
-        stds.append(again.curve.std(at))
-    assert np.all(np.diff(stds, axis=0) > 0.0)
-
-
-def test_a_curve_is_supported_where_it_is_known() -> None:
-    covariance = np.zeros((4, 4))
-    covariance[1:, 1:] = np.diag([1e-6, 1e-12, 1e-14])
-    known = Curve(np.array([0.92, *CURVE]), covariance, 20.0, (10.0, 30.0))
-    assert known.supported == (10.0, 30.0)
-    unknown = Curve(np.array([0.92, *CURVE]), 10.0 * covariance, 20.0, (10.0, 30.0))
-    assert unknown.supported is not None
-    assert unknown.supported[0] > 11.0
-    assert Curve(np.array([0.92, *CURVE]), 1e4 * covariance, 20.0, (10.0, 30.0)).supported is None
 
 
 # ------------------------------------------------------------------------ recorded and simulated
@@ -390,18 +355,6 @@ def test_unknown_gradients_are_not_guessed() -> None:
     same = [on_day(same[0], k) for k in range(4)]
     with pytest.raises(NotIdentifiableError, match="at one and the same speed"):
         coast_down_without_gradient(same[:2], spans=spans)
-
-
-def test_the_command_refuses_one_trip_over_unknown_gradients(tmp_path: Path) -> None:
-    arguments = [
-        "fit",
-        "coasting",
-        str(sample("nonstop.mcap")),
-        "-o",
-        str(tmp_path / "r.json"),
-    ]
-    with pytest.raises(NotIdentifiableError, match="with the gradient unknown"):
-        run([*arguments, "--gradient", "unknown"])
 
 
 def test_the_picture_of_unknown_gradients_is_drawn(tmp_path: Path) -> None:

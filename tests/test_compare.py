@@ -87,23 +87,6 @@ def test_a_log_costs_what_its_trip_costs(tmp_path: Path) -> None:
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9), name
 
 
-def test_slip_protection_and_lateness_are_reported_where_the_log_tells_them() -> None:
-    plain = trip()
-    assert trip_cost(plain).slips is None
-    assert trip_cost(plain).late is None
-    with pytest.raises(LogError, match="'t' followed no trajectory"):
-        punctuality([plain])
-    stated = [
-        followed("slip protection active in traction", "departure from A", late=late)
-        for late in (0.2, -0.7)
-    ]
-    assert trip_cost(stated[0]).slips == 1
-    assert trip_cost(stated[0]).late == pytest.approx(0.2)
-    found = punctuality(stated)
-    assert (found.trips, found.slips) == (2, 2)
-    assert found.late == pytest.approx(-0.7)
-
-
 def test_slip_protection_that_is_not_recorded_is_not_zero() -> None:
     """A flag counts where there is one, else events; without both, how often is not known."""
     silent = followed("departure from A", "arrival at B", late=0.1)

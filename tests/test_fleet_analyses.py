@@ -135,18 +135,6 @@ def test_parameters_are_part_of_what_identifies_a_result() -> None:
     refused(InputError, "no analysis 'energy'", analyses_named, ["energy"])
 
 
-def test_a_long_log_is_parted_where_the_train_turned_back(long_log: Path) -> None:
-    held = rows_of_log(long_log, TOPICS)
-    parts = list(views_of(long_log, TOPICS, sha256="digest", rows=held // 2 + 10_000))
-    assert [part.name for part in parts] == ["trip-01 (1 of 2)", "trip-01 (2 of 2)"]
-    assert all(part.sha256 == "" for part in parts)
-    whole = [driven_trip(log) for log in LOGS]
-    for part, trip in zip(parts, whole, strict=True):
-        row = ANALYSES["driving"].table(part).iloc[0]
-        assert row["running_time"] == pytest.approx(trip.running[-1], abs=0.2)
-        assert row["traction"] == pytest.approx(np.ptp(trip.sums["traction"]), rel=1e-4)
-
-
 def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(long_log: Path) -> None:
     whole = trainlog.read(long_log, ["/train/state", "/train/axles"])
     held = rows_of_log(long_log, TOPICS)

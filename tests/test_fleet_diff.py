@@ -334,26 +334,3 @@ def test_what_is_no_version_is_refused(place: Path, side: str, message: str, she
     status, _, complaint = shell("fleet", "diff", "now", side, "--catalogue", place)
     assert (status, complaint.count("\n")) == (2, 1)
     assert message in complaint
-
-
-@pytest.mark.long
-def test_a_wrong_gravity_moves_what_rests_on_gradients(
-    place: Path, tmp_path: Path, shell: Shell
-) -> None:
-    """Of simulated trips over a hilly line: the mean of noise sizes and bands, by train."""
-    trips = tmp_path / "trips"
-    command = [sys.executable, "-m", "trainlog", "simulate", "drive", "--count", "8"]
-    command += ["-o", str(trips), "--line", "sample", "--train", "sample"]
-    subprocess.run(command, check=True, capture_output=True)
-    from trainlog.catalogue import open_catalogue
-
-    with open_catalogue(tmp_path / "catalogue") as catalogue:
-        catalogue.add(trips)
-    other = copied(tmp_path / "other", "trainlog/units.py", "GRAVITY = 9.81", "GRAVITY = 9.9")
-    words = ("--catalogue", tmp_path / "catalogue", "--analysis", "resistance", "--json")
-    code = updated_by(other, tmp_path / "catalogue", "resistance")
-    status, printed, complaint = shell("fleet", "diff", "now", code, *words)
-    assert (status, complaint) == (1, "")
-    found = json.loads(printed)
-    assert "noise_gradient" in {each["estimate"] for each in found["means"]}
-    assert {each["same"] for each in found["analyses"]} == {0}

@@ -13,7 +13,6 @@ import pandas as pd
 import pytest
 
 from analysis.charts import draw_charts
-from analysis.fleet.channels import channel_table
 from analysis.fleet.drift import Drift
 from analysis.fleet.plot import findings_charts
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
@@ -121,21 +120,6 @@ def test_bands_hold_the_true_curves_after_one_trip_and_after_many() -> None:
         assert np.mean(inside) >= 0.9, trips
 
 
-def test_a_train_with_few_trips_is_drawn_towards_its_kind_and_one_without_is_its_kind() -> None:
-    rows = drawn_fleet(pool("flirt"), 3, trains=8, trips=12)
-    few = rows[(rows["train"] != "flirt-01") | (rows.groupby("train").cumcount() < 1)]
-    found = fleet_resistance(few)["flirt"]
-    lone = few[few["train"] == "flirt-01"].iloc[0]
-    own = np.polyval([lone["r2"], lone["r1"], lone["r0"]], 22.0)
-    kind = float(found.mean.resistance(22.0))
-    drawn = (float(found["flirt-01"].resistance(22.0)) - kind) / (own - kind)
-    assert 0.1 < drawn < 0.9
-    names = ("flirt-02", "flirt-01", "no such train")
-    std = [float(found[name].std(22.0)) for name in names]
-    assert std[0] < std[1] < std[2]
-    assert curve(found["no such train"]) == pytest.approx(curve(found.mean))
-
-
 def test_one_bad_train_moves_neither_its_kind_nor_the_spread_by_much() -> None:
     rows = drawn_fleet(pool("kiss"), 4, trains=8, trips=20)
     bad = rows.copy()
@@ -191,27 +175,6 @@ def test_a_fault_is_named_with_its_beginning_and_its_size(what: str) -> None:
             assert abs(cause.size - FAULTS[what]) < 3.0 * cause.std
         assert finding.p < found.unlike.rate
         assert finding.between[0] <= finding.since <= finding.between[1]
-
-
-def test_what_the_delays_of_a_train_err_by_alike_hides_no_change_of_them() -> None:
-    fault = Fault("sensor delay", 0.3, 0, 40)
-    rows = drawn_fleet(pool("flirt"), 5, trains=5, trips=60, faults=(fault,))
-    train = sorted(rows["train"].unique())[0]
-    # Wheels without recorded speeds: what their creep adds is known badly, but lasts.
-    rows["effort_delay"] += 0.06
-    wide = rows.assign(
-        effort_delay_std=np.hypot(rows["effort_delay_std"], 0.2), effort_delay_shared_std=0.2
-    )
-    (found,) = fleet_trains(wide).of(train)
-    assert found.what == "sensor delay"
-    assert found.trips <= 5
-    (kind,) = fleet_resistance(wide)
-    own, counted_apart = (
-        channel_table(kind, each)["effort delay"][1]
-        for each in (wide, wide.drop(columns="effort_delay_shared_std"))
-    )
-    assert own == pytest.approx(rows["effort_delay_std"] ** 2, nan_ok=True)
-    assert np.nanmin(counted_apart) > 0.2**2 > 5.0 * np.nanmedian(own)
 
 
 def test_healthy_trains_raise_no_alarm() -> None:

@@ -38,12 +38,10 @@ from analysis.fleet.update import (
     problems_table,
     update_fleet,
 )
-from trainlog import version
 from trainlog.catalogue import open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import MapFile, read_map
-from trainlog.version import code_version_of
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -134,41 +132,6 @@ def test_other_code_and_other_parameters_are_computed_anew(
     other = replace(computation_of(ANALYSES["checks"]), code="0123456789abcdef")
     monkeypatch.setattr("analysis.fleet.update.computation_of", lambda _: other)
     assert updated(place, "checks").trips == TRIPS
-
-
-USED = (
-    "analysis/adhesion/slip.py",
-    "analysis/fleet/driving.py",
-    "estimators/motion.py",
-    "trainlog/ingest/frozen.py",
-    "trainlog/units.py",
-)
-UNUSED = (
-    "analysis/fleet/update.py",
-    "analysis/reports/fleet.py",
-    "trainlog/catalogue/catalogue.py",
-    "trainlog/ingest/pipeline.py",
-)
-"""Modules that the analyses of a fleet run through, and others."""
-
-
-def test_a_change_of_a_module_counts_where_an_analysis_runs_through_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = Path(version.__file__).parents[1]
-    for package in ("trainlog", "analysis", "estimators"):
-        keep = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(source / package, tmp_path / package, ignore=keep)
-    monkeypatch.setattr(version, "_SOURCE", tmp_path)
-    found = code_version_of.__wrapped__("analysis.fleet.work")
-    assert found == code_version_of("analysis.fleet.work"), "a copy is the same code"
-    codes = {found}
-    for module in (*UNUSED, *USED):  # each is changed beside those before it
-        with (tmp_path / module).open("a") as file:
-            file.write("# changed")
-        changed = code_version_of.__wrapped__("analysis.fleet.work")
-        assert (changed not in codes) is (module in USED), module
-        codes.add(changed)
 
 
 def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> None:

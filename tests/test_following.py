@@ -27,12 +27,10 @@ from analysis.control.follow import (
 from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from analysis.control.route import (
-    CREEP,
     Margin,
     RouteTables,
     TrainLimits,
     ceiling_square,
-    creep_momentum,
     effort_limits,
     route_tables,
     train_limits,
@@ -60,7 +58,7 @@ from trainlog.simulation import (
     trajectory_scenarios,
 )
 from trainlog.simulation.drivers import DEPARTURE, Observation
-from trainlog.simulation.sensors import Instruments, Reading, Sensors, balises
+from trainlog.simulation.sensors import Instruments, Reading, Sensors
 
 NEUTRAL = TrainEstimate(1.0, 0.0, 0.0)
 
@@ -171,20 +169,6 @@ def test_without_the_map_the_same_rail_makes_it_slip_and_it_keeps_the_limits(nam
     assert abs(found["position"][-1] - hilly_line().length) < 0.3
 
 
-def test_what_creeping_wheels_hold_is_kept_below_the_limit() -> None:
-    """The guard lets a pulling train come less near to the ceiling than a coasting one."""
-    can, road = known()
-    p, past = 6_000.0, np.zeros(6)
-    top = float(np.sqrt(ceiling_square(p, road)))
-    pull = prediction.effort_bounds(p, top, p, road, can)[1]
-    held = creep_momentum(pull, p, road, can)
-    assert held == pytest.approx(can.spinning * CREEP, rel=0.7)
-    assert creep_momentum(-0.5, p, road, can) == 0.0
-    near = top - 0.05
-    free = prediction.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can._replace(spinning=0.0))
-    assert prediction.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can) < free
-
-
 @pytest.mark.parametrize("name", ONE_MASS)
 def test_masses_at_both_ends_of_the_set_and_a_brake_that_takes_its_time(name: str) -> None:
     """Friction brake alone, 2 s of dead time and 1.5 s of lag."""
@@ -268,33 +252,6 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None
     refused(LogError, "no trip to draw", following_charts, [])
 
 
-def test_where_the_map_was_not_observed_it_still_states_what_is_likely() -> None:
-    track = map_of(steps((0.0, 0.2)), spread=0.1)
-    layer = track.layers["wet"]
-    unseen = replace(track, layers={"wet": replace(layer, observed=~layer.observed)})
-    place = np.array([500.0, 5_000.0])
-    assert np.all(np.isinf(unseen.lower_bound("wet", place)))
-    np.testing.assert_allclose(
-        unseen.lower_bound("wet", place, 1.0, likely=True), 0.2 * np.exp(-0.1)
-    )
-    np.testing.assert_allclose(
-        track.lower_bound("wet", place, likely=True), track.lower_bound("wet", place)
-    )
-
-
-def test_a_driver_who_takes_less_risk_pulls_and_brakes_less() -> None:
-    train, trajectory = plan()
-    line = hilly_line()
-    track = replace(map_of(steps((0.0, 0.08)), spread=0.15), line=line.name)
-    careful, bold = (
-        Follower(trajectory, line, train, condition=track, layer="wet", risk=risk)
-        for risk in (0.01, 0.3)
-    )
-    for name in ("pulling", "adhesion"):
-        low, high = (getattr(each._route, name) for each in (careful, bold))
-        assert np.all(low < high)
-
-
 def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> None:
     train, trajectory = plan()
     driver = Follower(trajectory, hilly_line(), train)
@@ -352,36 +309,6 @@ def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure(name: str)
         assert np.mean(off > least) > 0.5
         assert np.mean(off < 3.0 * std[moving]) > 0.97
         assert np.quantile(std[moving], 0.99) < 0.5 * getattr(MARGIN, quantity)
-
-
-def test_a_train_that_lost_its_odometry_drives_as_if_it_were_further_and_faster() -> None:
-    train, trajectory = plan()
-    near = Observation(DEPARTURE + 150.0, 2_800.0, 32.0, 0.0)  # 90 km/h from km 3.2 on
-    asked = []
-    for unsure in (near, near._replace(position_std=60.0), near._replace(speed_std=2.0)):
-        driver = Follower(trajectory, hilly_line(), train, layer="dry", margin=MARGIN)
-        demand = driver.demand(unsure)
-        asked.append(demand.tractive_effort - demand.braking_effort)
-    assert asked[1] < asked[0]
-    assert asked[2] < asked[0]
-
-
-def test_balises_lie_before_stations_and_set_the_chainage_right() -> None:
-    line, sensors = hilly_line(), Sensors(balise_error=0.0, diameter_error=0.0)
-    places = balises(line, sensors, 100.0, np.random.default_rng(3))
-    for station in (3_900.0, 7_050.0, line.length):
-        assert {station - 150.0, station - 25.0} <= set(places)
-    assert places[0] == 100.0
-    assert np.diff(places).max() <= 1.2 * sensors.balise_spacing
-    instruments = Instruments(line, sensors, 100.0, 1.0, np.random.default_rng(3))
-    first = instruments.read(0.0, 100.0, 0.0, 0.0)
-    assert first.balise == 100.0
-    assert first.wheel_speed == 0.0
-    assert np.isnan(instruments.read(0.1, 101.0, 10.0, 0.0).balise)
-    # In the tunnel there are no satellites, and the wheels go on.
-    inside = [instruments.read(0.2 + 0.1 * k, 2_300.0, 20.0, 0.0) for k in range(4)]
-    assert np.all(np.isnan([each.satellite_speed for each in inside]))
-    assert inside[0].wheel_speed == pytest.approx(20.0, abs=0.2)
 
 
 def test_a_wrong_wheel_is_found_out_by_satellites_and_balises() -> None:
@@ -447,16 +374,6 @@ def test_a_level_prediction_is_known_in_closed_form() -> None:
         lasting, lag = max(k - 20 * TICK, 0.0), can.lag
         lost = brake * (lasting - lag * (1.0 - np.exp(-lasting / lag)))
         assert states[k, 1] == pytest.approx(20.0 - lost, abs=2e-3)
-
-
-def test_friction_that_was_asked_for_acts_whatever_is_asked_now() -> None:
-    can, road = known("friction")
-    waiting = np.full(20, 0.8)
-    braked, free = (
-        prediction.linearised(1_000.0, 20.0, 0.0, past, np.zeros(4), 10, NEUTRAL, road, can)[0]
-        for past in (waiting, np.zeros(20))
-    )
-    assert braked[2, 1] < free[2, 1] - 0.3
 
 
 # ---- ceiling, pace, guard -------------------------------------------------------------------
@@ -535,16 +452,6 @@ def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time() -> None:
     assert np.all(efforts * can.inertia <= can.traction)
 
 
-def test_who_is_early_does_not_brake_while_there_is_traction_to_come() -> None:
-    can, road = known()
-    rows = np.zeros((400, 4))
-    speed = float(np.sqrt(prediction.value(road.goal, road.origin, 3_000.0)))
-    _, count = rollout(0.8, 3_000.0, speed, rows, NEUTRAL, road, can)
-    near = rows[: count - 1]
-    free = near[:, 1] ** 2 < [ceiling_square(p + 6.0, road) - 1.0 for p in near[:, 0]]
-    assert np.all(near[free & (near[:, 0] < road.last_pull - 50.0), 3] > -1e-6)
-
-
 # ---- what the train is ----------------------------------------------------------------------
 
 
@@ -558,17 +465,6 @@ def test_the_train_is_found_while_it_runs() -> None:
         observer.update(true + 0.01 * rng.normal(), effort, drag, 0.0, 0.5)
     assert observer.estimate.gain == pytest.approx(0.98, abs=0.01)
     assert observer.estimate.drag == pytest.approx(0.07, abs=0.05)
-
-
-def test_wheels_that_slip_do_not_make_the_train_heavy() -> None:
-    can, _ = known()
-    observer = Observer(can)
-    for _ in range(40):
-        observer.update(0.6 - 0.06, 0.6, 0.06, 0.0, 0.5)
-    before = observer.estimate
-    observer.update(0.0, 0.6, 0.06, 0.0, 0.5)
-    assert observer.estimate.gain == pytest.approx(before.gain, abs=1e-9)
-    assert observer.estimate.drift < before.drift
 
 
 # ---- bad input ------------------------------------------------------------------------------
@@ -602,14 +498,6 @@ def test_a_map_of_another_line_and_a_layer_it_has_not_are_refused() -> None:
 
 def test_a_tuning_that_is_not_positive_is_refused() -> None:
     refused(InputError, "following: step 0", Tuning, step=0.0)
-
-
-def test_a_trajectory_without_a_driver_makes_no_scenario() -> None:
-    train, trajectory = plan()
-    (scenario,) = trajectory_scenarios(
-        trajectory, hilly_line(), train, [MIDDLE], lambda: Follower(trajectory, hilly_line(), train)
-    )
-    refused(InputError, "go together", replace, scenario, follows=None)
 
 
 def test_a_train_with_curves_follows_within_them() -> None:

@@ -287,18 +287,3 @@ def test_bands_need_some_days_and_hold_the_figure() -> None:
     assert np.isnan(scored(few, rail.knows).log_score("onsets").low)
     with pytest.raises(InputError, match="no trip to compare it with"):
         scored(Drawn([], rail.demand, rail.knows, rail.level), rail.knows)
-
-
-def test_an_alarm_for_everything_foresees_all_and_one_for_nothing_costs_nothing() -> None:
-    rail = drawn(2)
-    curve = scored(rail, rail.knows).alarm_curve()
-    foreseen = [each.foreseen.value for each in curve]
-    false = [each.false_alarms.value for each in curve]
-    assert foreseen[0] > 0.99
-    assert all(np.diff(foreseen) <= 0.0)
-    assert all(np.diff(false) <= 0.0)
-    low = scored(rail, others(rail)["the mean of the line"]).alarm_curve()
-    # At as many slips foreseen, who knows the rail gives fewer false alarms.
-    at = np.interp(0.8, foreseen[::-1], false[::-1])
-    others_foreseen = [each.foreseen.value for each in low][::-1]
-    assert at < np.interp(0.8, others_foreseen, [e.false_alarms.value for e in low][::-1])

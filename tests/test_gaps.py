@@ -139,32 +139,11 @@ def test_work_over_a_gap_that_nothing_bridges_is_not_stated(
     assert words in compared._repr_html_()
 
 
-def test_wheels_that_slip_around_a_gap_do_not_bridge_it() -> None:
-    assert any("not known there" in note for note in driven_trip(wheels_alone(25.0)).notes)
-
-
-def test_a_speed_that_is_not_known_is_not_drawn() -> None:
-    trip = driven_trip(nothing_bridges(600.0))
-    assert np.isnan(trip.drawn_speed).any()
-    assert np.isfinite(driven_trip(no_speed(600.0)).drawn_speed).all()
-
-
 def test_a_trip_with_position_alone_has_its_speed_from_there() -> None:
     frame = whole()["/train/state"].assign(speed=np.nan)
     frame.attrs = whole()["/train/state"].attrs
     trip = whole().with_topic(frame)
     assert trip_cost(trip).traction == pytest.approx(true_work(trip), rel=0.01)
-
-
-def test_wheels_that_spin_do_not_bridge_a_gap() -> None:
-    trip = no_speed(150.0)
-    frame = trip["/train/axles"].copy()
-    since = (frame.index - frame.index[0]).total_seconds().to_numpy()
-    wheels = [name for name in frame if str(name).startswith("wheel_speed")]
-    frame.loc[(since > 155.0) & (since < 165.0), wheels] *= 1.3
-    frame.attrs = trip["/train/axles"].attrs
-    found = driven_trip(less(trip.with_topic(frame), "/gnss/motion"))
-    assert any("bridged by position" in note for note in found.notes)
 
 
 @cache

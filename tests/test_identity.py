@@ -21,10 +21,9 @@ from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE
 from analysis.resistance.logs import fit
 from trainlog.cli.map import map_update
-from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.errors import InputError
 from trainlog.formats.mapfile import map_to_bytes
 from trainlog.formats.samples import sample
-from trainlog.formats.summaries import write_summaries
 from trainlog.identity import (
     SHARED,
     Known,
@@ -268,22 +267,6 @@ class TestFit:
         assert both.common.resistance == single.common.resistance
         np.testing.assert_array_equal(both.common.covariance, single.common.covariance)
         assert sum("the loads that were given differ" in words for words in both.same) in (1, 2)
-
-    def test_order_and_pieces_do_not_matter(
-        self, versions: dict[str, Path], tmp_path: Path
-    ) -> None:
-        paths = [LOG, *(versions[name] for name in ("reloaded", "converted", "first_half"))]
-        one = fit(paths)
-        other = fit(paths[::-1])
-        pd.testing.assert_frame_equal(one.drives, other.drives, check_exact=True)
-        for number, path in enumerate(paths):
-            try:
-                write_summaries(fit([path]).summaries, tmp_path / f"{number}.parquet")
-            except NotIdentifiableError:  # a half alone may be refused
-                continue
-        together = fit(sorted(tmp_path.glob("*.parquet"), reverse=True))
-        assert together.common.resistance == one.common.resistance
-        np.testing.assert_array_equal(together.common.covariance, one.common.covariance)
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")

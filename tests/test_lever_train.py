@@ -20,13 +20,6 @@ from trainlog.units import GRAVITY
 LINE = "DE_Chemnitz_Cranzahl.line.json"
 
 
-def test_the_curve_of_effort_falls_with_speed() -> None:
-    speeds = np.linspace(0.0, 30.0, 50)
-    efforts = PUBLISHED_TRAIN.full_effort(speeds)
-    assert efforts[0] == pytest.approx(1.516e5 + 1.564e4)
-    assert np.all(np.diff(efforts) < 0.0)
-
-
 def test_resistance_on_a_gradient_by_hand() -> None:
     sine, speed, mass = 0.01, 20.0, 78_200.0
     cosine = np.sqrt(1.0 - sine**2)
@@ -53,13 +46,6 @@ def test_levers_within_the_bounds_keep_the_constraints_at_every_mass(
     assert abs(gained) <= PUBLISHED_TRAIN.comfort + 1e-9
     assert held <= grip * GRAVITY + 1e-9
     assert abs(lever) <= 1.0
-
-
-def test_the_driven_axles_can_give_all_that_the_lever_asks() -> None:
-    train = PUBLISHED_TRAIN.on_axles()
-    speeds = np.linspace(0.0, dynamics.TOP_SPEED, 300)
-    assert np.all(train.tractive_effort_limit(speeds) >= PUBLISHED_TRAIN.full_effort(speeds) - 1.0)
-    assert train.axles.adhesive_mass == train.mass
 
 
 def test_a_mass_beyond_the_range_is_refused() -> None:

@@ -83,13 +83,6 @@ def test_the_smoother_is_the_regression_over_all_samples() -> None:
     np.testing.assert_allclose(found.covariances[:, 0, 0], spread, atol=1e-5)
 
 
-def test_the_noise_of_a_wandering_slope_adds_up() -> None:
-    """Two steps of 1 s are one of 2 s, whatever the factor."""
-    (one, q_one), (two, q_two) = (random_walk_slope(np.array([s]), 0.7, -3.0) for s in (1.0, 2.0))
-    np.testing.assert_allclose(one[0] @ one[0], two[0])
-    np.testing.assert_allclose(one[0] @ q_one[0] @ one[0].T + q_one[0], q_two[0])
-
-
 def test_series_of_one_model_are_filtered_each_for_itself() -> None:
     transition, noise, observation, _, measured, variances = drawn(5)
     shift = np.random.default_rng(1).standard_normal((len(measured), 2, 3))
@@ -131,11 +124,6 @@ def test_blocks_go_on_where_the_last_one_ended() -> None:
         mean, covariance = found.means[-1], found.covariances[-1]
     np.testing.assert_array_equal(mean, expected.means[-1])
     np.testing.assert_array_equal(covariance, expected.covariances[-1])
-
-
-def test_nothing_in_nothing_out() -> None:
-    model = LinearGaussian(np.empty((0, 1, 1)), np.empty((0, 1, 1)), np.ones((1, 1, 1)))
-    assert model.smooth(np.empty((0, 1)), 1.0, [0.0], [[1.0]]).means.shape == (0, 1)
 
 
 def test_bands_hold_errors_that_last_and_only_with_them() -> None:

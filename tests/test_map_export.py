@@ -104,17 +104,6 @@ def test_gdal_reads_from_a_geopackage_what_the_map_knows(
     assert info["dataset_metadata"]["expected_at"] == "2024-10-09T06:00:00+00:00"
 
 
-def test_kilometres_are_those_of_the_operator(track: TrackConditionMap, line: Line) -> None:
-    rows = bins_table(track, line, layers=["dry"]).set_index("start_m")
-    assert rows.loc[0.0, ["start_km", "end_km"]].tolist() == [61.2, 61.175]
-    # The bin before the jump ends on its own side of it.
-    assert rows.loc[9_975.0, ["start_km", "end_km"]].tolist() == pytest.approx([51.225, 51.2])
-    assert rows.loc[10_000.0, "start_km"] == pytest.approx(51.0)
-    plain = bins_table(track, layers=["dry"])
-    np.testing.assert_array_equal(plain["start_km"], plain["start_m"] / 1e3)
-    assert {"gradient_permil", "speed_limit_km_h", "station"} & set(plain) == set()
-
-
 def test_geojson_follows_rfc_7946_and_gdal_reads_it(
     track: TrackConditionMap, line: Line, tmp_path: Path
 ) -> None:
@@ -240,26 +229,6 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
     with pytest.raises(MissingExtraError, match=r"pip install 'trainlog\[gis\]'"):
         analysis.export_map(track, tmp_path / "map.gpkg", line=line)
     assert (tmp_path / "map.gpkg").read_text() == "older"
-
-
-def test_pieces_beyond_the_known_course_have_no_geometry(
-    track: TrackConditionMap, line: Line, tmp_path: Path
-) -> None:
-    assert line.geometry is not None
-    known = line.geometry
-    inside = (known.positions > 5_000.0) & (known.positions < 20_000.0)
-    part = replace(
-        known,
-        positions=known.positions[inside],
-        latitudes=known.latitudes[inside],
-        longitudes=known.longitudes[inside],
-    )
-    path = tmp_path / "map.geojson"
-    analysis.export_map(track, path, line=replace(line, geometry=part), layers=["dry"])
-    features = json.loads(path.read_text("utf-8"))["features"]
-    placed = [each["geometry"] is not None for each in features[: track.bins]]
-    assert placed[0] is placed[-1] is False
-    assert placed[400] is True
 
 
 def test_the_command_takes_the_line_from_a_file_a_log_or_the_samples(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from dataclasses import replace
 from functools import cache
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -129,21 +127,6 @@ class TestSet:
         assert map_to_bytes(again) == map_to_bytes(known), "with the estimate that was kept"
         np.testing.assert_array_equal(again.layer("wet").log_mean, known.layer("wet").log_mean)
 
-    def test_which_recordings_of_a_drive_count_does_not_depend_on_their_order(
-        self, tmp_path: Path
-    ) -> None:
-        """The second replaces the first, the third the second: then the first counts again."""
-        pieces = [part(1, 0, 9), part(2, 5, 20), part(3, 12, 40)]
-        found = set()
-        for number, order in enumerate(permutations(pieces)):
-            path = tmp_path / f"{number}.map"
-            given_to(path, list(order))
-            with MapFile(path) as file:
-                counted = [row.known.name for row in file.trips() if row.counted]
-            assert sorted(counted) == ["trip-1", "trip-3"]
-            found.add(bytes_of(path))
-        assert len(found) == 1
-
     def test_a_trip_that_is_taken_out_leaves_the_map_that_never_had_it(
         self, tmp_path: Path
     ) -> None:
@@ -232,17 +215,6 @@ class TestCompaction:
         given_to(tmp_path / "whole.map", pieces)
         assert bytes_of(tmp_path / "once.map") == bytes_of(tmp_path / "whole.map")
         assert bytes_of(tmp_path / "twice.map") == bytes_of(tmp_path / "whole.map")
-
-    def test_what_counts_of_trips_that_disagree_stays(self, tmp_path: Path) -> None:
-        rail, path = Rail(4), tmp_path / "a.map"
-        factors = np.exp([0.0, 0.2, -0.2, 0.02, -0.15, 0.16, -0.22, 0.0, 0.2, -0.03, 0.7])
-        trips = [rail.trip(number, float(each)) for number, each in enumerate(factors)]
-        with MapFile(path, empty_map(WAY)) as file:
-            file.append_all([recording_of(each) for each in trips])
-            before = file.summed(file.trips())
-            assert len(before.notes) == 1
-            assert file.compact(10**6) == len(trips) - 1
-            assert file.sums()["wet"] == before.evidence["wet"][0]
 
     def test_sums_of_weeks_are_those_of_their_days(self, tmp_path: Path) -> None:
         """Of old days; no sum changes, no day is dated before its evidence, none of late ones."""
@@ -399,22 +371,6 @@ class TestDamage:
 
 
 class TestOtherFiles:
-    def test_entries_that_an_earlier_version_wrote_as_text_are_read(
-        self, good: bytes, tmp_path: Path
-    ) -> None:
-        path = tmp_path / "a.map"
-        path.write_bytes(good)
-        with MapFile(path) as file:
-            rows = file.trips()
-        database = sqlite3.connect(path)
-        for row in rows:
-            values = (row.entry, row.identity, row.key)
-            database.execute("UPDATE trips SET entry = ?, identity = ? WHERE key = ?", values)
-        database.commit()
-        database.close()
-        with MapFile(path) as file:
-            assert file.trips() == rows
-
     def refused(self, path: Path) -> str:
         with pytest.raises(InputError) as caught:
             read_map(path)
@@ -531,19 +487,6 @@ class TestPacked:
             expected = np.concatenate([each[name] for each in kept])
             assert found[name].dtype == expected.dtype
             assert found[name].tobytes() == expected.tobytes()
-
-    def test_what_is_cut_off_or_differs_is_refused(self) -> None:
-        whole = pack({}, {"bin": np.arange(9)})
-        with pytest.raises(ValueError, match="smaller than requested"):
-            unpack_joined([whole[:-1], whole])
-        with pytest.raises(ValueError, match="their arrays differ"):
-            unpack_joined([whole, pack({}, {"day": np.arange(9)})])
-
-    @pytest.mark.parametrize("data", [b"", b"\xff\xff\xff\xff", b"\x02\x00\x00\x00{}", b"junk" * 9])
-    def test_other_bytes_are_refused(self, data: bytes) -> None:
-        with pytest.raises(ValueError):  # noqa: PT011 - of several makers
-            unpack(data)
-        assert json.dumps({})
 
 
 def test_a_trip_in_memory_is_no_log_of_a_map(tmp_path: Path) -> None:

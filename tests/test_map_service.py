@@ -20,11 +20,11 @@ from typer.testing import CliRunner
 
 import trainlog
 from analysis import update_map
-from analysis.adhesion import condition_map
 from analysis.adhesion.condition_map import adhesion_map, empty_map, naming_log
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError, NotRecordedError
 from trainlog.formats.mapfile import MapFile, Row, map_to_bytes, read_map
+from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
@@ -218,25 +218,6 @@ class TestUpdate:
             adhesion_map(written / "trip-01.mcap").track
         )
 
-    def test_a_fuller_recording_replaces_a_poorer_one_and_a_poorer_one_nothing(
-        self, trips: list[Trip], written: Path, updated: Path, tmp_path: Path
-    ) -> None:
-        start = trips[0]["/train/state"].index[0]
-        half = trips[0].between(None, start + 0.5 * (trips[0]["/train/state"].index[-1] - start))
-        write_log(half, tmp_path / "half.mcap")
-        first, last = tmp_path / "first.map", tmp_path / "last.map"
-        update_map(tmp_path / "half.mcap", first)
-        assert update_map(written / "trip-01.mcap", first).added[0].replaced == ("trip-01",)
-        assert update_map(written, first).trips == 3
-        shutil.copy(updated, last)
-        found = update_map(tmp_path / "half.mcap", last)
-        assert found.trips == 3
-        assert "the same drive as 'trip-01" in found.of("same drive")[0].reason
-        assert content(first) == content(last)
-        only = [[row for row in content(each)[1] if row.counted] for each in (last, updated)]
-        assert only[0] == only[1]
-        assert content(last)[2] == content(updated)[2]
-
 
 class TestCommand:
     def run(self, *words: object) -> tuple[int, str, str]:
@@ -244,30 +225,6 @@ class TestCommand:
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         return result.exit_code, result.stdout, result.stderr
-
-    def test_a_folder_day_by_day(self, logs: Path, tmp_path: Path) -> None:
-        """As cron gives it: the same folder, to which logs are added."""
-        path, later = tmp_path / "a.map", tmp_path / "later.mcap"
-        (logs / "trip-03.mcap").rename(later)
-        status, shown, _ = self.run("map", "update", logs, "--map", path)
-        lines = shown.splitlines()
-        assert (status, len(lines)) == (0, 3)
-        assert lines[0] == "  trip 'trip-01' added to 'dry'"
-        assert lines[-1] == "2 trips added; the map holds 2 trips of 1 day"
-        later.rename(logs / "trip-03.mcap")
-        (logs / "bad.mcap").write_bytes(b"")
-        status, shown, complaint = self.run("map", "update", logs, "--map", path)
-        assert status == 1
-        assert shown.splitlines()[-1] == (
-            "1 trip added, 2 held already, 1 refused; the map holds 3 trips of 1 day"
-        )
-        assert "bad.mcap, byte 0: is empty" in complaint
-        (logs / "bad.mcap").unlink()
-        status, shown, complaint = self.run("map", "update", logs, "--map", path, "--json")
-        found = json.loads(shown)
-        assert (status, complaint) == (0, "")
-        assert (found["added"], found["held"], found["trips"], found["days"]) == (0, 3, 3, 1)
-        assert {each["outcome"] for each in found["logs"]} == {"held"}
 
     def test_a_layer_is_known_or_given_as_new_and_what_it_overrides_is_stated(
         self, written: Path, tmp_path: Path
@@ -369,32 +326,6 @@ class TestCommand:
         assert (status, "1 refused," in shown) == (1, True)
         assert "cut.mcap: trip 'without' has no topic /train/axles" in complaint
 
-    def test_a_refused_log_is_tried_again_where_more_is_known(
-        self, trips: list[Trip], path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """With a rail condition, or by another version; the same reason is not reported again."""
-        known = {name: value for name, value in trips[0].metadata.items() if name != "weather"}
-        log = path.with_name("unstated.mcap")
-        write_log(replace(trips[0], metadata=known), log)
-        with MapFile(path) as file:
-            file.remove([trips[0].name])
-        assert len(update_map(log, path).refused) == 1
-        tried = []
-        analysed = condition_map.FileUpdate.analysed
-
-        def seen(*given: Any) -> Any:
-            tried.append(given)
-            return analysed(*given)
-
-        monkeypatch.setattr(condition_map.FileUpdate, "analysed", seen)
-        assert len(update_map(log, path).of("refused before")) == 1
-        assert not tried
-        monkeypatch.setattr(condition_map, "code_version", lambda: "another")
-        assert len(update_map(log, path).of("refused before")) == 1
-        assert len(update_map(log, path).of("refused before")) == 1
-        assert len(tried) == 1, "by the other version once"
-        assert len(update_map(log, path, "dry").added) == 1
-
     def test_nothing_usable_is_an_error(self, tmp_path: Path) -> None:
         bad = tmp_path / "bad.mcap"
         bad.write_bytes(b"anything at all")
@@ -402,6 +333,16 @@ class TestCommand:
         assert status == 2
         assert complaint.count("bad.mcap") == 2
         assert not (tmp_path / "a.map").exists()
+
+    def test_info_lists_what_a_map_holds(self, path: Path) -> None:
+        before = path.read_bytes()
+        status, shown, _ = self.run("show", path, sample("CH_StGallen_Wil.map"))
+        assert status == 0
+        assert path.read_bytes() == before
+        words = " ".join(shown.split())
+        assert f"line {SHORT.name}, " in words
+        assert "trips 3 trips, 1 day, 2" in words
+        assert "line CH_StGallen_Wil, 29.6 km, 1183 bins of 25 m" in words
 
     def test_maps_are_merged_and_compacted(self, written: Path, path: Path, tmp_path: Path) -> None:
         every = sorted(written.iterdir())

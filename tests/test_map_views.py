@@ -17,7 +17,6 @@ from rich.console import Console
 
 import analysis
 import trainlog
-from analysis.adhesion.condition_table import bins_table
 from analysis.charts import draw
 from trainlog.cli.main import run
 from trainlog.condition import estimated
@@ -81,30 +80,6 @@ def printed(*parts: object) -> str:
     console = Console(width=200, record=True, file=StringIO())
     console.print(*parts)
     return " ".join(console.export_text().split())
-
-
-def test_the_state_has_lasting_beside_expected_with_place_and_spot(
-    track: TrackConditionMap, line: Line
-) -> None:
-    state = analysis.map_state(track, AT, line=line, places=12)
-    wet = state.lowest.query("layer == 'wet'")
-    layer = track.layer("wet")
-    lowest = int(np.argmin(np.where(layer.observed, layer.log_mean, np.inf)))
-    first = wet.iloc[0]
-    assert first["bin"] == lowest
-    assert first["adhesion"] == pytest.approx(np.exp(layer.log_mean[lowest]))
-    assert first["expected"] == pytest.approx(0.9 * np.exp(layer.log_mean[lowest]))
-    assert first["low"] < first["adhesion"] < first["high"]
-    assert first["near"] == "at Flawil"
-    in_spot = wet[wet["near"] == "0.4 km after Gossau SG"].iloc[0]
-    assert in_spot["spot_probability"] == pytest.approx(SPOT.alive(AT))
-    assert first["spot_probability"] == 0.0
-    # Apart from each other, and least first.
-    assert np.diff(np.sort(wet["start_m"])).min() >= 250.0
-    assert wet["expected"].is_monotonic_increasing
-    mostly = ["mostly assumed"] * 2
-    model = state.model[state.model["layer"] == "wet"]
-    assert model["source"].tolist() == ["estimated", "assumed", *mostly]
 
 
 def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
@@ -178,35 +153,6 @@ def test_the_default_time_is_right_after_the_last_evidence(track: TrackCondition
     assert "expected at 2024-10-09 06:00 UTC" in repr(naive)
 
 
-def test_a_spot_is_described_in_words_and_what_cannot_be_known_is_stated(
-    track: TrackConditionMap,
-) -> None:
-    wet = track.layer("wet")
-    evidence = wet.evidence
-    day = int(evidence.day[0])
-    # Met on the first day of a place that was seen again later, by then without a spot.
-    start = 25.0 * float(evidence.bin[0])
-    early = replace(
-        SPOT, start=start, end=start + 25.0, first=day, last=day, checked=day + 3, present=0.0
-    )
-    seen_before = replace(early, first=day + 1, last=day + 2)
-    change = replace(CHANGE, start=start, end=start + 25.0)
-    for spot, changes, expected in (
-        (early, (), True),
-        (early, (change,), False),
-        (seen_before, (), False),
-        (replace(early, checked=day), (), False),
-    ):
-        layers = {"wet": replace(wet, spots=(spot,), changes=changes)}
-        state = analysis.map_state(replace(track, layers=layers), AT)
-        assert state.spots["may_be_change"].tolist() == [expected]
-        words = printed(*state.shown())
-        assert "gone (0 %)" in words
-        assert ("cannot be distinguished yet" in words) is expected
-        met = "2024-10-08 to 2024-10-09" if spot is seen_before else "on 2024-10-07"
-        assert met in words
-
-
 def words_of(figure: Figure) -> set[str]:
     """All texts of a figure, its legends and titles among them."""
     return {each.get_text() for each in figure.findobj(Text) if each.get_text()}
@@ -235,25 +181,6 @@ def test_the_picture_names_stations_and_dates_and_what_is_unknown(
     assert not any("2024-10-07" in text for text in texts)
     assert figure.axes[0].get_xlim() == (9.0, 12.0)
     refused(InputError, "the map is of line", track.plot, line=replace(line, name="elsewhere"))
-
-
-def test_the_five_lowest_places_are_named_with_kilometre_and_band(
-    track: TrackConditionMap, line: Line
-) -> None:
-    strips, *details = track.charts(line=line, at=AT)
-    assert len(details) == 5
-    bins = bins_table(track, line, AT)
-    lowest = bins.loc[bins["expected_low"].idxmin()]
-    first = details[0].title.splitlines()
-    assert first[0] == f"1: km {lowest['start_km']:.3f}"
-    assert first[1] == lowest["near"]
-    band = f"{lowest['expected_low']:.3f} to {lowest['expected_high']:.3f}"
-    assert f"{lowest['layer']} {band}" in first
-    middles = [0.5 * sum(each.ends) for each in details]
-    assert np.diff(np.sort(middles)).min() >= 0.4
-    # Each is shown within sight of its place, and marked on the strip of a layer that knows it.
-    marked = {label.words for panel in strips.panels for label in panel.labels}
-    assert {"1", "2", "3", "4", "5"} <= marked
 
 
 @pytest.mark.usefixtures("unpainted")

@@ -223,27 +223,6 @@ def test_a_route_turns_back_at_stations_only() -> None:
     assert [leg.edge for leg in y_network().route("C", "J", "B").legs] == ["to C", "to B"]
 
 
-def test_a_train_turns_round_in_a_balloon_loop() -> None:
-    network = Network(
-        "balloon",
-        (Node("A"), Node("J", "junction")),
-        (edge("track", "A", "J"), edge("loop", "J", "J", 600.0)),
-        {"J": (("track", "loop"),)},
-    )
-    route = network.route("A", "loop@0.2", "A")
-    assert [(leg.edge, leg.forward) for leg in route.legs] == [
-        ("track", True),
-        ("loop", True),
-        ("track", False),
-    ]
-    assert route.length == 2_600.0
-    twice = replace(network, turns={"J": (("track", "loop"), ("loop", "loop"))})
-    again = twice.route("A", "loop@0.1", "loop@0.2", "loop@0.1", "A")
-    assert [leg.edge for leg in again.legs] == ["track", "loop", "loop", "track"]
-    assert again.legs[1].edge_start == again.legs[2].edge_start
-    assert again.length == 3_200.0
-
-
 def test_kilometres_survey_and_geometry_of_edges_are_kept() -> None:
     east = Geometry([0.0, 1_000.0], [47.0, 47.0], [9.0, 9.01], "surveyed")
     west = Geometry([0.0, 2_000.0], [47.0, 47.0], [9.01002, 9.03], "surveyed")

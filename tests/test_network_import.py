@@ -16,7 +16,6 @@ from command import run
 from infrastructure_files import RAILML_2, RAILML_3, TUNNELS_2, TUNNELS_3
 from refusals import refused
 
-import trainlog
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.imports import import_file, networks_in
@@ -24,7 +23,6 @@ from trainlog.formats.railway import read_line, read_network
 from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.network import Network, network_of_lines
-from trainlog.units import KMH
 
 OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd"
 INFRAS = ("tiny_infra", "one_line", "nested_switches", "overlapping_routes", "small_infra")
@@ -198,28 +196,6 @@ def test_a_route_has_the_gradients_curves_and_limits_of_the_file_at_random_point
         bent += np.count_nonzero(curvature)
         slow += np.count_nonzero(limit < 60.0)
     assert min(steep, bent, slow) > 10
-
-
-@needs_osrd
-def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
-    found = networks_in(OSRD / "infras" / "small_infra.json")
-    assert found is not None
-    words = found.left_out
-    file = file_of("small_infra")
-    for what, key in (("signals", "signals"), ("detectors", "detectors"),
-                      ("neutral sections", "neutral_sections")):  # fmt: skip
-        assert f"{what}: {len(file[key])}" in words
-    flat = sum(each["length"] for each in file["track_sections"] if not each["slopes"])
-    level = f"level where no gradients are stated: {flat / 1e3:.3f} km of track"
-    (gradients,) = [each for each in found.assumed if each.startswith(level)]
-    # The same number of kilometres as the network shows.
-    on = gradients.removeprefix(f"{level}, ")
-    shown = found.networks[0].notes
-    assert any(each.startswith(f"gradients assumed {on}") for each in shown)
-    assert any("(E32C, HLP, MA100): 3" in each for each in found.assumed)
-    assert not {each.partition(":")[0] for each in found.assumed} & {
-        each.partition(":")[0] for each in words
-    }
 
 
 @needs_osrd
@@ -477,15 +453,6 @@ def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> Non
     assert "tunnels whose cross-section is not stated, taken as 50 m²: 1" in assumed
 
 
-@pytest.mark.parametrize("version", ["2.2", "2.3", "2.5"])
-def test_each_version_of_railml_2_is_recognised(version: str, tmp_path: Path) -> None:
-    years = {"2.2": "http://www.railml.org/schemas/2013", "2.3": "http://www.railml.org/schemas/2016",
-             "2.5": "https://www.railml.org/schemas/2021"}  # fmt: skip
-    text = RAILML_2.replace("https://www.railml.org/schemas/2018", years[version])
-    (network,), *_ = railml(text.replace(' version="2.4"', ""), tmp_path)
-    assert network.source == f"railML {version}"
-
-
 @pytest.mark.parametrize(
     ("text", "old", "new", "words"),
     [
@@ -586,29 +553,6 @@ def test_a_planner_imports_a_network_shows_routes_and_exports_it(
             assert 49.0 < y < 50.0
 
 
-@needs_osrd
-def test_a_train_of_osrd_is_driven_along_a_route_and_stops_at_its_station(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import_file(OSRD / "infras" / "small_infra.json", tmp_path)
-    stock = OSRD / "rolling_stocks" / "fast_rolling_stock.json"
-    (train,) = import_file(stock, tmp_path)
-    line = f"{tmp_path / 'small_infra.network.json'}#Mid_East_station,South_East_station"
-    words = ("--line", line, "--train", train.path, "--count", 1, "--seed", 3)
-    assert run(monkeypatch, capsys, "simulate", "drive", *words, "-o", tmp_path)[0] == 0
-    trip = trainlog.read(tmp_path / "trip-01.mcap")
-    assert trip["/truth"]["position"].iloc[-1] == pytest.approx(19_400.0, abs=5.0)
-    assert "arrival at South_East_station" in set(trip["/events"]["message"])
-    # The limits that the train recorded are those of the file where it was.
-    reading = Reading("small_infra")
-    way = reading.way("Mid_East_station", "South_East_station")
-    assert way is not None
-    true = trip["/truth"]["position"].reindex(trip["/environment"].index, method="nearest")
-    known = [reading.limit(*reading.at(way[1], at)) for at in true.clip(0.01, 19_399.0).tolist()]
-    agrees = np.isclose(trip["/environment"]["speed_limit"].to_numpy(), known)
-    assert agrees.mean() > 0.98
-
-
 def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> None:
     """As an operator has them: one file a direction, whose limits differ."""
     main = plain("there", ("A", 0.0), ("B", 4e3), ("C", 9e3), gradient=0.004)
@@ -640,26 +584,3 @@ def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> No
             None if limit is None else [limit]
         ] * 2
         assert any(note.endswith(words) for note in notes)
-
-
-def test_an_import_takes_the_limits_of_a_category(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    source = tmp_path / "valley.xml"
-    source.write_text(RAILML_2)
-    limits = {}
-    for category in ("none", "freight"):
-        words = ("import", source, "-o", tmp_path / category, "--category", category)
-        status, _, problems = run(monkeypatch, capsys, *words)
-        assert status == 0, problems
-        network = read_network(tmp_path / category / "valley.network.json")
-        limits[category] = min(KMH * edge.line.speed_limits.values.min() for edge in network.edges)
-    assert limits == pytest.approx({"none": 40.0, "freight": 40.0})
-    first = {c: read_network(tmp_path / c / "valley.network.json").edges[0].line for c in limits}
-    assert KMH * first["none"].speed_limit(100.0) == pytest.approx(80.0)
-    assert KMH * first["freight"].speed_limit(100.0) == pytest.approx(40.0)
-    line = Path(trainlog.sample("CH_StGallen_Wil.line.json"))
-    words = ("import", line, "-o", tmp_path / "l", "--category", "freight")
-    status, _, problems = run(monkeypatch, capsys, *words)
-    assert status == 2
-    assert "has no speed limits by category of train; leave the category out" in problems

@@ -152,16 +152,6 @@ def test_noise_of_a_speed_is_estimated_in_its_size(stopping: Trip) -> None:
     assert noise["/train/axles.wheel_speed_2"].value == pytest.approx(0.035, abs=0.01)
 
 
-def test_a_trip_without_efforts_states_why_nothing_is_known_of_them(stopping: Trip) -> None:
-    topics = {name: f for name, f in stopping.topics.items() if name != "/train/controls"}
-    found = estimated_passport(replace(stopping, topics=topics))
-
-    assert not found.effort_delay.known
-    assert "no tractive effort recorded" in found.effort_delay.reason
-    assert found.effort_gain.source == "assumed"
-    assert found.load.source == "recorded"
-
-
 def test_a_trip_with_nothing_but_fixes_has_a_passport() -> None:
     trip = trainlog.read("sample_logs/stopping.mcap", topics=["/gnss/motion"])
     found = estimated_passport(replace(trip, attachments={}, metadata={"trip": "ride"}))

@@ -166,22 +166,6 @@ def test_every_picture_is_drawn_light_and_dark(light: Opened, dark: Opened) -> N
     assert grounds["dark"] == {(22, 24, 28, 255)}
 
 
-@pytest.mark.long
-def test_a_page_turns_dark_with_the_screen(browser: Any, page_file: Path) -> None:
-    opened = Opened(browser, page_file, "light")
-    opened.page.emulate_media(color_scheme="dark")
-    opened.page.wait_for_timeout(600)
-    corners = {
-        tuple(each["corner"])
-        for each in opened.page.evaluate(CANVASES)
-        if each["height"] > 80 and each["corner"][3]
-    }
-    ground = opened.page.evaluate("() => getComputedStyle(document.body).backgroundColor")
-    opened.context.close()
-    assert ground == "rgb(22, 24, 28)"
-    assert corners == {(22, 24, 28, 255)}
-
-
 def test_the_pointer_shows_values(light: Opened) -> None:
     plot = light.page.locator(".plot").first
     plot.scroll_into_view_if_needed()

@@ -405,31 +405,6 @@ def test_details_fold_and_the_contents_lead_into_them(trip_page: str) -> None:
 
 
 @pytest.mark.usefixtures("unpainted_page")
-def test_the_report_of_reverse_trips_states_which_kilometres_it_gives(tmp_path: Path) -> None:
-    trip = read_log(sample("stopping.mcap"))
-    state = trip["/train/state"]
-    start = state.assign(position=state["position"] - state["position"].iloc[0] - 0.2)
-    reverse = replace(
-        trip,
-        topics={**trip.topics, "/train/state": start},
-        metadata={**trip.metadata, "direction": "reverse"},
-    )
-    (tmp_path / "rec").mkdir()
-    write_log(reverse, tmp_path / "rec" / "a.mcap")
-    write_report(tmp_path / "rec", tmp_path / "a.html")
-    page = (tmp_path / "a.html").read_text("utf-8")
-    assert page.count("km in the direction of travel</th>") == 2, "stations and slip events"
-    assert ">0.000<" in page
-    assert ">-0.000<" not in page
-    assert "<h2>Trips</h2>" in page
-    folded = set(re.findall(r"<summary><(h\d)>", page))
-    assert folded == {"h2", "h4"}
-    for heading in folded:
-        beside_triangle = rf"summary (> \*|[^{{]*{heading})[^{{]*\{{ display: inline-block"
-        assert re.search(beside_triangle, page), heading
-
-
-@pytest.mark.usefixtures("unpainted_page")
 def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_path: Path) -> None:
     (tmp_path / "trips").mkdir()
     for name in ("a.mcap", "b.mcap"):

@@ -21,7 +21,6 @@ from trainlog.resampling import (
 )
 from trainlog.topics import (
     EVENTS,
-    GNSS_MOTION,
     TOPICS,
     TRAIN_AXLES,
     TRAIN_CONTROLS,
@@ -115,15 +114,6 @@ def test_gaps_and_unknown_samples_are_not_bridged() -> None:
     np.testing.assert_array_equal(held, [0.5, np.nan, 1.0])
 
 
-def test_a_hundred_days_do_not_blur_a_nanosecond() -> None:
-    days = 200 * 86_400
-    frame = state([0, days], [0.0, 1.0])
-    late = pd.DatetimeIndex([frame.index[-1] - pd.Timedelta(1, "ns")])
-    assert interpolated(frame, "speed", late)[0] == pytest.approx(1.0, abs=1e-15)
-    exact = frame.index[[1]]
-    assert interpolated(frame, "speed", exact)[0] == 1.0
-
-
 def test_a_trip_on_one_clock_keeps_its_events_where_they_were() -> None:
     trip = trip_of(rows=21)
     again = resampled(trip, 0.05, max_gap=1.0)
@@ -175,20 +165,6 @@ def test_columns_of_several_topics_stand_side_by_side_with_their_units() -> None
     )
 
 
-def test_the_clock_may_be_a_topic_or_any_times() -> None:
-    trip = Trip({}).with_topic(state([0, 1, 1], [0.0, 10.0, 20.0]))
-    trip = trip.with_topic(controls([0.5], [1.0]))
-    own = joined(trip, ["/train/state.speed"], "/train/state", max_gap=1.0)
-    assert own["/train/state.speed"].tolist() == [0.0, 10.0, 20.0]
-    other = joined(trip, "/train/state.speed", "/train/controls", max_gap=1.0)
-    assert other["/train/state.speed"].tolist() == [5.0]
-    zoned = clock(0.25).tz_convert("Europe/Zurich")
-    at = joined(trip, "/train/state.speed", zoned, max_gap=1.0)
-    assert at["/train/state.speed"].tolist() == [2.5]
-    assert str(at.index.dtype) == "datetime64[ns, UTC]"
-    assert at.index.name == "time"
-
-
 @pytest.mark.parametrize(
     ("columns", "on", "error", "said"),
     [
@@ -211,22 +187,6 @@ def test_what_cannot_be_joined_is_named(
     refused(error, said, joined, trip, columns, on, max_gap=None)
 
 
-def test_columns_that_are_not_there_are_named() -> None:
-    with pytest.raises(KeyError):
-        interpolated(state([0], [1.0]), "velocity", clock(0.0))
-
-
-def test_a_clock_begins_at_the_start_and_does_not_pass_the_end() -> None:
-    times = regular_clock(clock(0.0)[0], clock(1.0)[0], 0.3)
-    assert (times.asi8 - START).tolist() == [0, 3 * 10**8, 6 * 10**8, 9 * 10**8]
-    assert len(regular_clock(clock(0.0)[0], clock(0.0)[0], 0.3)) == 1
-
-
-def test_an_empty_topic_stays_empty_of_values() -> None:
-    frame = frame_of(GNSS_MOTION, [], {})
-    assert np.isnan(resampled_frame(frame, clock(0.0), max_gap=None).to_numpy()).all()
-
-
 def test_a_clock_of_a_slipped_unit_is_refused() -> None:
     start = pd.Timestamp("2025-01-01", tz="UTC")
     with pytest.raises(InputError, match=r"steps of 1e-09 s has 3,600,000,000,000 instants"):
@@ -236,12 +196,6 @@ def test_a_clock_of_a_slipped_unit_is_refused() -> None:
 def two_topics() -> Trip:
     both = state([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]), controls([0.0, 2.0], [0.0, 1.0])
     return Trip({frame.attrs["topic"]: frame for frame in both})
-
-
-def test_times_are_a_clock_to_join_on() -> None:
-    trip = two_topics()
-    table = joined(trip, ["/train/state.speed"], on=clock(0.5, 1.5), max_gap=1.0)
-    assert table["/train/state.speed"].tolist() == [0.5, 1.5]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from refusals import refused
 from resistance_trips import (
-    LINE,
     RESISTANCE,
     TRAIN,
     changed,
@@ -34,14 +32,12 @@ from analysis.resistance.windows import build_windows
 from analysis.view import view_of
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.railway import (
-    line_to_bytes,
     read_line,
     read_train,
     train_to_bytes,
 )
 from trainlog.formats.samples import sample
-from trainlog.mcap import read_log
-from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
+from trainlog.railway import EffortCurve, RunningResistance, Train
 from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.resistance import basis
 from trainlog.simulation import draw_scenarios, simulate
@@ -182,53 +178,6 @@ def test_wrong_wheels_are_found_by_satellites_and_charged_without_them() -> None
     assert blind.std(top) > 2.0 * calibrated.std(top)
 
 
-def test_wrong_wheels_are_found_by_balises() -> None:
-    """Chainage that jumps to the truth every kilometre is as good as satellites."""
-    made = trip(noise=0.03)
-    true = made["/train/state"]["position"].to_numpy()
-    last = np.floor(true / 1000.0) * 1000.0
-    worn = changed(
-        made,
-        "/train/state",
-        speed=1.004 * made["/train/state"]["speed"],
-        position=last + 1.004 * (true - last),
-    )
-    fit = fit_trip(worn)
-    assert fit.scale.source == "recorded distance"
-    assert fit.scale.factor == pytest.approx(1.004, abs=3e-4)
-
-
-def test_gradients_and_tunnels_are_taken_off() -> None:
-    """The same motion under a slope and in tunnels, with the efforts that it then takes."""
-    made = trip(noise=0.02)
-    position = made["/train/state"]["position"].to_numpy()
-    speed = made["/train/state"]["speed"].to_numpy()
-    train = replace(TRAIN, tunnel_resistance=((40.0, 7.0),))
-    line = replace(
-        LINE,
-        gradients=StepProfile(np.arange(0.0, 80e3, 800.0), np.tile([4e-3, -4e-3], 50)),
-        tunnels=(Tunnel(5_000.0, 4_000.0, 40.0),),
-    )
-    extra = 130e3 * line.track_acceleration(position) + np.where(
-        (position > 5_000.0) & (position < 9_000.0), 7.0 * speed**2, 0.0
-    )
-    controls = made["/train/controls"]
-    net = controls["tractive_effort"] - controls["dynamic_braking_effort"] + extra
-    hilly = changed(
-        made,
-        "/train/controls",
-        tractive_effort=net.clip(lower=0.0),
-        dynamic_braking_effort=(-net).clip(lower=0.0),
-    )
-    hilly = replace(
-        hilly,
-        attachments={"line.json": line_to_bytes(line), "train.json": train_to_bytes(train)},
-    )
-    fit = fit_trip(hilly)
-    assert in_band(fit, RESISTANCE)
-    assert curve_error(fit, RESISTANCE) < 0.05
-
-
 def test_unrecorded_brakes_are_masked_by_their_demand_or_by_deceleration() -> None:
     made = trip(noise=0.02)
     braking = made["/train/controls"]["dynamic_braking_effort"]
@@ -275,22 +224,6 @@ def test_gaps_slip_and_friction_braking_are_masked() -> None:
     assert slipping.usable[7130]
 
 
-def test_power_limit_is_read_off_where_it_was_reached() -> None:
-    """A train with less power than its driver asks for."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    strong, weak = (
-        replace(scenario, max_power=power, habits=replace(scenario.habits, lever=0.8))
-        for scenario, power in zip(
-            draw_scenarios(line, train, 1, seed=2) * 2, (2.6e6, 1.7e6), strict=True
-        )
-    )
-    assert fit_trip(trip()).max_power is None
-    assert fit_trip(simulate(strong)).max_power is None
-    found = fit_trip(with_exact_efforts(simulate(weak))).max_power
-    assert found == pytest.approx(1.7e6, rel=0.005)
-
-
 def unit(name: str, mass: float, effort: float, power: float, drag: RunningResistance) -> Train:
     """A train like the sample's, of another size."""
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
@@ -315,12 +248,6 @@ FLIRT = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     [
         (FLIRT, 0.93, 1.0),
         (FLIRT, 0.93, 0.8),
-        pytest.param(
-            unit("hauled", 300e3, 260e3, 4.2e6, RunningResistance(4500.0, 90.0, 14.0)),
-            0.95,
-            1.0,
-            marks=pytest.mark.long,
-        ),
         pytest.param(
             unit("railcar", 62e3, 90e3, 0.75e6, RunningResistance(1100.0, 30.0, 6.0)),
             0.9,
@@ -438,17 +365,6 @@ def test_speeds_in_kilometres_an_hour_are_refused() -> None:
             fitted(sample("nonstop.mcap"), (40.0, 120.0))
 
 
-def test_a_log_is_fitted_as_the_trip_that_it_holds(tmp_path: Path) -> None:
-    path = sample("nonstop.mcap")
-    assert fit_trip(path).beta.tolist() == fit_trip(read_log(path)).beta.tolist()
-    refused(
-        InputError, r"3 \(int\) was given where a Trip or TripView or str or Path is", fit_trip, 3
-    )
-    refused(InputError, "is a folder; one trip is expected; give one log", fit_trip, tmp_path)
-    for one in (3, [3]):
-        refused(InputError, r"3 \(int\) was given", analysis.fit, one)
-
-
 def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line() -> None:
     made = trip(noise=0.03)
     effort = made["/train/controls"]["tractive_effort"]
@@ -525,17 +441,6 @@ def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded() -> N
         fit_trip(fewer)
 
 
-def test_a_friction_brake_that_helps_the_dynamic_one_is_in_its_unit() -> None:
-    """It takes 2 % of the braking: alone it would move a train of 3 t."""
-    made = trip()
-    braking = made["/train/controls"]["dynamic_braking_effort"]
-    shared = changed(
-        made, "/train/controls", dynamic_braking_effort=0.98 * braking,
-        pneumatic_braking_effort=0.02 * braking,
-    )  # fmt: skip
-    assert in_band(fit_trip(shared), RESISTANCE)
-
-
 def with_more(one: Trip, force: float, start: float, end: float) -> Trip:
     """The trip with so much more effort for the same motion, between two times [s]."""
     frame = one["/train/controls"]
@@ -558,13 +463,6 @@ class TestStretchesUnlikeTheRest:
         # Which half is right is not known: the trip begins at 22:13:20.
         assert re.search(r"22:23:[12]\d", str(error.value))
         assert "2.5 ± 0." in str(error.value)
-
-    def test_the_band_holds_both_halves_where_they_differ_less(self) -> None:
-        fit = fit_trip(with_more(trip(), 1200.0, 600.0, 1200.0), largest_std=0.3)
-        low, high = fit.band(np.array([12.0, 20.0, 30.0]))
-        true = RESISTANCE(np.array([12.0, 20.0, 30.0]))
-        assert np.all((low < true) & (true + 1200.0 < high))
-        assert any("the band holds both" in note for note in fit.notes)
 
     def test_a_section_with_a_wrong_gradient_is_left_to_itself(self) -> None:
         force = 2e-3 * 9.81 * 130e3

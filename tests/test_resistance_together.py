@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
-from rich.console import Console
 
 from analysis.charts import draw, draw_all, draw_charts
 from analysis.resistance import (
@@ -138,16 +136,6 @@ def test_trips_without_noise_are_averaged_and_left_alone() -> None:
     np.testing.assert_allclose(common.betas, true, rtol=1e-3)
 
 
-def test_drawing_towards_the_common_curve_helps_on_average() -> None:
-    raw, better = [], []
-    for seed in range(10):
-        fits, true = drawn(12, 0.07, (300.0, 100.0, 300.0), seed)
-        common = combine(fits)
-        raw += [relative(one.beta, t) for one, t in zip(fits, true, strict=True)]
-        better += [relative(beta, t) for beta, t in zip(common.betas, true, strict=True)]
-    assert np.mean(better) < 0.9 * np.mean(raw)
-
-
 def test_differences_between_trips_are_found_and_reported() -> None:
     spreads = []
     for seed in range(10):
@@ -269,19 +257,6 @@ def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
         NotIdentifiableError, match=r"^no log was given; give logs, folders of logs, or"
     ):
         fit([])
-
-
-def test_a_power_that_no_trip_shows_is_said_to_be_the_files(tmp_path: Path) -> None:
-    write_log(trip(), tmp_path / "trip.mcap")
-    fits = fit([tmp_path / "trip.mcap"])
-    power = f"the train file's {TRAIN.max_traction_power / 1e3:.0f} kW is taken"
-    shown = StringIO()
-    Console(file=shown, width=200).print(*fits.shown())
-    assert f"no trip shows its power: {power}" in shown.getvalue()
-    write_parameters(fits.parameters, tmp_path / "set.json")
-    assert power in read_parameters(tmp_path / "set.json").assumed_power
-    seen = replace(fit_trip(trip()), max_power=1.9e6, max_power_std=2e4)
-    assert parameter_set([seen]).assumed_power == ""
 
 
 @pytest.mark.long

@@ -67,22 +67,6 @@ def test_windows_fill_the_usable_stretches_and_nothing_else() -> None:
     np.testing.assert_allclose(windows.start[1:68], windows.end[:67])
 
 
-def test_merged_windows_are_the_sums_of_their_parts() -> None:
-    made = recording(duration=300.0)
-    usable = (made.time > 50.0) & ((made.time < 120.0) | (made.time > 127.0)) & (made.time < 150.0)
-    windows = build_windows(replace(made, usable=usable))
-    merged = windows.merged()
-    # Seven and three: none reaches over the gap, the last of each stretch is what is left.
-    assert merged.count == 7 + 3
-    assert np.all(merged.duration < 10.4)
-    for name in ("y", "x", "braking", "effort_change", "effort_square", "duration"):
-        np.testing.assert_allclose(
-            np.sum(getattr(merged, name), axis=0), np.sum(getattr(windows, name), axis=0)
-        )
-    assert np.isin(merged.end, windows.end).all()
-    assert windows.select(np.zeros(windows.count, dtype=bool)).merged().count == 0
-
-
 def dense(windows: Windows, noise: NoiseModel, mass: float = 130e3) -> FloatArray:
     """Covariance of the windows, cause by cause, as a full matrix."""
     gradient = GRAVITY * noise.gradient * windows.sections.toarray()
@@ -161,16 +145,6 @@ def test_whitening_turns_the_noise_into_white_noise(
     np.testing.assert_allclose(whitened, np.eye(windows.count), atol=1e-9)
 
 
-def test_whitening_looks_backwards_only() -> None:
-    """So that the recursion after k windows is the answer after k windows."""
-    windows = rough(build_windows(recording()))
-    columns = np.random.default_rng(1).standard_normal((windows.count, 2))
-    parts = NoiseParts.of(windows, 130e3)
-    first = parts.whiten(NOISE, columns)[:30]
-    columns[30:] = 0.0
-    np.testing.assert_array_equal(parts.whiten(NOISE, columns)[:30], first)
-
-
 def drawn_errors(windows: Windows, noise: NoiseModel, seed: int, mass: float = 130e3) -> FloatArray:
     """Errors of the windows, drawn cause by cause; the windows are one stretch."""
     draw = np.random.default_rng(seed).standard_normal
@@ -193,30 +167,13 @@ def test_noise_is_found_as_large_as_it_is() -> None:
     assert np.all((ratio > 0.75) & (ratio < 1.35)), ratio
 
 
-def test_regression_is_generalised_least_squares() -> None:
-    """The recursion's last answer against the normal equations with the dense covariance."""
-    windows = build_windows(recording(noise=0.03, seed=3))
-    mass, mass_std = 130e3, 20e3
-    fit = fit_windows(windows, mass, mass_std)
-    covariance = dense(windows, fit.noise, mass)
-    x = np.column_stack([windows.x, windows.effort_change, windows.braking])
-    prior_std = np.array([mass_std / mass**2, 1.0, 0.1, 0.01, 0.05 / mass, 0.02 / mass])
-    scaled = x * prior_std
-    information = scaled.T @ np.linalg.solve(covariance, scaled) + np.eye(6)
-    right = scaled.T @ np.linalg.solve(covariance, windows.y)
-    right[0] += 1.0 / mass / prior_std[0]
-    theta = prior_std * np.linalg.solve(information, right)
-    expected = np.append(theta[1:4], 1.0) / theta[0]
-    np.testing.assert_allclose(fit.beta, expected, rtol=1e-6)
-
-
 def test_regression_finds_the_truth_within_its_deviation() -> None:
     z = []
     truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
-    for seed in range(20):
+    for seed in range(12):
         fit = fit_windows(build_windows(recording(noise=0.03, seed=seed)), 120e3, 20e3)
         z.append((fit.beta - truth) / np.sqrt(np.diag(fit.covariance)))
-    assert np.all(np.abs(np.mean(z, axis=0)) < 4.0 / np.sqrt(20.0))
+    assert np.all(np.abs(np.mean(z, axis=0)) < 4.0 / np.sqrt(12.0))
     assert np.all(np.std(z, axis=0) < 1.4)
     assert np.all(np.std(z, axis=0) > 0.4)
 
@@ -238,8 +195,6 @@ def test_outliers_are_left_out() -> None:
     [
         (300.0, 420.0, 0.02),
         (0.0, 500.0, -0.02),
-        pytest.param(700.0, 1_200.0, -0.02, marks=pytest.mark.long),
-        pytest.param(0.0, 500.0, 0.02, marks=pytest.mark.long),
     ],
 )
 def test_a_stretch_with_a_force_of_its_own_is_found(
@@ -335,30 +290,6 @@ def test_delay_and_brake_scale_do_not_spoil_the_fit() -> None:
     assert fit.brake_scale == pytest.approx(1.03, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("first", "last", "seed", "unlike"),
-    [
-        (0.0, 200.0, 4, (0.0, 200.0)),
-        pytest.param(0.0, 500.0, 5, (0.0, 500.0), marks=pytest.mark.long),
-        (0.0, 800.0, 4, (800.0, 1_200.0)),
-        pytest.param(1_000.0, 1_200.0, 4, (1_000.0, 1_200.0), marks=pytest.mark.long),
-        (350.0, 1_200.0, 4, (0.0, 350.0)),
-    ],
-)
-def test_of_two_parts_the_shorter_one_is_unlike_the_other(
-    first: float, last: float, seed: int, unlike: tuple[float, float]
-) -> None:
-    windows = build_windows(recording(noise=0.02, seed=seed))
-    inside = (windows.start >= first) & (windows.end <= last)
-    dragged = replace(windows, y=windows.y - 0.02 * windows.duration * inside)
-    (only,) = fit_windows(dragged, 130e3, 20e3, search=True).stretches
-    assert (only.start, only.end) == (
-        pytest.approx(unlike[0], abs=20.0),
-        pytest.approx(unlike[1], abs=20.0),
-    )
-    assert np.sign(only.force) == (1.0 if unlike == (first, last) else -1.0)
-
-
 @pytest.mark.parametrize("name", ["effort_change", "braking", "tunnel"])
 def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name: str) -> None:
     """Where it looks like a coefficient of the curve, that errs by all of it, as often as stated.
@@ -389,20 +320,6 @@ def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name: s
             assert abs(found.tunnels[0] - 1.0) < 0.7
             assert found.tunnels[1] == pytest.approx(std, rel=0.1)
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), z
-
-
-def test_points_scatter_around_the_curve_as_they_state() -> None:
-    """Windows that stand alone, too."""
-    windows = build_windows(recording(noise=0.05, seed=3))
-    found = fit_windows(windows, 120e3, 20e3)
-    for kept in (found.kept, np.arange(windows.count) % 2 == 0):
-        points = replace(found, kept=kept).points(windows, 130e3)
-        over_mass = replace(found, kept=kept).points(windows)
-        np.testing.assert_allclose(130e3 * over_mass.value, points.value)
-        for used in np.unique(points.used):
-            there = points.used == used
-            z = (points.value - RESISTANCE(points.speed))[there] / points.std[there]
-            assert np.std(z) == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.6, -0.8])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -99,33 +98,6 @@ def test_random_walk_equals_the_kalman_recursion() -> None:
         remaining = np.eye(3) - np.outer(gain, row)
         covariance = remaining @ covariance @ remaining.T + 0.01 * np.outer(gain, gain)
     assert_same(estimator.result(), estimate, covariance)
-
-
-def test_full_reset_returns_to_the_prior_uncertainty() -> None:
-    rows, values = davis_samples(100, seed=6)
-    estimator = RecursiveLeastSquares(PRIOR)
-    estimator.update(rows, values, 0.01)
-    learnt = estimator.result().estimate
-    estimator.reset()
-    result = estimator.result()
-    np.testing.assert_allclose(result.covariance, np.diag(PRIOR**2), rtol=1e-12)
-    np.testing.assert_array_equal(result.estimate, learnt)
-    assert (result.samples, result.resets, result.valid) == (0, 1, False)
-    estimator.reset(keep_estimate=False)
-    np.testing.assert_array_equal(estimator.result().estimate, np.zeros(3))
-
-
-def test_partial_reset_keeps_what_was_learnt_about_the_others() -> None:
-    rows, values = davis_samples(100, seed=7)
-    estimator = RecursiveLeastSquares(PRIOR)
-    estimator.update(rows, values, 0.01)
-    before = estimator.result()
-    estimator.reset([0], keep_estimate=False)
-    after = estimator.result()
-    np.testing.assert_allclose(after.covariance[1:, 1:], before.covariance[1:, 1:], rtol=1e-9)
-    np.testing.assert_allclose(after.covariance[0], [PRIOR[0] ** 2, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_array_equal(after.estimate, [0.0, *before.estimate[1:]])
-    assert after.resets == 1
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -238,45 +210,6 @@ def test_a_trip_is_valid_where_its_speed_varies(
     noise = 0.05 * np.random.default_rng(3).standard_normal(speed.size)
     estimator.update(rows, rows @ TRUE + noise, 0.05**2)
     assert estimator.result().valid is valid
-
-
-def test_what_was_known_is_forgotten_at_constant_speed() -> None:
-    rows, values = davis_samples(1000, seed=14)
-    estimator = RecursiveLeastSquares(PRIOR, forgetting=0.99)
-    estimator.update(rows, values, 0.05**2)
-    assert estimator.result().valid
-    constant = np.tile([1.0, 30.0, 900.0], (3000, 1))
-    estimator.update(constant, constant @ TRUE, 0.05**2)
-    assert not estimator.result().valid
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_saved_state_resumes_bit_for_bit(dtype: type) -> None:
-    rows, values = davis_samples(100, seed=11)
-    estimator = RecursiveLeastSquares(
-        PRIOR, forgetting=0.99, random_walk_std=1e-6 * PRIOR, dtype=dtype
-    )
-    estimator.update(rows[:60], values[:60])
-    estimator.reset([2])
-    resumed = RecursiveLeastSquares.resume(json.loads(json.dumps(estimator.state())))
-    for one in (estimator, resumed):
-        one.update(rows[60:], values[60:])
-    assert resumed.state() == estimator.state()
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"version": 99},
-        {"format": "other"},
-        {"estimate": [0.0]},
-        {"upper": None},
-        {"forgetting": 2.0},
-    ],
-)
-def test_foreign_state_is_refused(change: dict[str, object]) -> None:
-    state = RecursiveLeastSquares(PRIOR).state() | change
-    refused(InputError, "", RecursiveLeastSquares.resume, state)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import typer
 from test_forecast_scores import BINS, FIRST, TRACK, evidence
@@ -17,7 +16,6 @@ from trainlog.cli.main import run
 from trainlog.cli.terminal import as_json_text
 from trainlog.condition import estimated
 from trainlog.errors import InputError
-from trainlog.formats.csv_tables import read_forecast
 from trainlog.formats.mapfile import read_map, write_map
 from trainlog.formats.samples import copy_samples
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
@@ -198,27 +196,6 @@ def test_one_bad_log_does_not_stop_the_others(
     assert "bad.mcap" in capsys.readouterr().err
 
 
-def test_what_cannot_be_stated_has_one_sign_and_every_trip_left_out_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = folder / "few.csv"
-    path.write_text(FORECAST)
-    assert run(["map", "score", str(path), str(folder / "stopping.mcap")]) == 0
-    printed = capsys.readouterr().out
-    assert "nan" not in printed
-    rows = [line for line in printed.splitlines() if "false alarms per known train-km" in line]
-    # One trip: no other day shows what is asked for, so that no probability of slip is scored.
-    assert rows
-    assert all("0.00" not in row and "-" in row for row in rows)
-    held = next(folder.glob("CH_*.map*"))
-    logs = [str(folder / name) for name in ("stopping.mcap", "nonstop.mcap")]
-    with pytest.raises(InputError) as refused:
-        run(["map", "score", str(held), *logs])
-    reason = "2 trips ('trip-03', 'trip-01'): ran on a day of which the map holds evidence"
-    assert str(refused.value).count("ran on a day of which the map holds evidence") == 1
-    assert reason in str(refused.value)
-
-
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
@@ -236,38 +213,3 @@ def test_what_cannot_be_scored_is_refused(
     names = [str(folder / word) if "." in word else word for word in words]
     with pytest.raises(InputError, match=problem):
         run(["map", "score", *names])
-
-
-def test_a_forecast_of_a_past_time_uses_evidence_of_days_before_alone(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole = read_map(folder / "month.map")
-    # On the first day of a spot, and twelve hours into it: what that day showed is not used.
-    time = pd.Timestamp((FIRST + 5) * 86_400 + 43_200, unit="s", tz="UTC")
-    path = folder / "past.csv"
-    words = ["map", "forecast", str(folder / "month.map"), "-o", str(path)]
-    words += ["--at", time.isoformat()]
-    run(words)
-    printed = capsys.readouterr().out
-    stated = "forecast without the evidence of 7 days, 2024-10-09 to 2024-10-15, which is not from"
-    assert stated in " ".join(printed.split())
-    run([*words, "--json"])
-    outcome = json.loads(capsys.readouterr().out)
-    assert outcome["from"] == time.isoformat()
-    assert outcome["layers"] == ["wet"]
-    assert outcome["notes"][0].startswith(stated)
-    found = read_forecast(path)
-    alone = whole.layer("wet").evidence.between(0, FIRST + 4)
-    cut = estimated(replace(whole, layers={"wet": ConditionLayer.unestimated(alone)}))
-    own = cut.layer("wet").expected(time)
-    seen = np.flatnonzero(own.observed)
-    assert seen.size
-    middle = found.shares.tolist().index(0.5)
-    np.testing.assert_allclose(found.quantiles[seen, middle], own.quantile(0.5)[seen], rtol=1e-4)
-    assert not own.observed[101]
-    assert whole.layer("wet").observed[101]
-    assert np.all(np.isnan(found.quantiles[101]))
-    assert np.all(found.issued == time.value)
-    first = pd.Timestamp(FIRST * 86_400, unit="s", tz="UTC").isoformat()
-    with pytest.raises(InputError, match="holds no evidence of a day before 2024-10-04"):
-        run(["map", "forecast", str(folder / "month.map"), "--at", first, "-o", str(path)])

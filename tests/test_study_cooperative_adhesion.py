@@ -272,17 +272,6 @@ def test_programs_that_no_solver_solves_are_counted_and_the_train_is_still_drive
     assert state[0] > 1.8
 
 
-def test_steps_that_take_longer_than_the_deadline_are_counted() -> None:
-    locomotive = study.LOCOMOTIVE_85_T
-    demand = CooperativeController(locomotive).demand(coefficients([DRY] * 4))
-    for deadline, late in ((1e-9, 5), (100.0, 0)):
-        controller = CooperativeController(locomotive, Tuning(deadline=deadline))
-        for _ in range(5):
-            controller.torques(10.0, np.full(4, 10.5), demand)
-        assert (controller.late, controller.steps) == (late, 5)
-        assert controller.worst > 0.0
-
-
 def steep(peak_slip: float, maximum: float) -> np.ndarray:
     """A creep curve with its maximum at a slip speed [m/s]."""
     a = np.log(4.0) / 3.0 / peak_slip

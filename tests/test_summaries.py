@@ -74,19 +74,6 @@ def test_summaries_survive_their_file(tmp_path: Path) -> None:
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "other.parquet").read_bytes()
 
 
-def test_of_two_summaries_of_a_log_the_later_softwares_is_kept() -> None:
-    old, new = rows(1).assign(software="trainlog 0.9.0"), rows(1).assign(software="trainlog 0.10.0")
-    for pieces in ([old, new], [new, old]):
-        assert merged(pieces)["software"].tolist() == ["trainlog 0.10.0"]
-
-
-def test_trips_of_one_name_and_other_logs_stay_apart() -> None:
-    """Two workshops that both number their trips."""
-    together = merged([rows(4, seed=1), rows(4, seed=2)])
-    assert len(together) == 8
-    assert len(combine(together).trips) == 8
-
-
 def test_what_is_no_file_of_summaries_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "no.parquet"
     path.write_bytes(b"PAR1 and nothing more")

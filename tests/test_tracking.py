@@ -13,12 +13,10 @@ from scipy.linalg import expm, solve_discrete_are
 from analysis.control.prediction import SOFTNESS, solve, terminal_weight
 from analysis.studies.hauck_2023 import model
 from analysis.studies.hauck_2023.controller import (
-    SOONER,
     Controller,
     MapController,
     PublishedController,
     sampled_system,
-    trajectory_of,
 )
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
@@ -120,14 +118,6 @@ def test_the_condensed_program_is_the_sum_of_the_costs(plan: Reference) -> None:
     assert found[0] - found[1] == pytest.approx(cost(x) - cost(y), rel=1e-6)
 
 
-def test_terminal_cost_is_the_fixed_point_of_riccati() -> None:
-    a, b = np.array([[1.0, 0.99], [0.0, 0.98]]), np.array([0.3, 0.6])
-    p = terminal_weight(a, b, 1.0, 0.01)
-    q, r = np.diag([1.0, 0.0]), 0.01
-    gain = (b @ p @ a) / (r + b @ p @ b)
-    np.testing.assert_allclose(p, q + a.T @ p @ a - np.outer(a.T @ p @ b, gain), rtol=1e-6)
-
-
 @pytest.mark.parametrize("gain", [0.8, 1.0, 1.2])
 def test_terminal_cost_is_that_of_the_stationary_regulator(gain: float) -> None:
     a, b = np.array([[1.0, 0.9], [-0.02, 0.95]]), gain * np.array([0.5, 1.0])
@@ -199,15 +189,6 @@ def test_the_products_controller_keeps_every_constraint_on_time_and_late(
     least = fastest_unweighed(plan.section, mass).duration
     took = rows[-1, 0] - delay
     assert least <= took < max(least, plan.duration - delay) + 6.0
-
-
-def test_a_reference_becomes_a_trajectory_of_the_same_way(plan: Reference) -> None:
-    line = plan.section.line
-    found = trajectory_of(plan, line, PUBLISHED_TRAIN.on_axles(), due=170.0)
-    assert found.positions[-1] == plan.positions[-1] + SOONER
-    assert found.times[0, -1] == 170.0
-    at = np.interp(0.5 * 170.0, found.times[0], found.positions)
-    assert at == pytest.approx(plan.at(0.5 * plan.duration)[0], abs=0.1)
 
 
 def test_the_curve_of_effort_as_eq_3_prints_it_is_not_that_of_the_text() -> None:

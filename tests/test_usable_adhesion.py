@@ -18,12 +18,8 @@ from analysis.adhesion.map_state import (
     typical_adhesion,
     usable_adhesion,
 )
-from analysis.control.route import _adhesion, counted_on
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
-from trainlog.formats.railway import read_line, read_train
-from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.railway import Configuration
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
@@ -73,11 +69,6 @@ def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_noth
     assert before <= highest
     demonstrated[5, further] += 1.0
     assert demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5] >= before
-
-
-def test_a_long_slippery_spot_counts_as_one_place() -> None:
-    spots = made({**dict.fromkeys(range(10), 0.05), 20: 0.08, 30: 0.09})
-    assert typical_adhesion(spots, "wet", 0.0) == pytest.approx(0.08)
 
 
 def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -> None:
@@ -176,17 +167,3 @@ def test_the_risk_of_a_run_lies_between_its_bounds_however_places_hang_together(
     assert least - 0.003 <= failed <= most + 0.003
     assert least == pytest.approx(0.05)
     assert risk_of_run(rail, np.zeros(200), 25.0, 100.0) == (0.0, 0.0)
-
-
-def test_on_rail_of_an_unusual_condition_less_is_counted_on_than_on_wet_rail() -> None:
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    alone = (Configuration.of(train),)
-    counted = {
-        layer: _adhesion(TrajectoryProblem(line, train, alone, layer=layer), np.array([500.0]))
-        for layer in ("dry", "wet", "leaves")
-    }
-    for traction_or_braking in range(2):
-        dry, wet, leaves = (each[traction_or_braking][0] for each in counted.values())
-        assert leaves < wet < dry
-    assert "low adhesion assumed" in counted_on(None, "leaves")
-    assert "low" not in counted_on(None, "wet")

@@ -17,11 +17,10 @@ from analysis.adhesion.slip import slip
 from analysis.comparison.driven import driven_trip
 from analysis.estimates import estimate_log
 from analysis.resistance.coast_down import coast_down
-from analysis.resistance.fit import TOPICS, fit_trip
-from analysis.resistance.logs import fit
+from analysis.resistance.fit import fit_trip
 from analysis.resistance.passport import passport
 from tests.refusals import refused
-from trainlog.errors import InputError, LogError
+from trainlog.errors import LogError
 from trainlog.formats.samples import folder
 from trainlog.mcap import LogWriter, read_log, write_log
 from trainlog.mcap.reader import rows_of_log
@@ -70,18 +69,6 @@ def test_what_analyses_share_is_computed_once(
     # A trip at hand may change: nothing is kept of it.
     fit_trip(view.trip)
     assert asked == ["delay", "delay"]
-
-
-def test_a_long_log_is_fitted_as_several_trips(
-    there_and_back: Path, nonstop: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    alone = fit(nonstop)
-    monkeypatch.setattr(module, "ROWS", rows_of_log(nonstop, TOPICS) + 1_000)
-    both = fit(there_and_back)
-    assert [one.trip for one in both.trips] == ["trip-01 (1 of 2)", "trip-01 (2 of 2)"]
-    for one in both.trips:
-        np.testing.assert_allclose(one.beta, alone.trips[0].beta, rtol=1e-6)
-    assert len(both.drives) == 2
 
 
 def test_maps_and_coasting_take_all_parts_of_a_long_log(
@@ -133,14 +120,6 @@ def test_a_long_log_without_positions_is_parted_by_its_speed(
     ))  # fmt: skip
 
 
-def test_what_is_no_trip_is_refused(tmp_path: Path) -> None:
-    refused(InputError, "is a folder; one trip is expected", module.view_of, tmp_path)
-    with pytest.raises(InputError):
-        module.view_of(3)  # type: ignore[arg-type]
-    state = read_log(folder() / "nonstop.mcap", [TRAIN_STATE.name])
-    assert module.view_of(state).trip is state
-
-
 def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path: Path, nonstop: Path) -> None:
     """Out and back, with falling chainage on the way back: two runs, not one every few metres."""
     trip = read_log(nonstop, [TRAIN_STATE.name])
@@ -161,12 +140,3 @@ def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path: Path, nonsto
     assert len(views) == 3
     for (first, last), way in zip(ends, (1, -1, 1), strict=True):
         assert way * (last - first) > 0.95 * length
-
-
-def test_a_part_without_fixes_is_analysed_like_any_other(nonstop: Path) -> None:
-    trip = read_log(nonstop)
-    motion = trip[GNSS_MOTION.name].iloc[:0]
-    motion.attrs = trip[GNSS_MOTION.name].attrs
-    silent = trip.with_topic(motion)
-    assert fit_trip(silent).scale.source != "GNSS speed"
-    assert len(slip(silent).events) > 0

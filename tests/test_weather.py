@@ -55,24 +55,6 @@ class TestFile:
         assert (late.condition, late.since_rain) == ("dry", 1800.0)
         assert np.isnan(late.humidity)
 
-    def test_a_stated_end_may_be_days_away(self, tmp_path: Path) -> None:
-        text = (
-            "time;until;condition\n2026-10-20T00:00Z;2026-10-24T00:00Z;leaves\n"
-            "2026-10-24T06:00+02:00;;wet\n"
-        )
-        weather = read_weather(written(tmp_path, text))
-        found = weather.spans(when("2026-10-23T23:00Z"), when("2026-10-24T05:00Z"))
-        assert [(end - start, name) for start, end, name in found] == [
-            (HOUR, "leaves"),
-            (4 * HOUR, ""),
-            (HOUR, "wet"),
-        ]
-
-    def test_times_are_of_the_zone_that_the_header_names(self, tmp_path: Path) -> None:
-        text = "time [Europe/Zurich];condition\n2026-10-24 06:00;wet\n2026-10-26 06:00;dry\n"
-        weather = read_weather(written(tmp_path, text))
-        assert weather.starts.tolist() == [when("2026-10-24T04:00Z"), when("2026-10-26T05:00Z")]
-
     def test_what_is_written_is_read_again(self, tmp_path: Path) -> None:
         generator = np.random.default_rng(3)
         starts = when("2026-10-24T06:00Z") + HOUR * np.cumsum(generator.integers(1, 5, 200))
