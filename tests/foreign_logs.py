@@ -73,12 +73,6 @@ FIX_2 = schema_text(
     sensor_msgs__NavSatStatus=STATUS,
 )
 _QUATERNION = VECTOR + "float64 w\n"
-IMU_1 = schema_text(
-    IMU.format(header="Header"),
-    std_msgs__Header=HEADER_1,
-    geometry_msgs__Quaternion=_QUATERNION,
-    geometry_msgs__Vector3=VECTOR,
-)
 IMU_2 = schema_text(
     IMU.format(header="std_msgs/Header"),
     std_msgs__Header=HEADER_2,

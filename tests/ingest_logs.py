@@ -159,11 +159,3 @@ class Ublox:
 
 def ublox(seconds: np.ndarray, true: np.ndarray) -> Ublox:
     return Ublox(seconds.astype(np.int64), true, 20.0 + 5.0 * np.sin(0.1 * true))
-
-
-NO_FIX_ROWS = [
-    "2000,0,0,0,0,0,0,0,0,0,0,4294967295,4294967295,0,20000,9999,",
-    "2015,10,18,0,0,4,0,0,0,0,-17000,4294967295,3750000000,0,20000,9999,",
-    "2024,5,1,5,59,59,0,0,0,0,-17000,4294967295,3750000000,0,20000,9999,",
-]
-"""What a u-blox logger writes before its first fix."""

@@ -27,9 +27,7 @@ import trainlog
 from analysis.view import views_of
 from trainlog.catalogue import Catalogue, Computation, FileEntry, ResultOutcome, open_catalogue
 from trainlog.catalogue.database import metadata
-from trainlog.cli import main as cli
 from trainlog.errors import InputError
-from trainlog.formats.files import logs_of
 from trainlog.formats.samples import sample
 from trainlog.identity import Known, TripIdentity, same_drives
 from trainlog.mcap import DamageWarning, account_of
@@ -360,15 +358,6 @@ def test_many_files_are_read_by_several_processes_with_the_same_result(
     assert held[0] == held[1]
 
 
-def test_a_path_that_does_not_exist_makes_no_catalogue(tmp_path: Path) -> None:
-    where = ["--catalogue", str(tmp_path / "fleet")]
-    with pytest.raises(InputError, match="does not exist"):
-        cli.run(["fleet", "add", str(tmp_path / "nowhere"), *where])
-    assert not (tmp_path / "fleet").exists()
-    with pytest.raises(InputError, match="holds no catalogue"):
-        cli.run(["fleet", "show", *where])
-
-
 def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no catalogue"):
         open_catalogue(tmp_path / "none", create=False)
@@ -502,16 +491,6 @@ def test_unknown_labels_and_values_of_passports_are_named(
     assert "trainlog fleet query" in why
 
 
-def test_logs_below_a_folder_without_logs_are_found(tmp_path: Path) -> None:
-    (tmp_path / "flirt-01").mkdir()
-    (tmp_path / ".hidden").mkdir()
-    for name in ("flirt-01", ".hidden"):
-        shutil.copy(SAMPLES / "nonstop.mcap", tmp_path / name)
-    assert logs_of(tmp_path) == [tmp_path / "flirt-01" / "nonstop.mcap"]
-    shutil.copy(SAMPLES / "stopping.mcap", tmp_path)
-    assert logs_of(tmp_path) == [tmp_path / "stopping.mcap"]
-
-
 def test_statements_of_one_reading_see_one_state(
     where: Callable[[], Catalogue], logs: Path
 ) -> None:
@@ -613,15 +592,6 @@ def test_what_counts_is_what_one_look_at_all_recordings_says(data: st.DataObject
         again = {each.name: ("counts", None, None) for each in others}
         again |= {each.trip: ("same drive", each.of, each.share) for each in same_drives(others)}
         assert _standings(catalogue) == again
-
-
-def test_parts_of_several_drives_that_come_at_once_are_each_compared(tmp_path: Path) -> None:
-    with open_catalogue(tmp_path / "catalogue") as catalogue:
-        catalogue.register([_file(number, 1000 * number, 60) for number in (1, 2)])
-        catalogue.register([_file(number, 1000 * (number - 2), 30) for number in (3, 4)])
-        found = _standings(catalogue)
-        assert found["trip-000003"] == ("same drive", "trip-000001", 1.0)
-        assert found["trip-000004"] == ("same drive", "trip-000002", 1.0)
 
 
 def test_an_older_version_does_not_count_even_where_the_later_one_vanished(tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
-from command import run
 from synthetic_trips import synthetic_entry
 
 from trainlog.catalogue import (
@@ -239,31 +236,6 @@ def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
             pd.testing.assert_frame_equal(as_found(statement, frame), again, obj=statement)
 
 
-def test_rows_of_a_table_have_all_its_columns(catalogue: Catalogue) -> None:
-    edges = sum(len(each) for each in judged()["edges"])
-    assert catalogue.sql("select count(distinct e) as n from edges e")["n"][0] == edges
-    columns = set(catalogue.query().columns) - {"path"}
-    assert set(catalogue.sql("select columns('.*') from trips")) == columns
-    (row, *_) = catalogue.sql("select to_json(t) as row from trips t")["row"]
-    assert set(json.loads(row)) == columns
-
-
-@pytest.mark.parametrize(
-    ("statement", "columns"),
-    [
-        ("select train from trips", {"train"}),
-        ("select name from trips where weather = 'wet' and load > 3", {"name", "weather", "load"}),
-        ("with a as (select * from trips) select km_to from a order by start", {"km_to", "start"}),
-        ("select count(*) from (describe trips)", None),
-    ],
-)
-def test_the_columns_that_a_statement_reads(
-    catalogue: Catalogue, statement: str, columns: set[str] | None
-) -> None:
-    with module._connection(catalogue, {}, ["trips"]) as connection:
-        assert module._columns_of(connection, statement) == columns
-
-
 @pytest.mark.parametrize("kept", [0, 0.5, -1])
 def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
     tmp_path: Path, kept: float
@@ -329,39 +301,3 @@ def test_overviews_sum_the_trips_by_what_is_asked(catalogue: Catalogue) -> None:
         assert len(catalogue.query(line=edge)) == found["trips"][edge]
     with pytest.raises(InputError, match="no overview by 'colour'; known: route, train"):
         catalogue.overview("colour")
-
-
-def test_commands_ask_by_statements_and_list_by_edge(
-    place: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    def ran(*words: object) -> tuple[int, str, str]:
-        return run(monkeypatch, capsys, "fleet", *words, "--catalogue", place)
-
-    statement = "select train, count(*) as trips from trips group by train order by train"
-    table = tmp_path / "trains.csv"
-    status, _, _ = ran("query", statement, "-o", table)
-    assert status == 0
-    rows = list(csv.reader(io.StringIO(table.read_text())))
-    assert rows[0] == ["train", "trips"]
-    assert sum(int(row[1]) for row in rows[1:]) == TRIPS
-    _, shown, _ = ran("query", statement, "--json")
-    found = json.loads(shown)
-    assert found["count"] == 4
-    assert [[each["train"], str(each["trips"])] for each in found["rows"]] == rows[1:]
-    _, shown, _ = ran("query", statement, "--most", "2")
-    assert "4 rows" in shown
-    assert "and 2 more" in shown
-    _, shown, _ = ran("query", "tables")
-    assert "top speed" in shown
-    status, _, said = ran("query", "select trian from trips")
-    assert status == 2
-    assert "did you mean 'train'" in " ".join(said.split())
-    _, shown, _ = ran("show", "--by", "edge", "--json")
-    edges = json.loads(shown)["edges"]
-    assert len(edges) == 10
-    assert {"edge", "trips", "trains", "first", "last", "forward", "reverse"} < set(edges[0])
-    _, shown, _ = ran("show", "--by", "day")
-    assert "2026-01-01" in shown

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 import sqlalchemy as sa
-from command import run
 from refusals import refused
 from synthetic_trips import synthetic_entry
 
@@ -159,15 +158,3 @@ def test_a_later_version_is_refused_if_it_must_be_known_and_used_if_not(
                 assert (len(catalogue), catalogue.version) == (6, 3)
     message = r"follows version 4 .* knows 2; update trainlog: trainlog 0\.3\.0 or later is needed"
     refused(InputError, message, open_catalogue, first_version)
-
-
-def test_commands_state_that_a_catalogue_was_migrated(
-    first_version: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ("fleet", "show", "--json", "--catalogue", first_version)
-    for migrated in (True, False):
-        status, shown, said = run(monkeypatch, capsys, *words)
-        assert status == 0
-        found = json.loads(shown)
-        assert (found["version"], found["migrated"]) == (2, migrated)
-        assert ("brought from version 1 to 2" in " ".join(said.split())) == migrated

@@ -349,12 +349,3 @@ def test_a_day_whose_numbers_are_ambiguous_is_refused_wherever_a_time_is_given(t
         assert text in str(refused.value)
         assert "2026-10-" in str(refused.value)
     assert utc("2026-10-04") == utc("2026-10-04T01:00+01:00") == utc("20261004T00Z")
-
-
-def test_an_unknown_zone_is_named_with_those_written_nearly_so() -> None:
-    for ask in (times_of, moment):
-        with pytest.raises(InputError, match="'Europe/Zuerich' is no time zone") as refused:
-            ask("2026-10-04", "Europe/Zuerich")
-        assert "'Europe/Zurich'" in str(refused.value)
-    with pytest.raises(InputError, match="zone 'Europe/Zurich'"):
-        times_of("2026-03-29T02:30", "Europe/Zurich")

@@ -29,7 +29,6 @@ from satellite_trips import (
 )
 from simulated_line import level_line
 
-from estimators.receiver_states import receiver_states
 from trainlog.errors import InputError
 from trainlog.ingest import Profile, ingest, profile_of, repairs_of, report_of
 from trainlog.ingest.chainage import Estimate, estimated_state
@@ -158,23 +157,6 @@ def test_outages_get_rows_whose_band_is_widest_in_their_middle() -> None:
     assert std[150] > 5.0 * np.median(std)
 
 
-def test_a_log_that_runs_there_and_back_is_refused() -> None:
-    there, _ = drive(winding(), Receiver(), 1)
-    back, _ = drive(winding(), Receiver(), 2, reverse=True)
-    topics = {}
-    for name in ("/gnss/fix", "/gnss/motion"):
-        later = back[name].copy()
-        later.index = later.index + (there.end - later.index[0]) + np.timedelta64(60, "s")
-        joined = np.concatenate([there[name].index.asi8, later.index.asi8])
-        frame = there[name].reindex(there[name].index.append(later.index))
-        frame.iloc[len(there[name]) :] = later.to_numpy()
-        frame.attrs = there[name].attrs
-        assert np.all(np.diff(joined) > 0)
-        topics[name] = frame
-    with pytest.raises(InputError, match=r"against the direction|follow it in one direction"):
-        estimated(Trip(topics, there.metadata), winding())
-
-
 def test_a_branch_is_not_the_line() -> None:
     """Four of twelve kilometres together, then apart: the trip followed the other branch."""
     s = np.arange(0.0, 12_000.0, 5.0)
@@ -279,37 +261,6 @@ def test_fixes_that_are_late_are_brought_forward(interval: float, field_rides: l
     assert np.mean(np.concatenate(held)) > 0.8
 
 
-def test_a_train_that_is_shown_as_fast_where_it_was_cannot_have_stopped() -> None:
-    """Without a speed, and until the trip's end: only what braking takes shows the replay."""
-    time = np.arange(0.0, 400.0, 2.0)
-    way = 14.0 * time + 60.0 * np.sin(time / 40.0)
-    shown = np.interp(time - np.where(time >= 300.0, 40.0, 0.0), time, way)
-    shown[(time >= 260.0) & (time < 300.0)] = np.nan
-    usual = 14.0 * time, np.zeros(time.size)
-    found = receiver_states(time, shown, np.full(time.size, 4.0), *usual, 14.0, 60.0)
-    assert np.all(found.age[time < 260.0] == 0)
-    assert np.all(np.abs(found.age[time >= 300.0] - 40) <= 1)
-    # One that stops for as long does come to that place, slower and slower.
-    stops = np.interp(
-        time, [0.0, 260.0, 275.0, 285.0, 300.0, 400.0], [0, 3640, 3745, 3745, 3850, 5250]
-    )
-    stops[(time >= 260.0) & (time < 300.0)] = np.nan
-    found = receiver_states(time, stops, np.full(time.size, 4.0), *usual, 14.0, 60.0)
-    assert np.all(found.age == 0)
-
-
-def test_a_train_that_mostly_runs_fast_stands_at_first() -> None:
-    """A reflection while it stands does not make its start a replay, nor its first fixes wrong."""
-    track = winding(30_000.0)
-    aside = Receiver(bursts=((4.0, 16.0, 38.0 * np.exp(0.3j)),))
-    trip, truth = drive(track, aside, 1)
-    found = estimated(Trip({"/gnss/fix": trip["/gnss/fix"]}, trip.metadata), track)
-    assert found.frame is not None
-    error, std = errors(found.frame, truth, "position")
-    assert np.abs(error).max() < 12.0
-    assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
-
-
 @pytest.mark.parametrize("begin", [300.0, 520.0])
 def test_a_receiver_that_keeps_its_place_and_speed_is_believed_neither(begin: float) -> None:
     """It shows a stand of 80 s, with digits that change, while the tram goes on."""
@@ -329,21 +280,6 @@ def test_a_receiver_that_keeps_its_place_and_speed_is_believed_neither(begin: fl
     assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
     at = np.arange(error.size)
     assert np.median(np.abs(error[(at < begin) | (at > begin + 80.0)])) < 5.0
-
-
-def test_a_recording_that_begins_among_replayed_fixes_has_a_chainage() -> None:
-    """A motion between two groups of fixes that contradict each other is away from both."""
-    track = winding(20_000.0)
-    run = paced(float(track.positions[-1]), PACES["regional"], 3)
-    trip, truth = receive(track, run, Field(places="replayed"), 8)
-    time = trip["/gnss/fix"].index
-    begin = time[int(0.3 * len(time))]
-    cut = Trip({name: frame.loc[begin:] for name, frame in trip.topics.items()}, trip.metadata)
-    found = estimated(cut, track)
-    assert found.frame is not None
-    error, std = errors(found.frame, truth, "position")
-    assert np.median(np.abs(error)) < 5.0
-    assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
 
 
 @pytest.mark.parametrize("speed", ["good", "none"])
@@ -470,56 +406,6 @@ def test_the_noise_of_a_receiver_is_estimated_and_not_believed(field_rides: list
         sizes.append(float(metadata["receiver.position_std"]))
     assert np.ptp(sizes) < 1.0
     assert 4.0 < np.mean(sizes) < 8.0
-
-
-def test_two_receivers_on_one_trip_agree_within_both_bands(field_rides: list[tuple]) -> None:
-    track, run = field_rides[0]
-    fields = (Field(memory=40.0, interval=0.2), FIELD["a phone"])
-    frames = [
-        estimated(receive(track, run, field, 31 + number)[0], track).frame
-        for number, field in enumerate(fields)
-    ]
-    one, other = (frame for frame in frames if frame is not None)
-    at = one.index.as_unit("ns").asi8
-    known = other.index.as_unit("ns").asi8
-    inside = (at >= known[0]) & (at <= known[-1])
-    apart = one["position"] - np.interp(at, known, other["position"])
-    band = np.hypot(one["position_std"], np.interp(at, known, other["position_std"]))
-    assert np.mean((np.abs(apart) <= 1.96 * band)[inside]) >= 0.9
-
-
-def test_a_trip_most_of_whose_fixes_are_elsewhere_is_refused() -> None:
-    trip, _ = drive(winding(), Receiver(), 1)
-    fix = trip["/gnss/fix"].copy()
-    generator = np.random.default_rng(1)
-    away = np.arange(len(fix)) % 10 < 6
-    fix.loc[away, "latitude"] += generator.uniform(-2e-3, 2e-3, int(away.sum()))
-    with pytest.raises(InputError, match=r"were set aside|near the line follow"):
-        estimated(Trip({**trip.topics, "/gnss/fix": fix}, trip.metadata), winding())
-
-
-def test_fixes_that_come_late_widen_the_band_along_the_line(field_rides: list[tuple]) -> None:
-    """Phones below ground repeat places that they have left: on the line, behind the train."""
-    track, run = field_rides[2]
-    quiet = Field(interval=11.0, outages=0.0, reflections=0.0, speed="none")
-    trip, truth = receive(track, run, quiet, 5)
-    fix = trip["/gnss/fix"].copy()
-    late = np.random.default_rng(5).uniform(size=len(fix)) < 0.2
-    late[:4] = False
-    earlier = np.maximum(np.arange(len(fix)) - 3, 0)
-    for name in ("latitude", "longitude"):
-        values = fix[name].to_numpy(copy=True)
-        values[late] = values[earlier[late]]
-        fix[name] = values
-    found = estimated(Trip({"/gnss/fix": fix}, trip.metadata), track)
-    good = estimated(trip, track)
-    assert found.frame is not None
-    # Some of them are found to be wrong; the others widen the band.
-    assert float(found.metadata["receiver.along_std"]) > 30.0
-    assert float(good.metadata.get("receiver.along_std", 0.0)) < 20.0
-    for quantity in ("position", "speed"):
-        error, std = errors(found.frame, truth, quantity)
-        assert np.mean(np.abs(error) <= 1.96 * std) >= 0.9, quantity
 
 
 @pytest.mark.parametrize("interval", [0.2, 1.0])

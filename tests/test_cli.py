@@ -16,11 +16,9 @@ import pytest
 from command import Shell
 
 import analysis
-from trainlog.cli import demo, terminal
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line, read_train, write_parameters
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.presentation import new_table
 
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
 
@@ -290,13 +288,6 @@ def cut(tmp_path: Path) -> Path:
     return tmp_path / "cut.mcap"
 
 
-def test_info_tells_what_is_left_of_a_cut_log(cut: Path, shell: Shell) -> None:
-    status, shown, _ = shell("show", cut)
-    assert status == 1  # as `check`: something was found
-    assert "/train/state" in shown
-    assert "does not end properly" in shown or "byte" in shown
-
-
 def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
     cut: Path, tmp_path: Path, shell: Shell
 ) -> None:
@@ -317,40 +308,6 @@ def test_a_file_called_sample_is_that_file(tmp_path: Path, monkeypatch: pytest.M
     Path("sample").write_text("{}", "utf-8")
     with pytest.raises(InputError):
         read_line("sample")
-
-
-def test_a_log_is_counted_into_a_map_once(tmp_path: Path, shell: Shell) -> None:
-    track = tmp_path / "wil.map"
-    shell("map", "update", sample("stopping.mcap"), "--map", track)
-    first = track.read_bytes()
-    status, shown, _ = shell("map", "update", sample("stopping.mcap"), "--map", track)
-    assert status == 0
-    assert shown == "0 trips added, 1 held already; the map holds 1 trip of 1 day\n"
-    assert track.read_bytes() == first
-
-
-def test_ingest_tells_what_it_repaired(tmp_path: Path, shell: Shell) -> None:
-    known = ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
-    profile = ("--profile", sample("recorder.profile.toml"))
-    status, shown, _ = shell("ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path)
-    assert status == 0
-    assert "rows read" in shown
-    assert "time_backwards" in shown
-    status, shown, _ = shell("show", tmp_path / "recorder.mcap")
-    assert "/train/axles" in shown
-
-
-def test_ingest_of_two_recordings_of_one_name_loses_neither(tmp_path: Path, shell: Shell) -> None:
-    data = sample("gnss.csv").read_bytes()
-    for day in ("monday", "tuesday"):
-        (tmp_path / day).mkdir()
-    (tmp_path / "monday" / "gnss.csv").write_bytes(data)
-    (tmp_path / "tuesday" / "gnss.csv").write_bytes(data[: len(data) // 2])
-    files = [tmp_path / day / "gnss.csv" for day in ("monday", "tuesday")]
-    status, _, complaint = shell("ingest", *files, "-o", tmp_path / "out")
-    assert (status, complaint) == (0, "")
-    names = sorted(log.name for log in (tmp_path / "out").iterdir())
-    assert names == ["monday_gnss.mcap", "tuesday_gnss.mcap"]
 
 
 def test_a_damaged_log_is_reported_once_a_command(tmp_path: Path, shell: Shell) -> None:
@@ -405,36 +362,6 @@ def test_a_recorded_trip_can_be_fitted_and_mapped(tmp_path: Path, shell: Shell) 
     assert "dry" in shown
 
 
-def test_help_teaches_every_command(shell: Shell) -> None:
-    status, shown, _ = shell("--help")
-    assert status == 0
-    for command in ("simulate", "ingest", "show", "fit", "map", "plan", "replay", "demo"):
-        assert command in shown
-    for words in demo.commands(Path("results")):
-        verb = words[:2] if words[0] in ("map", "simulate") else words[:1]
-        status, shown, _ = shell(*verb, "--help")
-        assert status == 0
-        assert "Usage" in shown
-
-
-def test_help_breaks_where_the_terminal_ends_and_gives_an_example(
-    monkeypatch: pytest.MonkeyPatch, shell: Shell
-) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 200)
-    for verb in ("fit efforts", "simulate drive", "map update", "map show", "demo", "new line"):
-        _, shown, _ = shell(*verb.split(), "--help")
-        prose = [line.strip() for line in shown.splitlines()[3:] if not line.startswith(("╭", "│"))]
-        example = f"Example: trainlog {verb} "
-        assert any(line.startswith(example) for line in prose), verb
-        # A paragraph shorter than the terminal stands in one line.
-        assert all(
-            not line or line[-1] in ".╯" or len(line) > 150
-            for line in prose
-            if not line.startswith("Example")
-        ), verb
-
-
 def test_an_interrupted_command_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
@@ -464,32 +391,6 @@ main()
     assert not ended.stdout
 
 
-def test_simulated_logs_are_the_same_for_the_same_seed(tmp_path: Path, shell: Shell) -> None:
-    for folder in ("a", "b"):
-        words = ("simulate", "drive", *BOTH, "--count", "1", "--seed", "3", "-o", tmp_path / folder)
-        shell(*words)
-    logs = [(tmp_path / folder / "trip-01.mcap").read_bytes() for folder in ("a", "b")]
-    assert logs[0] == logs[1]
-
-
-def test_fit_writes_what_it_was_made_from(tmp_path: Path, shell: Shell) -> None:
-    target = tmp_path / "parameters.json"
-    status, _, _ = shell("fit", sample("stopping.mcap"), "-o", target)
-    assert status == 0
-    provenance = json.loads(target.read_text("utf-8"))["provenance"]
-    assert provenance["inputs"]
-    assert target.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_units_in_brackets_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    """Brackets are no markup, neither in headings nor in names."""
-    table = new_table("made [N]", "speed [m/s]")
-    table.add_row("trip [a]")
-    terminal.console.print(table, "refused: trip '[/b]'")
-    shown = capsys.readouterr().out
-    assert all(each in shown for each in ("made [N]", "speed [m/s]", "trip [a]", "'[/b]'"))
-
-
 def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path: Path, shell: Shell) -> None:
     content = json.loads(sample(DEFAULT_TRAIN).read_text("utf-8"))
     content["mass"]["unit"], content["max_speed"], content["colour"] = "kg", 160, "red"
@@ -500,28 +401,6 @@ def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path: Path, sh
     lines = err.splitlines()
     assert lines[0] == f"trainlog: {light}: 3 problems"
     assert [line.split(":")[0] for line in lines[1:]] == ["  colour", "  max_speed", "  mass"]
-
-
-def test_a_line_begins_with_a_template_or_a_table(tmp_path: Path, shell: Shell) -> None:
-    target = tmp_path / "my.line.toml"
-    assert shell("new", "line", "-o", target) == (0, f"wrote {target}\n", "")
-    status, _, err = shell("new", "line", "-o", target)
-    assert status == 2
-    assert "my.line.toml: exists; choose another name" in err
-    table = tmp_path / "A-B.csv"
-    table.write_text("km;gradient [permil];limit [km/h];station\n0;2;80;A\n9;;;B\n", "utf-8")
-    made = tmp_path / "A-B.line.json"
-    status, out, _ = shell("new", "line", "--from", table, "-o", made)
-    assert (status, out) == (0, f"wrote {made}\n")
-    assert json.loads(made.read_text("utf-8"))["length"] == {"value": 9000, "unit": "m"}
-    named = tmp_path / "named.line.json"
-    words = ("new", "line", "--from", table, "--name", "Aach-Berg", "-o", named)
-    assert shell(*words)[0] == 0
-    assert json.loads(named.read_text("utf-8"))["name"] == "Aach-Berg"
-    words = ("new", "line", "--name", "Aach-Berg", "-o", tmp_path / "other.line.toml")
-    status, _, err = shell(*words)
-    assert status == 2
-    assert "--name Aach-Berg: a template states its own name; leave --name out" in err
 
 
 def test_a_log_that_cannot_be_estimated_does_not_stop_the_others(

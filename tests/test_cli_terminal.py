@@ -15,8 +15,6 @@ from pathlib import Path
 import pytest
 from killed import PATIENCE
 
-from trainlog.cli.terminal import amount, pace
-from trainlog.formats.samples import sample
 from trainlog.mcap import account_of
 
 fcntl = pytest.importorskip("fcntl", reason="pseudo-terminals are those of POSIX")
@@ -81,17 +79,6 @@ def nobody_left(group: int) -> bool:
     return False
 
 
-def test_ctrl_c_while_a_map_is_updated_is_one_sentence(tmp_path: Path) -> None:
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    for name in ("nonstop", "stopping"):
-        (logs / f"{name}.mcap").write_bytes(sample(f"{name}.mcap").read_bytes())
-    seen = typed(["map", "update", "logs", "--map", "wil.map"], tmp_path, until="added to")
-    assert seen.status == 130
-    assert seen.words.count("trainlog: ") == 1
-    assert "interrupted: mapping: 1 of 2 logs finished; 1 trip added" in seen.words
-
-
 def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(
     tmp_path: Path,
 ) -> None:
@@ -124,16 +111,3 @@ def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path: Pat
     assert re.search(r"\d:\d\d left", seen.words)
     # What stays on the screen is behind the last erased line.
     assert seen.text.rstrip().rsplit("\x1b[2K", 1)[-1].count("driving") == 0
-
-
-@pytest.mark.parametrize(
-    ("given", "shown"),
-    [((1, 1, "trip"), "1 of 1 trip"), ((0, 4e9, "B"), "0 bytes of 4.0 GB"), ((2, None, ""), "2")],
-)
-def test_amounts_in_words(given: tuple[float, float | None, str], shown: str) -> None:
-    assert amount(*given) == shown
-
-
-def test_nothing_is_stated_of_a_rate_that_is_unknown() -> None:
-    assert pace(3.0, 0.0, None, "trip") == "0:00:03"
-    assert pace(0.0, 0.0, None, "trip") == "0:00:00"

@@ -155,14 +155,6 @@ def test_a_csv_file_that_was_damaged_is_named(case: str, log: Path, tmp_path: Pa
     assert not (tmp_path / "again.mcap").exists()
 
 
-def test_a_value_that_was_corrected_by_hand_is_read(log: Path, tmp_path: Path) -> None:
-    convert(log, tmp_path / "trip.csv")
-    file = tmp_path / "trip.csv" / "train_state.csv"
-    file.write_bytes(file.read_bytes().replace(b",1010,", b",1010.5,", 1))
-    convert(tmp_path / "trip.csv", tmp_path / "again.mcap")
-    assert read_log(tmp_path / "again.mcap")[TRAIN_STATE.name]["position"].iloc[1] == 1010.5
-
-
 @pytest.mark.parametrize("kind", ["mcap", "parquet", pytest.param("csv", marks=pytest.mark.long)])
 def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> None:
     source = log
@@ -180,21 +172,6 @@ def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> N
         convert(source, tmp_path / f"{number}.parquet", **part)  # type: ignore[arg-type]
         assert_same(wanted, read_log(tmp_path / f"{number}.mcap"))
         assert_same(wanted, read_parquet(tmp_path / f"{number}.parquet"))
-
-
-def test_chosen_topics_are_named_in_the_provenance(log: Path, tmp_path: Path) -> None:
-    convert(log, tmp_path / "some.mcap", topics=[TRAIN_STATE.name, EVENTS.name])
-    back = read_log(tmp_path / "some.mcap")
-    assert list(back.topics) == [TRAIN_STATE.name, EVENTS.name]
-    assert back.provenance[-1]["topics"] == [TRAIN_STATE.name, EVENTS.name]
-
-
-def test_a_trip_without_rows_is_converted_too(tmp_path: Path) -> None:
-    write_log(trip_of(rows=0), tmp_path / "empty.mcap")
-    convert(tmp_path / "empty.mcap", tmp_path / "empty.parquet")
-    convert(tmp_path / "empty.parquet", tmp_path / "again.mcap")
-    assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "empty.mcap").read_bytes()
-    assert span_of(tmp_path / "empty.parquet") is span_of(tmp_path / "empty.mcap") is None
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
@@ -220,13 +197,6 @@ def test_a_log_without_one_readable_message_is_refused(
             convert(source, tmp_path / f"made{suffix}")
     assert caught.value.file == source
     assert list(tmp_path.iterdir()) == [source]
-
-
-def test_a_log_of_which_nothing_is_decoded_is_refused(tmp_path: Path) -> None:
-    source = Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap"
-    with pytest.raises(LogError, match=r"no message that can be read: .*'flatbuffer' is not"):
-        convert(source, tmp_path / "made.parquet")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -292,15 +262,6 @@ FIRST, LAST = pd.Timestamp("2024-05-01T06:00:00Z"), pd.Timestamp("2024-05-01T07:
 def test_times_are_absolute_or_relative_to_the_log(word: str, meant: pd.Timestamp) -> None:
     assert times(word, None, lambda: (FIRST, LAST)) == (meant, None)
     assert times(None, word, lambda: (FIRST, LAST)) == (None, meant)
-
-
-def test_no_words_mean_everything_and_do_not_open_the_log() -> None:
-    def opened() -> None:
-        raise AssertionError
-
-    assert times(None, None, opened) is None  # type: ignore[arg-type]
-    assert times("2024-05-01", None, opened) is not None  # type: ignore[arg-type]
-    assert stretch(None) is None
 
 
 def test_words_that_are_no_time_are_refused() -> None:

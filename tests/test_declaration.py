@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,8 +12,8 @@ from refusals import refused
 
 from trainlog.declaration import NOT_NEGATIVE, Quantity, check_plausible, entries, meanings
 from trainlog.errors import InputError
-from trainlog.formats.declared import file_content, read_thing, thing_to_bytes, write_thing
-from trainlog.formats.railway import read_line, read_train, template_of
+from trainlog.formats.declared import file_content, read_thing, write_thing
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 from trainlog.railway import Journey, Line, TimingPoint, Train
 
@@ -57,11 +56,6 @@ def test_a_new_field_is_written_and_read(tmp_path: Path, name: str) -> None:
     assert read_thing(DwellTrain, tmp_path / name) != dwell_train(least_dwell=2.0)
 
 
-def test_a_file_without_the_new_field_is_read_and_written_as_before() -> None:
-    path = sample("CH_Stadler_FLIRT_TPF.train.json")
-    assert thing_to_bytes(read_thing(DwellTrain, path)) == path.read_bytes()
-
-
 @pytest.mark.parametrize(
     ("value", "unit", "message"),
     [
@@ -77,13 +71,6 @@ def test_the_new_field_is_checked(tmp_path: Path, value: Any, unit: str, message
     path.write_text(json.dumps(content))
     caught = refused(InputError, "", read_thing, DwellTrain, path)
     assert str(caught).startswith(f"{path}, {message}")
-
-
-def test_the_new_field_is_in_template_and_summary() -> None:
-    text = template_of(DwellTrain)
-    assert "# Shortest stop at a station.\nleast_dwell = { value = 3, unit" in text
-    assert re.search(r"stops +3 s at least", repr(dwell_train(least_dwell=3.0)))
-    assert "3 s at least" in dwell_train(least_dwell=3.0)._repr_html_()
 
 
 def test_what_is_assumed_is_not_judged() -> None:
@@ -113,10 +100,6 @@ def test_a_journey_is_shown_by_its_places() -> None:
         "  km 8.000  stands 10:20 to 11:20 min, then stands by 14:00 min",
         "  km 9.000  at any time, at most 72 km/h",
     ]
-
-
-def test_assumed_keys_are_shown_as_a_list() -> None:
-    assert dwell_train(assumed=("max_load", "axles")).summary()["assumed"] == "max_load, axles"
 
 
 def test_a_network_in_place_of_a_line_asks_for_a_route(tmp_path: Path) -> None:

@@ -10,13 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
-from mcap_protobuf.decoder import DecoderFactory
 from painting import without_painting
-from rerun.chunk import McapReader
 from rich.console import Console
 
 import trainlog
@@ -105,22 +102,6 @@ def test_every_log_opens_in_the_official_reader(results: Path) -> None:
         reader = make_reader(stream, validate_crcs=True)
         read = sum(1 for _ in reader.iter_messages())
         assert read == sum(topic.count for topic in describe(smallest).topics)
-
-
-def test_a_log_is_decoded_by_the_official_reader_to_the_same_values(results: Path) -> None:
-    log = results / "trips" / "trip-01.mcap"
-    state = trainlog.read(log)["/train/state"]
-    with log.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        speeds = [m.speed for *_, m in reader.iter_decoded_messages(topics=["/train/state"])]
-    np.testing.assert_array_equal(speeds, state.speed.to_numpy())
-
-
-def test_logs_open_in_reruns_own_importer(results: Path) -> None:
-    for log in (results / "trips" / "trip-01.mcap", results / "recorded" / "gnss.mcap"):
-        entities = {str(chunk.entity_path) for chunk in McapReader(log).stream().to_chunks()}
-        for topic in describe(log).topics:
-            assert topic.name in entities
 
 
 def test_the_observed_set_holds_the_truth(results: Path) -> None:
@@ -253,17 +234,3 @@ def test_pictures_and_the_replay_are_there(results: Path) -> None:
     for name in ("parameters.png", "wil.png", "trajectory.png"):
         assert (results / name).read_bytes().startswith(b"\x89PNG")
     assert (results / "replay.rrd").read_bytes()[:4] == b"RRF2"
-
-
-def test_ctrl_c_in_one_command_ends_the_whole_chain(tmp_path: Path) -> None:
-    """A part of the trips must not become figures of the demo."""
-    ran: list[str] = []
-
-    def interrupted_at_simulate(step: list[str]) -> int:
-        ran.append(step[0])
-        return 130 if step[0] == "simulate" else 0
-
-    with pytest.raises(typer.Exit) as ended:
-        demo.run_demo(tmp_path / "results", Console(quiet=True), interrupted_at_simulate)
-    assert ended.value.exit_code == 130
-    assert ran == ["new", "simulate"]

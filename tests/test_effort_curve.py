@@ -20,8 +20,6 @@ from trainlog.formats.csv_tables import read_effort_curve
 from trainlog.formats.imports import ImportOptions, import_file
 from trainlog.formats.railway import (
     read_train,
-    train_from_bytes,
-    train_to_bytes,
     write_train,
 )
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
@@ -35,11 +33,6 @@ quick = settings(max_examples=30)
 
 
 # ---- the curve ----------------------------------------------------------------------------------
-
-
-def test_between_its_points_and_beyond_them() -> None:
-    speeds = [0.0, 5.0, 10.0, 20.0, 30.0, 60.0]
-    assert CURVE(speeds).tolist() == [100e3, 90e3, 80e3, 50e3, 20e3, 10e3]
 
 
 def test_the_peak_of_the_power_may_lie_inside_a_piece() -> None:
@@ -126,32 +119,12 @@ def test_a_curve_without_effort_at_standstill_is_refused() -> None:
     assert replace(FLIRT, dynamic_braking_curve=fading).dynamic_braking_effort_limit(0.0) == 0.0
 
 
-def test_the_file_keeps_the_curve_and_names_what_is_wrong_in_it() -> None:
-    train = replace(FLIRT, traction_curve=CURVE)
-    data = train_to_bytes(train)
-    assert train_from_bytes(data) == train
-    content = json.loads(data)
-    assert content["traction_curve"]["units"] == {"speed": "km/h", "effort": "kN"}
-    assert content["traction_curve"]["values"] == [[0, 100], [36, 80], [108, 20]]
-    content["traction_curve"]["values"][1][0] = 108
-    with pytest.raises(InputError, match=r"traction_curve: .*speeds do not grow from 0"):
-        train_from_bytes(json.dumps(content).encode())
-    content["traction_curve"]["units"]["effort"] = "kW"
-    with pytest.raises(InputError, match=r"traction_curve\.units\.effort"):
-        train_from_bytes(json.dumps(content).encode())
-
-
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
 def test_a_curve_in_another_unit_than_it_states_is_refused(factor: float, tmp_path: Path) -> None:
     curve = EffortCurve(CURVE.speeds, factor * CURVE.efforts)
     write_train(replace(FLIRT, traction_curve=curve), tmp_path / "odd.train.json")
     with pytest.raises(InputError, match=r"traction_curve: its largest effort.*contradicts"):
         read_train(tmp_path / "odd.train.json")
-
-
-def test_a_file_without_curves_is_as_it_was() -> None:
-    assert b"curve" not in train_to_bytes(replace(FLIRT, braking_curves=None))
-    assert FLIRT.traction_curve is None
 
 
 # ---- CSV ----------------------------------------------------------------------------------------
@@ -314,15 +287,3 @@ def test_the_traction_units_of_railtoolkit_are_imported(tmp_path: Path) -> None:
         assert train.resistance(20.0) == pytest.approx(vehicle.resistance(0.0)(20.0))
     with pytest.raises(InputError, match="no train in it has tractive effort"):
         import_file(folder / "freight-wagon" / "Facs124.yaml", tmp_path)
-
-
-@SHARED
-def test_equilibrium_speed_and_starting_acceleration_of_a_published_train() -> None:
-    train, _ = osrd.read_train(DATA / "osrd" / "rolling_stocks" / "fast_rolling_stock.json")
-    # At 77 m/s 192.9 kN pull against 5.4 + 200 v + 12 v² = 92.0 kN, both by hand.
-    surplus = train.tractive_effort_limit(77.0) - train.resistance(77.0)
-    assert surplus == pytest.approx(192_916.76 - (5_400.0 + 15_400.0 + 71_148.0), abs=0.1)
-    start = (train.tractive_effort_limit(0.0) - train.resistance(0.0)) / (
-        train.mass + train.rotating_mass
-    )
-    assert start == pytest.approx((441_666.67 - 5_400.0) / 945_000.0, rel=1e-6)

@@ -8,10 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from refusals import refused
 
-from trainlog.errors import MissingExtraError
-from trainlog.extras import EXTRAS, load, require
+from trainlog.extras import EXTRAS
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
 
@@ -122,13 +120,6 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(
         (line,) = said.strip().splitlines()
         assert line.endswith(f"which is not installed; pip install 'trainlog[{extra}]'"), words
     assert not list(tmp_path.glob("*.rrd"))
-
-
-def test_modules_are_checked_and_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    require("rerun", "casadi")
-    assert load("casadi").__name__ == "casadi"
-    monkeypatch.setitem(sys.modules, "daqp", None)
-    refused(MissingExtraError, r"package daqp.*trainlog\[plan\]", load, "daqp")
 
 
 def test_each_extra_lists_its_packages() -> None:

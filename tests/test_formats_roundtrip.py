@@ -181,12 +181,6 @@ def test_numbers_stand_in_the_file_as_railway_people_write_them(tmp_path: Path) 
     assert content["running_resistance"]["r0"] == {"value": 2.37888, "unit": "kN"}
 
 
-def test_one_row_of_a_table_is_one_line_of_the_file() -> None:
-    text = line_to_bytes(simple_line()).decode()
-    assert "\n      [0, 90],\n      [400, 125]\n" in text
-    assert text.endswith("}\n")
-
-
 @pytest.mark.parametrize(
     ("written", "declared"),
     [

@@ -12,7 +12,7 @@ import pytest
 from refusals import refused
 
 from trainlog.errors import InputError
-from trainlog.formats import samples, ttobench
+from trainlog.formats import samples
 from trainlog.formats.railway import line_to_bytes, read_line, read_train, train_to_bytes
 from trainlog.railway.geometry import plane_curve, similarity, to_plane
 
@@ -49,40 +49,6 @@ def test_line_and_train_stand_in_canonical_form() -> None:
     assert train_to_bytes(read_train(train)) == train.read_bytes()
 
 
-@needs_library
-def test_the_line_restates_the_library_s_track() -> None:
-    line, track = read_line(samples.sample(samples.DEFAULT_LINE)), ttobench.read_track(TRACK)
-    for name in ("length", "speed_limits", "gradients", "curvatures", "tunnels", "altitude"):
-        assert getattr(line, name) == getattr(track, name)
-    assert line.braking_parameters == track.braking_parameters
-    assert line.source.startswith(track.source)
-    train, published = read_train(samples.sample(samples.DEFAULT_TRAIN)), ttobench.read_train(TRAIN)
-    for name in ("mass", "resistance", "max_tractive_effort", "braking_curves", "seats"):
-        assert getattr(train, name) == getattr(published, name)
-
-
-def test_the_sources_are_named() -> None:
-    line = read_line(samples.sample(samples.DEFAULT_LINE))
-    train = read_train(samples.sample(samples.DEFAULT_TRAIN))
-    for source in (line.source, train.source):
-        assert "TTOBench v1." in source
-        assert "Dimitris Kouzoupis" in source
-        assert "BSD 2-Clause" in source
-    assert "approximate" in line.source
-    assert "Assumed, not published" in train.source
-    assert train.assumed == ("max_load", "axles", "brake")
-    assert line.geometry is not None
-    assert "not surveyed" in line.geometry.quality
-
-
-def test_the_line_has_its_stations() -> None:
-    line = read_line(samples.sample(samples.DEFAULT_LINE))
-    names = [station.name for station in line.stations]
-    assert names == ["St.Gallen", "Gossau SG", "Flawil", "Uzwil", "Wil"]
-    assert line.stations[0].position == 0.0
-    assert line.stations[-1].position == line.length == 29_556.1
-
-
 def test_the_drawn_line_is_within_half_a_metre_of_its_curve() -> None:
     line = read_line(samples.sample(samples.DEFAULT_LINE))
     assert line.curvatures is not None
@@ -93,25 +59,6 @@ def test_the_drawn_line_is_within_half_a_metre_of_its_curve() -> None:
     factor, shift = similarity(points, drawn)
     assert np.abs(factor * points + shift - drawn).max() < 0.5
     assert line.geometry.positions.size < 600
-
-
-def test_the_train_s_axles_can_carry_its_effort_on_dry_rail() -> None:
-    train = read_train(samples.sample(samples.DEFAULT_TRAIN))
-    assert train.axles.count == 4
-    assert 0.25 < train.max_tractive_effort / train.adhesive_weight() < 0.33
-    assert train.axles.adhesive_mass < train.mass
-    assert train.axles.count * train.axles.rotating_mass < train.rotating_mass
-
-
-def test_samples_are_found_in_a_checkout_and_inside_a_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert samples.sample(samples.DEFAULT_LINE).parent == ROOT / "sample_logs"
-    inside = tmp_path / "trainlog" / "sample_logs"
-    inside.mkdir(parents=True)
-    (inside / samples.DEFAULT_LINE).write_bytes(b"{}")
-    monkeypatch.setattr(samples, "_PLACES", (inside, ROOT / "sample_logs"))
-    assert samples.sample(samples.DEFAULT_LINE) == inside / samples.DEFAULT_LINE
 
 
 def test_a_missing_sample_is_reported_with_those_that_there_are(

@@ -21,7 +21,7 @@ from trainlog.formats.imports import import_file
 from trainlog.formats.railway import read_journey, read_line, read_train
 from trainlog.formats.ttobench import JourneyLayout, TrackLayout, TrainLayout
 from trainlog.railway import BrakingCurves, Line, Station, Train
-from trainlog.railway.trajectory import Journey, TimingPoint
+from trainlog.railway.trajectory import Journey
 
 LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 FILES = sorted(LIBRARY.glob("*/*.json"))
@@ -140,14 +140,6 @@ def test_the_flirt_in_si_units() -> None:
 
 
 @needs_library
-def test_a_train_without_limits_of_acceleration_is_limited_by_its_effort() -> None:
-    train = ttobench.read_train(LIBRARY / "trains" / "CN_Beijing_Subway.json")
-    assert train.max_acceleration == pytest.approx(310e3 / 278e3)
-    assert train.max_deceleration == pytest.approx(260e3 / 278e3)
-    assert {"max_acceleration", "max_deceleration", "length"} <= set(train.assumed)
-
-
-@needs_library
 @pytest.mark.parametrize("path", sorted((LIBRARY / "trains").glob("*.json")), ids=lambda p: p.stem)
 def test_assumed_axles_bear_the_full_effort_on_dry_rail(path: Path) -> None:
     train = ttobench.read_train(path)
@@ -156,22 +148,6 @@ def test_assumed_axles_bear_the_full_effort_on_dry_rail(path: Path) -> None:
     assert train.axles.adhesive_mass <= train.mass
     if train.rotating_mass > 0.0:
         assert train.axles.count * train.axles.rotating_mass < train.rotating_mass
-
-
-def test_assumed_axles_carry_no_more_than_the_train_weighs(tmp_path: Path) -> None:
-    train = ttobench.read_train(written(tmp_path, changed(TRAIN, "mass/value", 30)))
-    assert train.axles.adhesive_mass == train.mass
-
-
-@needs_library
-def test_the_journey_keeps_all_its_points() -> None:
-    journey = ttobench.read_journey(LIBRARY / "journeys" / "CH_StGallen_Wil_Journey_01.json")
-    assert journey.line == "CH_StGallen_Wil"
-    assert len(journey.points) == 6
-    assert journey.points[1] == TimingPoint(12_500.0, 480.0, 540.0, 10 / 3.6, None)
-    arrival, departure = journey.points[2:4]
-    assert arrival.position == departure.position == 15_000.0
-    assert (arrival.latest, departure.earliest) == (680.0, 800.0)
 
 
 def test_declared_units_are_honoured(tmp_path: Path) -> None:

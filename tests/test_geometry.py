@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
-from scipy.special import fresnel
 from simulated_line import level_line
 
 from trainlog.errors import InputError
@@ -36,14 +35,6 @@ def profile(*elements: tuple[float, float, float]) -> CurvatureProfile:
 
 def line(curvatures: CurvatureProfile | None, length: float) -> Line:
     return replace(level_line(length, limit=20.0), curvatures=curvatures)
-
-
-def test_a_clothoid_is_fresnel_s_integral() -> None:
-    length, radius = 120.0, 300.0
-    positions, points = plane_curve(profile((0.0, 0.0, 1.0 / radius)), length, step=10.0)
-    size = np.sqrt(np.pi * radius * length)
-    sine, cosine = fresnel(positions / size)
-    assert points == pytest.approx(size * (sine + 1j * cosine), abs=1e-9)
 
 
 @settings(max_examples=30)

@@ -11,11 +11,10 @@ import pandas as pd
 import pytest
 from foreign_recorders import write_recorder_csv, write_ublox_csv
 from ingest_logs import clean_run, plain_profile, write
-from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
 
 from trainlog import __version__
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError
 from trainlog.formats.railway import line_of, train_of
 from trainlog.formats.samples import sample
 from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
@@ -93,14 +92,6 @@ def test_the_ublox_file_comes_back(tmp_path: Path, driven: Trip) -> None:
             np.testing.assert_allclose(new[column][known], old[column][known], rtol=0, atol=5e-9)
 
 
-def test_the_same_file_gives_the_same_bytes(tmp_path: Path, driven: Trip) -> None:
-    path = tmp_path / "recorder.csv"
-    write_recorder_csv(driven, path)
-    for name in ("a.mcap", "b.mcap"):
-        write_log(ingest(path, profile=PROFILE, line=LINE, train=TRAIN), tmp_path / name)
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-
-
 def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path: Path, driven: Trip) -> None:
     path = tmp_path / "recorder.csv"
     write_recorder_csv(driven, path)
@@ -151,33 +142,6 @@ def test_the_report_reads_as_text(tmp_path: Path) -> None:
         "gaps: 1 (rows 33); longest 11.0 s, beyond 5 s",
         "raw values: 3 kept",
     ]
-
-
-def test_trips_that_were_not_ingested_have_no_report(driven: Trip) -> None:
-    refused(LogError, "was not made by ingest", report_of, driven)
-
-
-def test_line_and_train_bound_the_speed(tmp_path: Path, driven: Trip) -> None:
-    """80 m/s is possible somewhere, but not on a line of 125 km/h."""
-    trip = replace(driven)
-    path = tmp_path / "gnss.csv"
-    defects = write_ublox_csv(trip, path)
-    free = report_of(ingest(path))
-    bound = report_of(ingest(path, line=replace(LINE, geometry=None), train=TRAIN))
-    assert free.count("spikes", "/gnss/motion.speed") == defects.outliers
-    assert bound.count("out_of_limits", "/gnss/motion.speed") == defects.outliers
-
-
-@pytest.mark.long
-def test_all_of_a_million_rows_are_kept(tmp_path: Path) -> None:
-    count = 1_000_000
-    run = clean_run(count, 0.1)
-    stamps = pd.DatetimeIndex(run.time, tz="UTC").strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-    table = pd.DataFrame({"t": stamps, "v": run.speed, "s": run.position})
-    table = table.assign(**{f"x{i}": np.round(run.speed * 3.6, 2) for i in range(8)})
-    table.to_csv(tmp_path / "run.csv", index=False)
-    trip = ingest(tmp_path / "run.csv", profile=plain_profile())
-    assert len(trip["/train/state"]) == count
 
 
 def test_a_line_that_the_train_runs_out_of_is_refused() -> None:

@@ -10,11 +10,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text
 from recorder_files import MTK_HEADER, mtk
-from refusals import refused
 
-from trainlog.errors import InputError
 from trainlog.ingest import Profile, ingest, repairs_of, report_of
-from trainlog.ingest.tabular import without_empty_cells
 from trainlog.trip import Trip
 
 FILES = settings(
@@ -81,27 +78,6 @@ def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path: Path) ->
     assert repairs_of(trip)["raw_text"].iloc[0] == rows[40]
 
 
-def test_cut_rows_are_dropped_whatever_the_empty_cells(tmp_path: Path) -> None:
-    run = clean_run(100, 1.0)
-    rows = [row + "," * (i % 3) for i, row in enumerate(run.rows())]
-    rows[20], rows[50], rows[98] = rows[20][:25], rows[50] + ",,,x", rows[98].split(",")[0]
-    trip = read(tmp_path, rows, "t,v,s,,")
-    report = report_of(trip)
-    assert report.count("truncated_rows") == report.rows_dropped == 3
-    assert sorted(repairs_of(trip)["row"]) == [22, 52, 100]
-    assert list(repairs_of(trip)["raw_text"]) == [rows[20], rows[50], rows[98]]
-    kept = np.delete(np.arange(100), [20, 50, 98])
-    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed[kept])
-
-
-def test_delimiters_between_quotation_marks_part_no_cells(tmp_path: Path) -> None:
-    run = clean_run(60, 1.0)
-    rows = [f'"a,,b,",{row}{"," * (i % 2)}' for i, row in enumerate(run.rows())]
-    trip = read(tmp_path, rows, "note,t,v,s,,")
-    assert report_of(trip).findings == ()
-    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
-
-
 def test_empty_cells_in_front_of_the_last_name_stay(tmp_path: Path) -> None:
     """They are values that are absent, not cells to be taken away."""
     rows = [f"{row},,,,," for row in plain_rows(60)]
@@ -118,81 +94,7 @@ def plain_columns() -> dict[str, object]:
     }
 
 
-def test_files_without_a_header_may_end_rows_as_they_like(tmp_path: Path) -> None:
-    run = clean_run(60, 1.0)
-    rows = [row + "," * (4 - i % 4) for i, row in enumerate(run.rows())]
-    columns = {
-        "/train/state.speed": {"column": "2", "unit": "m/s"},
-        "/train/state.position": {"column": "3", "unit": "m"},
-    }
-    profile = plain_profile(file={"header": 0}, time={"column": "1"}, columns=columns)
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join(rows) + "\n", "utf-8")
-    trip = ingest(path, profile=profile)
-    assert report_of(trip).findings == ()
-    np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
-
-
-@given(
-    st.lists(st.lists(st.sampled_from(["1", "", " ", "ab"]), min_size=1, max_size=8), min_size=1),
-    st.integers(1, 6),
-)
-def test_rows_keep_their_named_cells(rows: list[list[str]], named: int) -> None:
-    body = "\n".join(",".join(row) for row in rows).encode()
-    kept, cut = without_empty_cells(body, ",", named)
-    found = kept.decode().split("\n")[: len(rows)]
-    assert len(found) == len(rows)
-    for row, text in zip(rows, found, strict=True):
-        blank = not "".join(row[named:]).strip()
-        assert text.split(",") == (row[:named] if blank else row)
-    assert all(len(rows[place]) >= named for place in cut)
-
-
 # ------------------------------------------------------------------ rows that do not fit
-
-
-@pytest.mark.parametrize(
-    ("header", "row", "problem", "remedy"),
-    [
-        (
-            "t,v,s,a,b,,,",
-            "{row}",
-            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 5 columns, they have"
-            r" 3 cells",
-            r"the last name is 'b', .* remove the 2 names without a cell",
-        ),
-        (
-            "t,v,s,,",
-            "{row},7,8,9,6",
-            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 5 columns, they have"
-            r" 7 cells",
-            r"name the 2 columns that the header does not name",
-        ),
-        (
-            "t,v,s",
-            "{row};1",
-            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 3 columns, they have"
-            r" 5 cells",
-            r"decimal comma",
-        ),
-    ],
-)
-def test_the_message_names_the_cause(
-    tmp_path: Path, header: str, row: str, problem: str, remedy: str
-) -> None:
-    rows = [row.format(row=text) for text in plain_rows(60)]
-    if "comma" in remedy:
-        rows = [text.partition(",")[0] + ",12,5,1000,25" for text in plain_rows(60)]
-    refused(InputError, f"{problem}.*{remedy}", read, tmp_path, rows, header)
-
-
-def test_the_commonest_number_of_cells_is_stated(tmp_path: Path) -> None:
-    rows = plain_rows(60)
-    some = [row if i % 3 else f"{row},9,9" for i, row in enumerate(rows)]
-    assert report_of(read(tmp_path, some, "t,v,s")).count("truncated_rows") == 20
-    every = [f"{row},9,9" if i % 3 else f"{row},9,9,9" for i, row in enumerate(rows)]
-    words = "60 of 60 rows .* it has 3 columns, they have 5 cells in 40 of them"
-    refused(InputError, words, read, tmp_path, every, "t,v,s")
 
 
 def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:

@@ -21,11 +21,9 @@ from trainlog.ingest import (
     ingest_all,
     profile_of,
     propose_profile,
-    read_profile,
     repairs_of,
     report_of,
 )
-from trainlog.railway.train import check_load
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
@@ -98,16 +96,6 @@ def test_a_constant_offset_of_the_odometer_is_put_back(
     raw = repairs_of(trip).query("rule == 'position_offset'")
     assert len(raw) == found.count
     assert np.allclose(raw["raw_value"] - raw["new_value"], offset, atol=20.0)
-
-
-def test_an_offset_can_be_kept(driven: Trip, tmp_path: Path) -> None:
-    path = recorded(driven, tmp_path, lambda position: position + 300.0)
-    off = profile(repair={"position_offset": False})
-    trip = ingest(path, off, line=LINE)
-    assert error_of(trip, driven).median() == pytest.approx(300.0, abs=15.0)
-    far = recorded(driven, tmp_path, lambda position: position + 7_000.0)
-    with pytest.raises(InputError, match=r"line 'hilly' ends at km 11.*start_position under \[tri"):
-        ingest(far, off, line=LINE)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.004])
@@ -187,13 +175,6 @@ def test_a_load_may_be_given_in_tonnes() -> None:
         pairs(["load=3km"])
 
 
-def test_an_empty_train_and_the_load_its_file_states_are_plausible() -> None:
-    check_load(0.0, TRAIN)
-    check_load(3.0 * TRAIN.mass, replace(TRAIN, max_load=3.0 * TRAIN.mass))
-    with pytest.raises(InputError, match=r"load -0\.005 t is not plausible"):
-        check_load(-5.0, TRAIN)
-
-
 # ------------------------------------------------------------------ proposals
 
 
@@ -204,19 +185,6 @@ def test_an_assumed_time_zone_stays_with_the_trip(driven: Trip, tmp_path: Path) 
     assert trip.metadata["clock"] == "UTC assumed: the file does not state a zone"
     zoned = propose_profile(recorded(driven, tmp_path))
     assert zoned.profile.clock is None
-
-
-def test_a_time_zone_that_was_corrected_is_not_assumed(tmp_path: Path) -> None:
-    proposed = propose_profile("sample_logs/recorder.csv").text
-    assert '\ntimezone = "UTC"\n' in proposed
-    profile = tmp_path / "own.profile.toml"
-    for zone, clock in (("UTC", "UTC assumed: the file does not state a zone"), ("+02:00", None)):
-        profile.write_text(
-            proposed.replace('\ntimezone = "UTC"', f'\ntimezone = "{zone}"'), "utf-8"
-        )
-        trip = ingest("sample_logs/recorder.csv", read_profile(profile))
-        assert trip.metadata.get("clock") == clock
-        assert trip.start.hour == (10 if clock is None else 12)
 
 
 def test_a_table_without_time_is_passed_over_in_a_folder_alone(tmp_path: Path) -> None:
@@ -283,13 +251,6 @@ def test_what_no_train_does_is_stated(tmp_path: Path) -> None:
     assert circle.endswith("bends of a few metres")
     shaken = evidence(tmp_path, 20.0 * second, 20.0 + 12.0 * (-1.0) ** second)
     assert "accelerates by more than 4 m/s²" in shaken
-
-
-def test_fixes_without_a_speed_beside_them_are_not_judged(tmp_path: Path) -> None:
-    """One row has a speed: no way is known along which the fixes turn."""
-    second = np.arange(100.0)
-    trip = walked(tmp_path, 20.0 * second, np.where(second == 50.0, 20.0, np.nan), slice(None))
-    assert "motion_evidence" not in trip.metadata
 
 
 @pytest.mark.parametrize(("speed", "legs"), [(1.4, (15.0, 60.0)), (9.0, (8.0, 25.0))])

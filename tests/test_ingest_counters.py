@@ -180,12 +180,3 @@ def test_a_counter_that_shows_0_for_a_moment_is_a_spike(tmp_path: Path, length: 
     assert trip["/train/state"]["position"].isna().to_numpy().nonzero()[0].tolist() == list(
         range(3_000, 3_000 + length)
     )
-
-
-def test_the_rule_can_be_switched_off(tmp_path: Path) -> None:
-    seconds, speed, distance = motion(700.0)
-    wrapped = (distance + 9_000.0) % 10_000.0
-    rows = rows_of(seconds, speed, wrapped)
-    trip = read_rows(tmp_path, rows, repair={"counter": False})
-    assert report_of(trip).counts == {"position_steps": 1}
-    np.testing.assert_allclose(trip["/train/state"]["position"], np.round(wrapped, 1))

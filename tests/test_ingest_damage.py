@@ -16,7 +16,6 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.ingest import ingest, repairs_of, report_of
-from trainlog.ingest.rules import quantum
 from trainlog.trip import Trip
 
 FILES = settings(
@@ -117,12 +116,6 @@ def test_an_hours_pause_is_a_gap_and_stays_one(tmp_path: Path) -> None:
     # The train goes on where it was, as fast: whether the clock was set is asked, not answered.
     assert report_of(trip).counts == {"gaps": 1, "clock_step_suspected": 1}
     assert trip.duration == pytest.approx(199 + 3600)
-
-
-def test_a_step_stays_if_the_rule_is_off(tmp_path: Path) -> None:
-    rows = shifted(clean_run(200, 1.0), slice(0, 40), 3600)
-    report = report_of(read(tmp_path, rows, repair={"clock_step": False}))
-    assert report.counts == {"clock_jump": 40}
 
 
 # ------------------------------------------------------------------ units and signs
@@ -272,51 +265,4 @@ def test_quantised_columns_are_reported_with_their_step(
     assert len(repairs_of(trip)) == 0, "nothing was changed"
 
 
-@given(st.integers(0, 10_000))
-def test_fine_columns_are_not_called_quantised(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    smooth = 20.0 + 10.0 * np.sin(0.01 * np.arange(2000) + rng.uniform(0, 6))
-    assert quantum(np.round(smooth, 4)) is None
-    assert quantum(np.repeat(smooth, 10)) is None, "held, as a slower sensor's values are"
-    assert quantum(np.round(smooth + rng.normal(0.0, 1.0, 2000), 1)) is None
-    assert quantum(np.zeros(2000)) is None
-    assert quantum(np.arange(2000.0)) is None
-
-
 # ------------------------------------------------------------------ everything at once
-
-
-@FILES
-@given(st.data())
-def test_many_kinds_of_damage_at_once(tmp_path: Path, data: st.DataObject) -> None:
-    """What is left has right instants and values; what is missing was lost and is reported."""
-    run = clean_run(300, 0.5, data.draw(st.floats(0.0, 3.0)))
-    rows = shifted(run, slice(0, 90), data.draw(st.sampled_from([0, 3600, -WEEKS])))
-    rows = [[row] for row in rows]
-    lost: set[int] = set()
-    wild: set[int] = set()
-    for place in data.draw(st.sets(st.integers(24, 70), max_size=12)):
-        at, kind = 4 * place, data.draw(st.sampled_from(["twice", "swap", "wild", "lost"]))
-        stamp, speed, position = rows[at][0].split(",")
-        if kind == "twice":
-            rows[at] *= 2
-        elif kind == "swap":
-            rows[at], rows[at + 1] = rows[at + 1], rows[at]
-        elif kind == "wild":
-            rows[at] = [f"{stamp},{float(speed) + 60.0:.3f},{position}"]
-            wild.add(at)
-        else:
-            rows[at] = []
-            lost.add(at)
-    text = [row for group in rows for row in group]
-    text[-1] = text[-1][: data.draw(st.integers(1, 30))]
-    lost.add(299)
-    trip = read(tmp_path, text)
-    kept = np.array([i for i in range(300) if i not in lost])
-    state = trip["/train/state"]
-    np.testing.assert_array_equal(state.index.as_unit("ns").asi8, run.time[kept])
-    absent = np.isin(kept, list(wild))
-    np.testing.assert_array_equal(state["speed"].isna(), absent)
-    np.testing.assert_array_equal(state["speed"][~absent], run.speed[kept][~absent])
-    np.testing.assert_array_equal(state["position"], run.position[kept])
-    assert report_of(trip).count("truncated_rows") == 1

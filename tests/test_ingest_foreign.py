@@ -14,8 +14,8 @@ from mcap_ros2.writer import Writer as Ros2Writer
 from mcap_trips import trip_of
 from refusals import refused
 
-from trainlog.errors import InputError, LogError
-from trainlog.ingest import formats, ingest, profile_of, report_of
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, profile_of, report_of
 from trainlog.mcap import DamageWarning, read_log, write_log
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
@@ -121,11 +121,6 @@ def test_known_messages_need_no_profile(tmp_path):
     assert len(step["inputs"]["bag.mcap"]) == 64
 
 
-def test_no_fix_can_be_kept(tmp_path):
-    kept = profile({}, repair={"no_fix": False, "out_of_limits": False})
-    assert len(ingest(ros2_log(tmp_path / "bag.mcap"), profile=kept)["/gnss/fix"]) == 40
-
-
 def test_a_profile_maps_any_field_by_path_and_unit(tmp_path):
     columns = {
         "/gnss/motion.speed": {"column": "/vel:twist.linear", "unit": "m/s"},
@@ -190,24 +185,6 @@ def test_time_as_a_number_in_the_message(tmp_path):
     assert trip["/train/state"].index[1] == pd.Timestamp(1_600_000_000.5, unit="s", tz="UTC")
 
 
-def test_fields_of_a_topic_may_come_from_several(tmp_path):
-    log = ForeignLog(tmp_path / "odo.mcap")
-    speeds = [json.dumps({"v": float(row)}).encode() for row in range(10)]
-    places = [json.dumps({"x": row * (row - 1) / 2.0}).encode() for row in range(10)]
-    log.add(log.channel("/v", "json"), speeds, SECOND)
-    log.add(log.channel("/x", "json"), places[:1], SECOND)
-    for row, place in enumerate(places[1:], start=1):
-        log._writer.add_message(2, START + row * SECOND + SECOND // 2, place, 0)
-    columns = {
-        "/train/state.speed": {"column": "/v:v", "unit": "m/s"},
-        "/train/state.position": {"column": "/x:x", "unit": "m"},
-    }
-    trip = ingest(log.close(), profile=profile(columns, repair={"inconsistent": False}))
-    state = trip["/train/state"]
-    assert state["speed"].dropna().tolist() == [float(row) for row in range(10)]
-    assert state["position"].dropna().tolist() == [row * (row - 1) / 2.0 for row in range(10)]
-
-
 def test_foxglove_fixes_and_logs_are_known(tmp_path):
     path = tmp_path / "foxglove.mcap"
     with path.open("wb") as stream:
@@ -226,32 +203,6 @@ def test_foxglove_fixes_and_logs_are_known(tmp_path):
     assert trip["/events"]["level"].tolist() == [4, 2]
     write_log(trip, tmp_path / "trip.mcap")
     assert len(read_log(tmp_path / "trip.mcap")["/gnss/fix"]) == 5
-
-
-def test_covariances_that_make_no_sense_give_no_accuracy(tmp_path):
-    schema = ("foxglove.LocationFix", "jsonschema", b"{}")
-    log = ForeignLog(tmp_path / "fixes.mcap")
-    odd = [1e308, np.inf, -np.inf, np.nan, -4.0, 4.0]
-    fixes = [
-        {
-            "latitude": 47.0,
-            "longitude": 8.0 + row * 1e-4,
-            "position_covariance": [value, 0, 0, 0, value, 0, 0, 0, value],
-            "position_covariance_type": 3,
-        }
-        for row, value in enumerate(odd)
-    ]
-    log.add(log.channel("/f", "json", schema), [json.dumps(f).encode() for f in fixes], SECOND)
-    fix = ingest(log.close())["/gnss/fix"]
-    assert len(fix) >= 4
-    assert fix["vertical_accuracy"].iloc[-1] == 2.0
-    assert not fix["horizontal_accuracy"].iloc[:-1].le(1e5).any()
-    path = json_log(
-        tmp_path / "v.mcap", "/v", [{"v": {"x": 1e200 * row, "y": 1}} for row in (0, 1)]
-    )
-    wanted = {"/gnss/motion.speed": {"column": "/v:v", "unit": "m/s"}}
-    trip = ingest(path, profile=profile(wanted))
-    assert trip["/gnss/motion"]["speed"].iloc[0] == 1.0
 
 
 def test_messages_that_cannot_be_decoded_are_counted(tmp_path):
@@ -328,15 +279,6 @@ def test_a_log_of_trainlog_need_not_be_brought_in(tmp_path):
     write_log(trip_of(rows=20), tmp_path / "trip.mcap")
     with pytest.raises(InputError, match="is a log of trainlog, and a trip as it is; give it"):
         ingest(tmp_path / "trip.mcap")
-
-
-def test_the_format_is_known_by_its_first_bytes(tmp_path):
-    assert list(formats())[-1] == "csv"
-    (tmp_path / "cut.bin").write_bytes(b"\x89MCAP0\r\n")
-    with pytest.raises(InputError, match="its topics: none at all"), pytest.warns(DamageWarning):
-        ingest(tmp_path / "cut.bin")
-    (tmp_path / "no.bin").write_bytes(b"\x89PNG")
-    refused(LogError, "is not an MCAP file", ingest, tmp_path / "no.bin", format="mcap")
 
 
 @pytest.mark.skipif(not SHARED.exists(), reason="the shared data is not here")

@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from ingest_logs import PLAIN, clean_run, plain_profile, ublox, write
+from ingest_logs import PLAIN, clean_run, plain_profile, write
 from refusals import refused
 
 from trainlog.errors import InputError
@@ -30,20 +30,6 @@ def _fresh_registry() -> Iterator[None]:
     formats.cache_clear()
 
 
-def test_formats_are_detected_by_content(tmp_path: Path) -> None:
-    run = clean_run(50, 0.1)
-    names = {}
-    names["csv"] = write(tmp_path / "a.dat", run.rows())
-    names["ublox"] = tmp_path / "b.dat"
-    names["ublox"].write_text(ublox(np.arange(50) // 5, np.arange(50) / 5).text(), "ascii")
-    names["parquet"] = tmp_path / "c.dat"
-    table = {"t": pd.DatetimeIndex(run.time, tz="UTC"), "v": run.speed, "s": run.position}
-    pa.parquet.write_table(pa.table(table), names["parquet"])
-    for name, path in names.items():
-        trip = ingest(path, profile=plain_profile())
-        assert trip.provenance[0]["format"] == name
-
-
 @pytest.mark.parametrize("typed", [True, False])
 def test_parquet_gives_what_csv_gives(tmp_path: Path, typed: bool) -> None:
     run = clean_run(200, 0.1)
@@ -60,16 +46,6 @@ def test_parquet_gives_what_csv_gives(tmp_path: Path, typed: bool) -> None:
     pa.parquet.write_table(table, tmp_path / "run.parquet")
     trip = ingest(tmp_path / "run.parquet", profile=plain_profile())
     pd.testing.assert_frame_equal(trip["/train/state"], text["/train/state"])
-
-
-def test_parquet_rows_are_numbered_and_nulls_counted(tmp_path: Path) -> None:
-    run = clean_run(60, 1.0)
-    speed = [None if i == 9 else float("nan") if i == 19 else v for i, v in enumerate(run.speed)]
-    table = pa.table({"t": pd.DatetimeIndex(run.time, tz="UTC"), "v": speed, "s": run.position})
-    pa.parquet.write_table(table, tmp_path / "run.parquet")
-    report = report_of(ingest(tmp_path / "run.parquet", profile=plain_profile()))
-    assert report.counts == {"empty": 2}
-    assert report.findings[0].rows == (10, 20)
 
 
 def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:

@@ -245,16 +245,6 @@ def test_speeds_that_a_receiver_renews_once_a_minute_are_not_kept(tmp_path: Path
     assert report_of(trip).count("unit_suspected") == 0
 
 
-def test_the_rule_can_be_switched_off(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text(mtk_frozen(1).text, "ascii")
-    trip = ingest(
-        path, profile=plain_profile(repair={"frozen": False, "contradicted": False}), format="mtk"
-    )
-    assert trip["/gnss/motion"]["speed"].notna().all()
-    assert report_of(trip).switched_off == ("frozen", "contradicted")
-
-
 def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path: Path) -> None:
     """An odometer that stays at 0 while the counter of the distance goes on."""
     seconds = np.arange(600)

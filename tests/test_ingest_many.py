@@ -17,7 +17,7 @@ from killed import PATIENCE
 from recorder_files import drive, gpx, gpx_text
 
 from trainlog.errors import InputError
-from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.samples import sample
 from trainlog.ingest import Ingested, ingest_all
 from trainlog.ingest.batch import files_of
 from trainlog.mcap import read_log, write_log
@@ -278,21 +278,6 @@ def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path: Path) -> None:
     assert all(log.name in shown for log in finished[:-1])
     for log in finished:
         assert len(read_log(log)["/gnss/fix"]) > 1_500
-
-
-def test_logs_of_a_vehicle_recorder_with_line_and_train(tmp_path: Path) -> None:
-    from trainlog.formats.railway import read_line, read_train
-
-    known = {
-        "line": read_line(sample(DEFAULT_LINE)),
-        "train": read_train(sample(DEFAULT_TRAIN)),
-        "metadata": {"weather": "wet"},
-    }
-    words = (sample("recorder.csv"), tmp_path, sample("recorder.profile.toml"))
-    assert states(ingest_all(*words, **known)) == {"recorder.csv": "repaired"}  # type: ignore[arg-type]
-    assert states(ingest_all(*words, **known)) == {"recorder.csv": "unchanged"}  # type: ignore[arg-type]
-    known["line"] = known["line"].reversed()  # type: ignore[attr-defined]
-    assert states(ingest_all(*words, **known)) == {"recorder.csv": "repaired"}  # type: ignore[arg-type]
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the public data are not beside the checkout")

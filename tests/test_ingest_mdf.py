@@ -13,7 +13,7 @@ import pytest
 from refusals import refused
 
 from trainlog.errors import InputError, MissingExtraError
-from trainlog.ingest import Profile, ingest, profile_of, repairs_of, report_of
+from trainlog.ingest import Profile, ingest, profile_of, report_of
 
 START = pd.Timestamp("2024-05-01T06:00:00Z")
 FAST, SLOW = np.arange(0.0, 60.0, 0.1), np.arange(0.05, 60.0, 0.5)
@@ -114,17 +114,6 @@ def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path: Path) -> None:
     np.testing.assert_allclose(state["position"].dropna(), SLOW * 20.0)
 
 
-def test_a_clock_that_runs_back_is_repaired_and_reported(tmp_path: Path) -> None:
-    seconds = FAST.copy()
-    seconds[[100, 101]] = seconds[[101, 100]]
-    groups = [[signal(speed(seconds), seconds, "v", "km/h")]]
-    columns = {"/train/state.speed": {"column": "v"}}
-    trip = ingest(measured(tmp_path / "run.mf4", groups=groups), profile=profile(columns))
-    assert report_of(trip).counts == {"time_backwards": 1}
-    np.testing.assert_allclose(trip["/train/state"]["speed"], speed(FAST) / 3.6)
-    assert len(repairs_of(trip)) == 1
-
-
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
@@ -173,7 +162,3 @@ def test_a_start_that_was_never_set_can_be_given(tmp_path: Path) -> None:
     time = {"column": "time", "format": "elapsed", "start": "2024-05-01T08:00:00+02:00"}
     trip = ingest(path, profile=profile(time=time))
     assert trip["/train/state"].index[0] == START
-
-
-def test_other_formats_need_units() -> None:
-    refused(InputError, "needs a unit", profile, file={"format": "csv"})

@@ -24,12 +24,6 @@ TRAIN = Train("small", 100_000.0, 0.1, RunningResistance(2e3, 50.0, 8.0), 200e3,
 HEAD = 'format = "trainlog/recorder-profile"\nversion = 1\nname = "x"\n'
 
 
-def test_the_samples_profile_is_valid() -> None:
-    profile = read_profile(SAMPLE)
-    assert profile.time is not None
-    assert profile.columns["/train/axles.wheel_speed"].names[3] == "V_axle4_kmh"
-
-
 @pytest.mark.parametrize(
     ("toml", "message"),
     [
@@ -181,45 +175,6 @@ def test_each_mistake_gives_one_line_with_file_place_and_remedy(
     assert "\n" not in str(caught)
 
 
-def test_all_that_is_wrong_with_a_profile_is_listed_at_once(tmp_path: Path) -> None:
-    """Misspelt and missing keys, and columns of every kind, each with its place and remedy."""
-    path = tmp_path / "mine.profile.toml"
-    path.write_text(
-        HEAD
-        + """
-[file]
-delimiter = ","
-decimal = ","
-encoding = "utf8000"
-[time]
-colunm = "t"
-[columns]
-"/train/sate.speed" = { column = "v", unit = "m/s" }
-"/train/state.position" = { column = "s", unit = "kg" }
-"/train/state.acceleration" = { column = "a" }
-"/gnss/fix.latitude" = { colum = "lat", unit = "deg" }
-[trip]
-load = { value = 3, unit = "m" }
-""",
-        "utf-8",
-    )
-    caught = refused(InputError, "", read_profile, path)
-    stated = [str(problem) for problem in caught.each]
-    for beginning in (
-        "time.colunm: unknown key 'colunm'; did you mean 'column'",
-        """columns."/gnss/fix.latitude".colum: unknown key 'colum'; did you mean 'column'""",
-        "file: delimiter and decimal are both ','",
-        "file: encoding 'utf8000' is not known",
-        "trip: load: unit 'm' cannot be read as kg; declare",
-        "unknown field '/train/sate.speed'; did you mean '/train/state.speed'",
-        """columns."/train/state.position": unit 'kg' cannot be read as m; declare""",
-        """columns."/train/state.acceleration" needs a unit; for example unit = 'm/s^2'""",
-    ):
-        assert sum(text.startswith(beginning) for text in stated) == 1, (beginning, stated)
-    assert len(stated) == 8
-    assert str(caught).startswith(f"{path}: 8 problems: (1) ")
-
-
 def test_profiles_for_tables_need_time_and_columns(tmp_path: Path) -> None:
     rows = write(tmp_path / "run.csv", clean_run(5, 1.0).rows())
     for section in ("time", "columns"):
@@ -266,13 +221,6 @@ def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path: Path) -> None
     np.testing.assert_array_equal(
         column(tmp_path, raw, unit="%", part="negative"), [0.0, 0.0, 0.0, 1.0]
     )
-
-
-def test_units_are_converted_exactly_once(tmp_path: Path) -> None:
-    speed = column(tmp_path, ["0", "36", "110", "160"], name="/train/state.speed", unit="km/h")
-    np.testing.assert_array_equal(speed, [0.0, 10.0, 110 / 3.6, 160 / 3.6])
-    air = column(tmp_path, ["0", "20", "-5"], name="/environment.air_temperature", unit="degC")
-    np.testing.assert_allclose(air, [273.15, 293.15, 268.15], rtol=1e-15)
 
 
 def test_decimal_commas_and_cells_of_ones_own(tmp_path: Path) -> None:

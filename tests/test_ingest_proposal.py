@@ -21,11 +21,9 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.ingest import Proposal, ingest, propose_profile
-from trainlog.ingest.proposal.vocabulary import meaning_of, role_of, vocabulary
 from trainlog.mcap import read_log
 from trainlog.railway import RunningResistance
 from trainlog.trip import Trip
-from trainlog.units import factor, si_unit
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
 RECORDER = Path("sample_logs/recorder.csv")
@@ -126,20 +124,6 @@ def test_what_the_file_does_not_state_is_open() -> None:
     assert "# open: or local time" in proposal.text
 
 
-def test_units_follow_from_mechanics(tmp_path: Path) -> None:
-    run = drive()
-    path = written(
-        tmp_path, {"t [s]": run.t, "v": run.v * 1.943844, "s": run.s / 1e3, "F": run.F / 1e3}
-    )
-    proposal = propose_profile(path)
-    assert field(proposal, "/train/state.speed")["unit"] == "knot"
-    assert field(proposal, "/train/state.position")["unit"] == "km"
-    effort = field(proposal, "/train/controls.tractive_effort")
-    assert effort["unit"] == "kN"
-    mass = float(effort["check"].split("accelerates ")[1].split(" t")[0])
-    assert 150.0 < mass < 260.0
-
-
 def test_energy_of_a_brake_that_may_be_both_is_stated_with_reservation(tmp_path: Path) -> None:
     run = drive()
     efforts = {"Zugkraft [kN]": np.maximum(run.F, 0.0), "Bremskraft [kN]": np.maximum(-run.F, 0.0)}
@@ -161,22 +145,6 @@ def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> Non
     assert effort["alternative"] == "kN, as the file states"
 
 
-def test_a_unit_that_is_not_known_is_not_called_absent(tmp_path: Path) -> None:
-    run = drive()
-    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F [kX]": run.F / 1e3})
-    effort = field(propose_profile(path), "/train/controls.tractive_effort")
-    assert effort["unit"] == "kN"
-    assert effort["why"].startswith("no known unit is stated")
-
-
-def test_what_is_scaled_by_an_open_speed_is_open(tmp_path: Path) -> None:
-    run = drive()
-    path = written(tmp_path, {"t [s]": run.t, "v": run.v * 1.943844, "n1 [rpm]": run.v * 20.0})
-    proposal = propose_profile(path)
-    assert field(proposal, "/train/state.speed")["alternative"]
-    assert "the speed may be in" in field(proposal, "/train/axles.wheel_speed")["alternative"]
-
-
 def test_the_train_decides_between_units(tmp_path: Path) -> None:
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F": run.F})
@@ -185,14 +153,6 @@ def test_the_train_decides_between_units(tmp_path: Path) -> None:
     train = read_train(sample(DEFAULT_TRAIN))
     known = field(propose_profile(path, train), "/train/controls.tractive_effort")
     assert (known["unit"], known["alternative"]) == ("N", "")
-
-
-def test_a_column_of_an_unknown_name_is_found_by_what_it_does(tmp_path: Path) -> None:
-    run = drive()
-    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "kanal_17": run.s})
-    proposal = propose_profile(path)
-    assert field(proposal, "/train/state.position")["column"] == "kanal_17"
-    assert any("the name is not known" in reading.why for reading in proposal.readings)
 
 
 def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) -> None:
@@ -374,18 +334,6 @@ def test_a_timetable_is_no_trip(tmp_path: Path) -> None:
         propose_profile(path)
 
 
-def test_a_receiver_beside_the_odometer(tmp_path: Path) -> None:
-    run = drive()
-    latitude = 47.0 + run.s / 111_195.0
-    path = written(
-        tmp_path,
-        {"t [s]": run.t, "Speed": run.v * 3.6, "GPS speed": run.v, "lat": latitude, "lon": 9.0},
-    )
-    proposal = propose_profile(path)
-    assert field(proposal, "/train/state.speed")["unit"] == "km/h"
-    assert field(proposal, "/gnss/motion.speed")["unit"] == "m/s"
-
-
 @pytest.mark.parametrize("beside", ["fixes", "distance"])
 @pytest.mark.parametrize(("unit", "size"), [("km/h", 3.6), ("rpm", 60.0 / (2.0 * np.pi * 0.43))])
 def test_wheel_speeds_are_kept_where_no_speed_is_recorded(
@@ -538,40 +486,6 @@ def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:
         "run-1.profile.toml",
         "run-2.mcap",
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "meant"),
-    [
-        ("accuracy", "/gnss/fix.horizontal_accuracy"),
-        ("locationHorizontalAccuracy(m)", "/gnss/fix.horizontal_accuracy"),
-        ("verticalAccuracy", "/gnss/fix.vertical_accuracy"),
-        ("speedAccuracy", "/gnss/motion.speed_accuracy"),
-        ("bearingAccuracy", None),
-        ("locationCourseAccuracy(°)", None),
-        ("Richtungsgenauigkeit", None),
-        ("tAcc", None),
-    ],
-)
-def test_an_accuracy_is_that_of_what_its_name_says(name: str, meant: str | None) -> None:
-    assert role_of(meaning_of(name))[0] == meant
-
-
-def test_every_unit_of_the_vocabulary_is_one_that_a_profile_can_have() -> None:
-    for dimension, units in vocabulary()["unit"].items():
-        if dimension not in ("rotation", "curvature"):
-            assert all(map(si_unit, units)), dimension
-    assert factor("standard_gravity", "m/s^2")[0] == pytest.approx(9.81, rel=1e-3)
-
-
-def test_the_zone_that_is_offered_is_a_guess_by_the_language(tmp_path: Path) -> None:
-    path = tmp_path / "fahrt.csv"
-    speeds = [min(each, 20.0, 59.0 - each) for each in range(60)]
-    rows = [f"2024-05-01 06:00:{s:02d};{3.6 * v:.1f}" for s, v in enumerate(speeds)]
-    path.write_text("Zeit;Geschwindigkeit [km/h]\n" + "\n".join(rows) + "\n", "utf-8")
-    (zone,) = [each for each in propose_profile(path).open if each.startswith("time zone")]
-    assert zone.startswith("time zone: UTC (the file does not state a zone)")
-    assert 'timezone = "Europe/Berlin" (a guess)' in zone
 
 
 @pytest.mark.parametrize("hours", [-4.0, 0.0, 3.0, 5.75])

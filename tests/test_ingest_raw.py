@@ -11,8 +11,6 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from ingest_logs import (
-    SECOND,
-    START,
     Damaged,
     clean_run,
     damaged_runs,
@@ -178,17 +176,3 @@ def test_what_is_kept_is_bounded_and_the_rest_counted(
     assert report.raw_beyond == 3 * 400 - 100
     assert trip.metadata["repairs.beyond"] == "1100"
     assert f"{report.raw_beyond} more are in the file alone" in " ".join(report.lines())
-
-
-def test_an_hour_of_rebuilt_times_takes_little_room(tmp_path: Path) -> None:
-    ticks = np.arange(5 * 3600)
-    path = tmp_path / "gnss.csv"
-    path.write_text(ublox(ticks // 5, ticks / 5).text(), "ascii")
-    trip = ingest(path)
-    entries = repairs_of(trip)
-    assert len(entries) == 4 * 3600
-    assert len(trip.attachments[REPAIRS_ATTACHMENT]) < 4 * len(entries)
-    late = (entries["new_time"] - entries["raw_time"]) / pd.Timedelta(seconds=1)
-    np.testing.assert_allclose(late, (ticks % 5 / 5)[ticks % 5 > 0])
-    assert entries["raw_time"].iloc[0] == pd.Timestamp(START, tz="UTC")
-    assert START % SECOND == 0

@@ -21,7 +21,7 @@ from recorder_files import (
 )
 from refusals import refused
 
-from trainlog.errors import InputError, MissingExtraError
+from trainlog.errors import InputError
 from trainlog.ingest import ingest, repairs_of, report_of
 from trainlog.trip import Trip
 
@@ -43,16 +43,6 @@ def assert_fixes(trip: Trip, run: object) -> None:
 
 
 # ------------------------------------------------------------------ NMEA
-
-
-def test_bytes_that_the_checksum_does_not_see_are_damage(tmp_path: Path) -> None:
-    lines = nmea_lines(drive(60, 1.0), ("RMC", "GGA"))
-    body, mark, rest = lines[21].partition(",1,")
-    path = tmp_path / "run.log"
-    data = "\n".join(lines).encode()
-    whole = lines[21].encode()
-    path.write_bytes(data.replace(whole, f"{body}\0\0{mark}{rest}".encode()))
-    assert report_of(ingest(path)).lines()[1] == "damaged_messages: 1 (rows 22)"
 
 
 @pytest.mark.parametrize(
@@ -113,14 +103,6 @@ def test_damaged_sentences_are_counted_and_kept(tmp_path: Path) -> None:
     assert trip["/gnss/motion"]["speed"].isna().sum() == 2
 
 
-def test_damaged_sentences_are_refused_if_the_rule_is_off(tmp_path: Path) -> None:
-    lines = nmea_lines(drive(60, 1.0), ("RMC", "GGA"))
-    lines[10] = lines[10].replace(",N,", ",S,")
-    off = plain_profile(repair={"damaged_messages": False})
-    with pytest.raises(InputError, match=r"row 11: 1 times 'damaged_messages', which the profile"):
-        read(tmp_path, lines, profile=off)
-
-
 @pytest.mark.parametrize("prefix", ["12.345 ", "2024-05-01T06:00:00.1Z,", "[06:00:00.10] "])
 def test_a_loggers_own_time_may_stand_before(tmp_path: Path, prefix: str) -> None:
     run = drive(60, 1.0)
@@ -152,12 +134,6 @@ def test_logs_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str
     refused(InputError, message, read, tmp_path, lines)
 
 
-def test_a_missing_parser_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pynmeagps", None)
-    with pytest.raises(MissingExtraError, match=r"pip install .trainlog.recorders."):
-        read(tmp_path, nmea_lines(drive(9, 1.0)))
-
-
 # ------------------------------------------------------------------ hex lines
 
 
@@ -182,33 +158,6 @@ def test_hex_lines_come_back(tmp_path: Path, seed: int) -> None:
     for i, column in enumerate(("specific_force_x", "specific_force_y", "specific_force_z")):
         expected = made.words[:, 3 + i] * 0.061e-3 * 9.80665
         np.testing.assert_allclose(imu[column], expected, rtol=1e-12)
-
-
-def test_damaged_hex_lines_are_counted_and_kept(tmp_path: Path) -> None:
-    made = hexlines(7)
-    lines = made.text.splitlines()
-    samples = [i for i, line in enumerate(lines) if ",I," in line]
-    fixes = [i for i, line in enumerate(lines) if ",U,b5620107" in line]
-    lines[samples[50]] = lines[samples[50]][:-3]
-    lines[samples[90]] = lines[samples[90]][:-1] + "x"
-    lines[fixes[9]] = lines[fixes[9]][:-2] + "00"
-    lines[samples[200]] = lines[samples[200]].replace(",I,", ",Q,")
-    lines[samples[300]] = lines[samples[300]][:15]
-    lines.append("00:01:13.5")
-    trip = read(tmp_path, lines)
-    report = report_of(trip)
-    assert report.count("damaged_messages") == 4
-    assert report.count("truncated_rows") == 2
-    kept = repairs_of(trip)
-    kept = kept[kept["rule"].isin(["damaged_messages", "truncated_rows"])]
-    stated = dict(zip(kept["row"], kept["raw_text"], strict=True))
-    for row, text in stated.items():
-        assert lines[row - 1].endswith(text)
-    assert set(stated) == {
-        1 + place for place in (*(samples[i] for i in (50, 90, 200, 300)), fixes[9], len(lines) - 1)
-    }
-    assert len(trip["/imu"]) == len(made.words) - 4
-    assert len(trip["/gnss/fix"]) == len(made.fixes) - 1
 
 
 def test_hex_lines_with_nmea_alone(tmp_path: Path) -> None:
@@ -275,11 +224,6 @@ def test_fixes_are_what_pyubx2_reads(tmp_path: Path, data: st.DataObject) -> Non
     for column, (name, scale) in columns.items():
         expected = [getattr(message, name) * scale for message in kept]
         np.testing.assert_allclose(frame[column], expected, rtol=1e-9, err_msg=column)
-
-
-def test_a_known_message() -> None:
-    """The generator's checksum is u-blox's."""
-    assert ubx(b"\x05\x01", b"\x06\x8a").hex() == "b56205010200068a98c1"
 
 
 @pytest.mark.skipif(not ETH.is_dir(), reason="the samples of ETH are not beside the checkout")

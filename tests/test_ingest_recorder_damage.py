@@ -71,13 +71,3 @@ def test_damage_gives_trips_or_our_error(tmp_path: Path, kind: str) -> None:
             report = report_of(trip)
             assert 0 < report.rows_kept <= report.rows_read
             assert len(repairs_of(trip)) == report.raw_kept
-
-
-def test_samples_without_a_time_are_dropped(tmp_path: Path) -> None:
-    seconds = measured.FAST.copy()
-    seconds[[50, 70]] = float("nan"), 1e300
-    signals = [measured.signal(measured.speed(measured.FAST), seconds, "v", "km/h")]
-    path = measured.measured(tmp_path / "run.mf4", groups=[signals])
-    profile = measured.profile({"/train/state.speed": {"column": "v"}})
-    (trip,) = ingest_each(path, profile=profile)
-    assert report_of(trip).counts == {"time_unreadable": 2}

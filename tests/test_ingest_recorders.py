@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorder_files import MTK_HEADER, Recorded, drive, gpx, gpx_text, mtk
+from recorder_files import Recorded, drive, gpx, gpx_text, mtk
 from refusals import refused
 
-from trainlog.cli.main import main
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_each, report_of
-from trainlog.mcap import read_log
 from trainlog.trip import Trip
 
 
@@ -74,14 +72,6 @@ def test_a_count_of_unix_time_decides_the_zone_of_a_gpx(tmp_path: Path) -> None:
         assert trip.metadata["clock"] == "Unix time, beside times that state no zone"
         np.testing.assert_array_equal(trip["/gnss/fix"].index.as_unit("ns").asi8, run.time)
         assert report_of(trip).not_used["<pace> of track points"] == 60
-
-
-def test_whole_gpx_in_utf_16_is_not_called_cut_off(tmp_path: Path) -> None:
-    path = tmp_path / "run.gpx"
-    text = gpx_text(drive(40, 1.0)).replace("UTF-8", "UTF-16").rstrip()
-    for data in (text.encode("utf-16"), text.encode("utf-16") + bytes(512)):
-        path.write_bytes(data)
-        assert report_of(ingest(path)).lines()[0] == "40 rows read, 40 kept, 0 dropped"
 
 
 def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path: Path) -> None:
@@ -149,31 +139,6 @@ def test_bad_gpx_is_refused(tmp_path: Path, text: str, message: str) -> None:
     refused(InputError, message, read, tmp_path, "run.gpx", text, format="gpx")
 
 
-def test_the_command_names_logs_after_files_or_trips(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run, out = drive(60, 1.0), tmp_path / "out"
-    parts = np.split(np.arange(60), [20])
-    (tmp_path / "day.gpx").write_text(gpx_text(run, parts=[[part] for part in parts]), "utf-8")
-    (tmp_path / "one.gpx").write_text(gpx_text(run), "utf-8")
-    files = [str(tmp_path / name) for name in ("day.gpx", "one.gpx")]
-    monkeypatch.setattr("sys.argv", ["trainlog", "ingest", *files, "-o", str(out)])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 0, capsys.readouterr().err
-    assert sorted(log.name for log in out.iterdir()) == ["day-1.mcap", "day-2.mcap", "one.mcap"]
-    assert read_log(out / "day-2.mcap").name == "day-2"
-    (tmp_path / "day-1.gpx").write_text(gpx_text(drive(50, 1.0, seed=2)), "utf-8")
-    twice = [files[0], str(tmp_path / "day-1.gpx")]
-    monkeypatch.setattr("sys.argv", ["trainlog", "ingest", *twice, "-o", str(out)])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 0
-    assert len(read_log(out / "day-1.mcap")["/gnss/fix"]) == 20, "the track's log stays"
-    (other,) = out.glob("day-1-*.mcap")
-    assert len(read_log(other)["/gnss/fix"]) == 50
-
-
 # ------------------------------------------------------------------ MTK
 
 
@@ -202,20 +167,3 @@ def test_mtk_columns_are_found_by_name(tmp_path: Path) -> None:
     assert_fixes(read(tmp_path, "run.csv", "\n".join(lines)), recorded)
     with pytest.raises(InputError, match=r"row 1, the header: no column of the hdop; expected"):
         read(tmp_path, "x.csv", recorded.text.replace("HDOP", "PDOP"), format="mtk")
-
-
-def test_an_mtk_log_without_any_fix_is_refused(tmp_path: Path) -> None:
-    rows = "\n".join(["2000,0,0,0,0,0,0,0,0,0,0,9999"] * 50)
-    with pytest.raises(InputError, match="no row has both a time and a satellite fix"):
-        read(tmp_path, "run.csv", f"{MTK_HEADER}\n{rows}\n")
-
-
-def test_a_profiles_columns_that_are_not_used_are_reported(tmp_path: Path) -> None:
-    from ingest_logs import plain_profile
-
-    trip = read(tmp_path, "run.csv", mtk(5, before=0).text, profile=plain_profile())
-    assert report_of(trip).not_used == {
-        "[time] of the profile, format 'mtk' has its own": 1,
-        "[columns] of the profile, format 'mtk' has its own": 2,
-    }
-    assert any(line.startswith("not used: [columns]") for line in report_of(trip).lines())

@@ -25,8 +25,6 @@ from refusals import refused
 
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.formats.railway import read_line
-from trainlog.formats.samples import sample
 from trainlog.ingest import RULES, ingest, report_of
 from trainlog.ingest.clock import (
     drop_before_first_fix,
@@ -37,8 +35,7 @@ from trainlog.ingest.clock import (
 from trainlog.ingest.jumps import spikes
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.recording import NO_TIME, Table
-from trainlog.railway import StepProfile
-from trainlog.trip import Trip, seconds
+from trainlog.trip import Trip
 
 FILES = settings(
     max_examples=20,
@@ -201,15 +198,6 @@ def test_what_changes_no_faster_than_the_rate_is_no_spike(
 # ------------------------------------------------------------------ one rule at a time
 
 
-def test_a_clock_set_back_for_good_costs_the_shorter_part(tmp_path: Path) -> None:
-    """Ten rows 67 minutes ahead, then the clock is corrected: the ten go."""
-    rows = plain_rows(100)
-    ahead = [row.replace("T06:00", "T07:07") for row in rows[:10]]
-    report = report_of(read(tmp_path, ahead + rows[10:]))
-    assert report.counts == {"clock_jump": 10}
-    assert report.findings[0].rows == (2, 3, 4, 5, 6)
-
-
 def test_a_single_wild_time_goes_wherever_it_stands(tmp_path: Path) -> None:
     for place in (0, 1, 30, 58, 59):
         rows = plain_rows(60)
@@ -219,13 +207,6 @@ def test_a_single_wild_time_goes_wherever_it_stands(tmp_path: Path) -> None:
             report = report_of(read(tmp_path, wild))
             assert report.counts.pop("clock_jump") == 1
             assert report.rows_kept == 59
-
-
-def test_a_clock_that_jumps_too_often_is_refused(tmp_path: Path) -> None:
-    rows = plain_rows(40)
-    later = [row.replace("2024-05-01", "2024-05-02") for row in rows[20:]]
-    with pytest.raises(InputError, match=r"run\.csv, row \d+: the clock jumps: 20 of 40.*split"):
-        read(tmp_path, rows[:20] + later)
 
 
 def test_gaps_are_counted_and_never_filled(tmp_path: Path) -> None:
@@ -257,19 +238,6 @@ def test_rows_of_one_instant_are_merged(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
 
 
-def test_rows_of_one_whole_second_are_merged_when_they_complete_each_other(tmp_path: Path) -> None:
-    rows = [
-        part
-        for i in range(30)
-        for part in (
-            f"2024-05-01T06:00:{i:02d}Z,{10 + i},",
-            f"2024-05-01T06:00:{i:02d}Z,,{(10 + 0.5 * i) * i}",
-        )
-    ]
-    report = report_of(read(tmp_path, rows, repair={"inconsistent": False}))
-    assert report.counts == {"empty": 60, "same_time": 30}
-
-
 def test_contradictory_rows_of_one_instant_keep_the_first_value(tmp_path: Path) -> None:
     rows = plain_rows(20)
     stamp, _, position = rows[7].split(",")
@@ -288,29 +256,6 @@ def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path: Path)
     # Without the profile's limit the value is possible, but nothing can have jumped to it.
     report = report_of(read(tmp_path, rows))
     assert report.counts == {"spikes": 1}
-
-
-@pytest.mark.parametrize("direction", ["forward", "reverse"])
-def test_a_direction_in_which_trains_may_run_faster_loses_no_speed(
-    tmp_path: Path, direction: str
-) -> None:
-    """33 m/s where 60 km/h hold in one direction and 140 km/h in that of the trip."""
-    slow, fast = StepProfile([0.0], [60.0 / 3.6]), StepProfile([0.0], [140.0 / 3.6])
-    forward, reverse = (fast, slow) if direction == "forward" else (slow, fast)
-    line = replace(
-        read_line(sample("CH_StGallen_Wil.line.json")),
-        speed_limits=forward,
-        speed_limits_reverse=reverse,
-    )
-    speed = np.minimum(0.4 * np.arange(300.0), 33.0)
-    rows = [
-        f"2026-03-01T08:{t // 60:02d}:{t % 60:02d}Z,{v:.3f},{s:.3f}"
-        for t, (v, s) in enumerate(zip(speed, 2_000.0 + np.cumsum(speed), strict=True))
-    ]
-    profile = plain_profile(trip={"direction": direction})
-    trip = ingest(write(tmp_path / "run.csv", rows), profile=profile, line=line)
-    assert trip["/train/state"]["speed"].max() == 33.0
-    assert "out_of_limits" not in report_of(trip).counts
 
 
 def test_wheels_that_spin_are_no_spikes(tmp_path: Path) -> None:
@@ -423,53 +368,6 @@ def test_a_log_that_says_nothing_is_refused(tmp_path: Path) -> None:
         read_ublox(tmp_path, text, profile=off)
 
 
-def test_rows_without_fix_say_nothing(tmp_path: Path) -> None:
-    ticks = np.arange(200)
-    lines = ublox(ticks // 5, ticks / 5).text().splitlines()
-    for row in range(61, 81):
-        lines[row] = lines[row].replace(",9,", ",0,", 1)
-    trip = read_ublox(tmp_path, "\n".join(lines) + "\n")
-    report = report_of(trip)
-    assert report.count("no_fix") == 20
-    assert report.count("gaps") == 0, "the rows are there, they only say nothing"
-    assert len(trip["/gnss/fix"]) == len(trip["/gnss/motion"]) == 180
-
-
-def test_single_wild_speeds_and_fixes_go(tmp_path: Path) -> None:
-    ticks = np.arange(300)
-    lines = ublox(ticks // 5, ticks / 5).text().splitlines()
-    for row in (50, 100, 150):
-        cells = lines[row].split(",")
-        cells[13] = "80000"
-        lines[row] = ",".join(cells)
-    for row in (120, 220):
-        cells = lines[row].split(",")
-        cells[7] = str(int(cells[7]) + 500_000)
-        lines[row] = ",".join(cells)
-    trip = read_ublox(tmp_path, "\n".join(lines) + "\n")
-    report = report_of(trip)
-    assert report.count("spikes", "/gnss/motion.speed") == 3
-    assert report.count("spikes", "/gnss/fix.longitude") == 2
-    assert report.findings[-1].rows == (121, 221)
-    fix = trip["/gnss/fix"]
-    assert fix["longitude"].isna().sum() == fix["latitude"].isna().sum() == 2
-    assert trip["/gnss/motion"]["speed"].max() < 26.0
-
-
-def test_a_train_at_rest_repeats_itself_without_fault(tmp_path: Path) -> None:
-    """Equal rows within a second stay, unless the second has more than its share."""
-    ticks = np.arange(300)
-    log = ublox(ticks // 5, ticks / 5)
-    lines = log.text().splitlines()
-    for row in range(102, 202):
-        day, rest = lines[row].split(",9,", 1)[0], lines[101].split(",9,", 1)[1]
-        lines[row] = f"{day},9,{rest}"
-    lines.insert(150, lines[150])
-    trip = read_ublox(tmp_path, "\n".join(lines) + "\n")
-    assert report_of(trip).count("duplicates") == 1
-    np.testing.assert_allclose(elapsed(trip), ticks / 5, atol=1e-9)
-
-
 @pytest.mark.parametrize(("seed", "again"), [(0, 0.2), (1, 0.6), (2, 0.95), (3, 0.95)])
 def test_a_receiver_at_rest_keeps_its_rate(tmp_path: Path, seed: int, again: float) -> None:
     """Most of ten rows a second repeat the one before: all of them are samples."""
@@ -488,23 +386,3 @@ def test_rows_that_are_each_written_several_times_count_once(tmp_path: Path, tim
     trip = read_ublox(tmp_path, "\n".join([MTK_HEADER, *rows]) + "\n")
     assert report_of(trip).counts["duplicates"] == (times - 1) * len(truth)
     np.testing.assert_allclose(trip["/gnss/fix"].index.as_unit("ns").asi8, truth.time)
-
-
-def test_whole_seconds_once_each_are_left_alone(tmp_path: Path) -> None:
-    rows = [
-        f"2024-05-01T06:00:{i:02d}Z,{10 + 0.1 * i:.1f},{(10 + 0.05 * i) * i:.2f}" for i in range(60)
-    ]
-    doubled = [row for row in rows for _ in range(2)]
-    trip = read(tmp_path, doubled)
-    assert report_of(trip).counts == {"duplicates": 60}
-    np.testing.assert_array_equal(seconds(trip["/train/state"]), np.arange(60.0))
-
-
-def test_parts_of_a_second_stay_lost_when_the_rule_is_off(tmp_path: Path) -> None:
-    ticks = np.arange(100)
-    trip = read_ublox(
-        tmp_path,
-        ublox(ticks // 5, ticks / 5).text(),
-        profile=plain_profile(repair={"subsecond": False}),
-    )
-    assert report_of(trip).counts == {"same_time": 80}

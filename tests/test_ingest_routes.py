@@ -35,12 +35,12 @@ from route_networks import (
 from trainlog.errors import InputError
 from trainlog.formats.imports import networks_in
 from trainlog.formats.railway import line_of, write_network
-from trainlog.ingest import Profile, ingest, ingest_all, ingest_each, report_of
+from trainlog.ingest import Profile, ingest, ingest_each, report_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
 from trainlog.ingest.pipeline import Given
-from trainlog.ingest.routes import NetworkRoutes, places_in
+from trainlog.ingest.routes import NetworkRoutes
 from trainlog.railway.line import LineReference, Station
-from trainlog.railway.network import Network, Route
+from trainlog.railway.network import Network
 from trainlog.trip import Trip
 
 BEGUN = pd.Timestamp("2026-05-01T06:00:00", tz="UTC")
@@ -311,37 +311,6 @@ def _of_edges(network: Network, names: set[str]) -> Network:
         nodes=tuple(node for node in network.nodes if node.name in ends),
         turns=turns,
     )
-
-
-def test_a_route_begins_and_ends_at_stations_on_the_way() -> None:
-    """Also where they lie inside edges, and with a place between where it is not the shortest."""
-    routes = NetworkRoutes(WYE)
-    names = [edge.name for edge in WYE.edges]
-    way = [2 * names.index(n) + back for n, back in (("west", 0), ("west-south", 0), ("south", 0))]
-    route = routes.along(way, 130.0, 4_500.0)
-    assert route.places == ("A", "B")
-    assert [leg.edge for leg in route.legs] == ["west", "west-south", "south"]
-    round_trip: Route = NetworkRoutes(BALLOON).along([0, 3, 1], 50.0, 60.0)
-    assert round_trip.line.stations[0].name == round_trip.line.stations[-1].name == "A"
-    assert places_in("A, B ,") == ("A", "B")
-
-
-def test_one_bad_file_does_not_keep_the_others_from_their_routes(tmp_path: Path) -> None:
-    folder = tmp_path / "in"
-    folder.mkdir()
-    for number, places in enumerate([("A", "B"), ("A", "C")]):
-        fixes = drive(Y.route(*places), GPX, np.random.default_rng(number))
-        write_gpx(folder / f"run{number}.gpx", fixes)
-        away = replace(fixes, points=fixes.points + 40_000j)
-    write_gpx(folder / "away.gpx", away)
-    result = ingest_all(folder, tmp_path / "out", network=Y)
-    assert [each.file.name for each in result.of("refused")] == ["away.gpx"]
-    assert "network 'drawn'" in result.of("refused")[0].reason
-    assert {each.metadata["line"] for each in result.of("made", "repaired")} == {"A - B", "A - C"}
-    again = ingest_all(folder, tmp_path / "out", network=Y)
-    assert again.counts["unchanged"] == 2
-    other = replace(Y, name="another")
-    assert ingest_all(folder, tmp_path / "out", network=other).counts["unchanged"] == 0
 
 
 def test_the_command_takes_a_network_as_such_or_as_a_line(

@@ -155,16 +155,6 @@ def test_a_wrong_unit_of_time_leaves_no_time(column: str, options: dict[str, obj
     assert set(found) == {NO_TIME} or ("time reads as 1" in message and "unit" in message)
 
 
-def test_large_columns_keep_their_gaps() -> None:
-    count = 10_000
-    text = pd.date_range("2024-05-01", periods=count, freq="100ms").strftime("%H:%M:%S.%f")
-    words = np.array(text, dtype=object)
-    words[::7] = None
-    found = np.array(read(list(words), format="%H:%M:%S.%f", date=datetime.date(2024, 5, 1)))
-    assert np.count_nonzero(found == NO_TIME) == len(range(0, count, 7))
-    assert np.all(np.diff(found[found != NO_TIME]) > 0)
-
-
 # ------------------------------------------------------------------ clocks that were set
 
 LINE_NAMES = list(LINES)
@@ -359,21 +349,6 @@ def test_a_gap_at_a_standstill_is_a_gap(tmp_path: Path) -> None:
     assert len(trip["/train/state"]) == 450
 
 
-def test_a_train_that_comes_twenty_metres_in_an_hour_at_70_is_suspected(tmp_path: Path) -> None:
-    """A recorder may have been off, or its clock was set to another zone: it is said, not moved."""
-    time = np.arange(600.0)
-    shown = time + np.where(time >= 300.0, 3600.0, 0.0)
-    stamps = pd.to_datetime(1_714_543_200 + shown, unit="s").strftime("%Y-%m-%dT%H:%M:%SZ")
-    speed, way = 19.5 + np.sin(time / 30.0), 19.5 * time - 30.0 * np.cos(time / 30.0)
-    table = zip(stamps, speed, way, strict=True)
-    rows = [f"{stamp},{pace:.2f},{metres:.1f}" for stamp, pace, metres in table]
-    path = tmp_path / "run.csv"
-    path.write_text("t,v,s\n" + "\n".join(rows) + "\n")
-    report = report_of(ingest(path, profile=profile_of(table_profile({}))))
-    assert report.counts == {"clock_step_suspected": 1, "gaps": 1}
-    assert any("+3600 s: a gap, a step of the clock or both" in line for line in report.lines())
-
-
 def undated(folder: Path, date: str, rows: int) -> tuple[Case, Path]:
     """An MTK log of whole seconds whose first `rows` rows have the date `date`, but fixes."""
     case = recorded(folder, "hilly", LAYOUTS[0], None, count=120.0)
@@ -394,31 +369,6 @@ def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(
     assert report_of(trip).counts["clock_step"] == rows
     assert report_of(trip).rows_dropped == 0
     assert error_of(trip["/gnss/motion"].index.as_unit("ns").asi8, case) < 0.15
-
-
-def test_a_receiver_may_lose_its_date_again_and_again(tmp_path: Path) -> None:
-    """Sixty blocks of ten rows each, as an MTK logger in a city writes them."""
-    case = recorded(tmp_path, "hilly", LAYOUTS[0], None, count=120.0)
-    lines = case.path.read_text().splitlines()
-    blocks = [i for i in range(1, 1200) if i // 10 % 2 == 0]
-    for i in blocks:
-        lines[i] = lines[i].replace("2024,5,1,", "2000,0,0,", 1)
-    case.path.write_text("\n".join(lines) + "\n")
-    trip = ingest(case.path)
-    assert report_of(trip).counts["clock_step"] == len(blocks)
-    assert report_of(trip).rows_dropped == 0
-    assert error_of(trip["/gnss/motion"].index.as_unit("ns").asi8, case) < 0.15
-
-
-def test_dates_of_zeros_in_text(tmp_path: Path) -> None:
-    times = [f"2024-05-01T06:00:{i:02d}Z" for i in range(40)]
-    times[:15] = [f"0000-00-00T06:00:{i:02d}Z" for i in range(15)]
-    rows = [f"{t},{10 + 0.1 * i},{10 * i}" for i, t in enumerate(times)]
-    path = tmp_path / "run.csv"
-    path.write_text("t,v,s\n" + "\n".join(rows) + "\n")
-    trip = ingest(path, profile=profile_of(table_profile({})))
-    assert report_of(trip).counts == {"clock_step": 15}
-    assert trip.start == pd.Timestamp("2024-05-01T06:00:00Z")
 
 
 def test_a_date_that_changes_while_the_time_of_day_goes_on(tmp_path: Path) -> None:
@@ -508,27 +458,6 @@ def test_other_defects_are_no_steps_of_the_clock(tmp_path: Path, layout: Layout,
     layout.write(path, run, run.time, distance("hilly", run))
     profile = None if layout.profile is None else profile_of(layout.profile)
     assert "clock_step" not in report_of(ingest(path, profile=profile)).counts
-
-
-@pytest.mark.parametrize("step", [-2, -13, 5])
-def test_a_step_among_lost_rows_and_swaps_is_found(tmp_path: Path, step: int) -> None:
-    """Defects stand within a few seconds of the step: it is found by itself."""
-    layout = LAYOUTS[5]
-    run = drive("Chemnitz-Cranzahl", 10.0, 2000)
-    rng = np.random.default_rng(2)
-    keep = np.ones(2000, dtype=bool)
-    keep[rng.integers(600, 900, 12)] = False
-    keep[700:760] = True
-    clock = run.time - np.where(np.arange(2000) < 730, step, 0) * 1_000_000_000
-    order = np.flatnonzero(keep)
-    order[[660, 661]] = order[[661, 660]]
-    path = tmp_path / layout.name
-    kept = run.take(order)
-    layout.write(path, kept, clock[order], distance("Chemnitz-Cranzahl", kept))
-    trip = ingest(path, profile=profile_of(table_profile({})))
-    assert report_of(trip).counts["clock_step"] == np.count_nonzero(order < 730)
-    found = trip["/train/state"].index.as_unit("ns").asi8
-    assert np.array_equal(found, np.sort(run.time[order]))
 
 
 @pytest.mark.parametrize("step", [-12, -3, 5])

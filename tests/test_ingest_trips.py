@@ -167,14 +167,6 @@ def test_a_copy_under_another_name_is_skipped(tmp_path: Path) -> None:
     assert {each.state for each in ingest_all(file, logs, other).outcomes} <= {"made", "repaired"}
 
 
-def test_an_unknown_column_of_a_trip_is_refused(tmp_path: Path) -> None:
-    file = written(tmp_path, table(RUNS))
-    profile = propose_profile(file).profile
-    columns = profile.trip.columns.model_copy(update={"number": "Trip number"})
-    trip = profile.trip.model_copy(update={"columns": columns})
-    refused(InputError, "Trip number", ingest, file, profile.model_copy(update={"trip": trip}))
-
-
 STATIONS = (500.0, 3600.0, 7900.0, 10_300.0)
 
 

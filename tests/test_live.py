@@ -356,15 +356,6 @@ def test_a_counter_that_goes_round_is_no_restart(size: int) -> None:
     assert numbering.counts["restarts"] == 1
 
 
-def test_datagrams_left_out_are_counted_by_the_senders_number(tmp_path: Path) -> None:
-    rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
-    file = tmp_path / "part.csv"
-    file.write_bytes(b"".join(rows[:1001]))
-    _, live, _ = received(tmp_path / "live.mcap", file, "--number", "--leave-out", "100")
-    assert live.numbering.counts["lost"] == 9  # whether the last one is missing nothing shows
-    assert "9 lines lost by the sender's numbers" in live.sentences()
-
-
 # ----------------------------------------------------------------------------------- growing files
 
 

@@ -7,18 +7,16 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-from mcap.writer import Writer
 from mcap_mutations import CHUNK, records_of
 from mcap_trips import ATTACHMENTS, METADATA, PROVENANCE, START, trip_of
 from refusals import refused
 from rich.console import Console
 
 import trainlog
-from trainlog.errors import InputError, LogError
+from trainlog.errors import LogError
 from trainlog.mcap import LogDescription, describe, read_log, write_log
-from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
+from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
 FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
@@ -35,17 +33,6 @@ def printed(description: LogDescription) -> str:
     console.print(*description.shown())
     assert isinstance(console.file, StringIO)
     return console.file.getvalue()
-
-
-def test_provenance_is_stated_in_words(tmp_path: Path) -> None:
-    trip = trip_of(rows=10, axles=1)
-    report = {"findings": [{"rule": "empty", "rows": [3]}], "rows_read": 10, "switched_off": []}
-    options = {"direction": None, "metadata": {"load": "0"}, "rules": ["gaps", "spikes"]}
-    found = described(trip.with_step("ingest", options=options, report=report), tmp_path)
-    words = " ".join(printed(found).split())
-    assert "options metadata load 0, rules gaps, spikes" in words
-    assert "report findings 1, rows_read 10" in words
-    assert not any(each in words for each in ("None", "{'", "switched_off"))
 
 
 def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
@@ -98,15 +85,6 @@ def test_gaps_are_counted(tmp_path: Path) -> None:
     assert topic.rate == pytest.approx(10 / 2.3)
 
 
-@pytest.mark.parametrize("rows", [0, 1])
-def test_topics_without_intervals(rows: int, tmp_path: Path) -> None:
-    found = described(trip_of(rows=rows), tmp_path)
-    assert {topic.count for topic in found.topics} == {rows}
-    assert all(np.isnan([t.rate, t.median_interval, t.largest_gap]).all() for t in found.topics)
-    assert (found.first is None) == (rows == 0)
-    assert "/train/state" in printed(found)
-
-
 def test_position_that_is_absent_or_runs_back(tmp_path: Path) -> None:
     def span(position: list[float]) -> tuple[float, float] | None:
         frame = frame_of(TRAIN_STATE, START + np.arange(len(position)), {"position": position})
@@ -115,33 +93,6 @@ def test_position_that_is_absent_or_runs_back(tmp_path: Path) -> None:
     assert span([np.nan, np.nan]) is None
     assert span([50.0, np.nan, 90.0, -10.0]) == (-10.0, 90.0)
     assert described(trip_of(rows=3, topics=[EVENTS.name]), tmp_path).position_span is None
-
-
-def test_what_a_person_reads(tmp_path: Path) -> None:
-    rows = 601
-    at = pd.Timestamp("2025-03-02T07:30:00Z").value + np.arange(rows) * 10**8
-    state = frame_of(TRAIN_STATE, at, {"position": np.linspace(0.0, 1240.0, rows)})
-    axles = frame_of(TRAIN_AXLES, at, {"wheel_speed": np.ones((rows, 2))})
-    trip = Trip({TRAIN_STATE.name: state, TRAIN_AXLES.name: axles}, METADATA, PROVENANCE)
-    text = printed(described(trip, tmp_path))
-    assert "2025-03-02 07:30:00.000 to 2025-03-02 07:31:00.000 UTC (1 min 0.0 s)" in text
-    assert "km 0.000 to km 1.240 (1.240 km)" in text
-    assert "1,202 in 2 chunks" in text
-    assert "ends properly" in text
-    assert "speed [m/s]" in text
-    assert "wheel_speed [m/s] of 2 axles" in text
-    assert "10 Hz" in text
-    assert "1 simulate" in text
-    assert "line.json abababababab…" in text
-    assert METADATA["train"] in text
-
-
-def test_fields_of_no_axle_are_not_listed(tmp_path: Path) -> None:
-    axles = frame_of(TRAIN_AXLES, START + np.arange(5), {"wheel_speed": np.ones((5, 2))})
-    text = printed(described(Trip({TRAIN_AXLES.name: axles}), tmp_path))
-    assert "wheel_speed [m/s] of 2 axles" in text
-    assert "wheel_effort" not in text
-    assert "of 0 axles" not in text
 
 
 def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None:
@@ -164,34 +115,6 @@ def test_foreign_files_are_listed_but_are_no_trip() -> None:
         assert found.topics[0].name in printed(found)
         caught = refused(LogError, "holds no topic of trainlog", read_log, path)
         assert caught.file == path
-
-
-@foreign
-def test_a_known_foreign_file() -> None:
-    found = describe(FOREIGN / "rosbag2_py_test_resources_mcap_talker_talker.mcap")
-    assert {topic.name: topic.count for topic in found.topics} == {
-        "/rosout": 10,
-        "/parameter_events": 0,
-        "/topic": 10,
-    }
-    topic = next(topic for topic in found.topics if topic.name == "/topic")
-    assert (topic.message, topic.encoding) == ("std_msgs/msg/String", "cdr")
-    assert topic.rate == pytest.approx(2.0, rel=0.02)
-    assert topic.units == {}
-
-
-def test_metadata_and_late_times_of_foreign_files(tmp_path: Path) -> None:
-    with (tmp_path / "foreign.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        writer.add_metadata("drive", {"weather": "wet"})
-        channel = writer.register_channel("/raw", "custom", 0)
-        writer.add_message(channel, 2**64 - 1, b"x", 0)
-        writer.finish()
-    found = describe(tmp_path / "foreign.mcap")
-    assert found.metadata == {"drive/weather": "wet"}
-    assert [(t.name, t.count, t.last) for t in found.topics] == [("/raw", 1, None)]
-    assert "drive/weather" in printed(found)
 
 
 def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path: Path) -> None:
@@ -222,7 +145,3 @@ def test_a_recording_that_was_not_closed_is_not_called_damaged(tmp_path: Path) -
     assert "was not closed: 1 message is readable; its last sample is of 2001-09-09" in text
     assert "damaged" not in text
     assert "1 in 1 chunk," in text
-
-
-def test_missing_file(tmp_path: Path) -> None:
-    refused(InputError, "does not exist", describe, tmp_path / "nothing.mcap")

@@ -16,7 +16,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import SeekingReader
 from mcap_trips import assert_same
 
-from trainlog.mcap import describe, read_log, write_log
+from trainlog.mcap import read_log, write_log
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip, frame_of
 
@@ -110,14 +110,6 @@ def test_the_kept_file_opens_with_its_values(kept: Path) -> None:
                 assert frame[column].tolist() == EVENTS[column]
             else:
                 np.testing.assert_array_equal(frame[column], column_of(name, column))
-
-
-def test_the_kept_file_is_described(kept: Path) -> None:
-    described = describe(kept)
-    assert described.schema_version == FILES[kept.name]
-    assert described.problem is None
-    assert described.count == ROWS * len(COLUMNS)
-    assert described.position_span == (0.0, 5 / 8)
 
 
 def test_fields_keep_their_numbers(kept: Path) -> None:

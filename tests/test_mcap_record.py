@@ -291,15 +291,6 @@ def test_an_exception_closes_the_file_properly(tmp_path: Path) -> None:
     assert read_log(tmp_path / "log.mcap").name == "unnamed"
 
 
-def test_the_file_is_readable_while_it_is_recorded(tmp_path: Path) -> None:
-    with trainlog.record(tmp_path / "log.mcap", flush=0.01) as log:
-        log.write(STATE, START, speed=1.0)
-        until(lambda: log.account().written.get(STATE) == 1)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            assert read_log(tmp_path / "log.mcap")[STATE]["speed"].tolist() == [1.0]
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="open files cannot be removed there")
 @pytest.mark.parametrize("replaced", [False, True])
 def test_a_file_taken_away_is_reported(replaced: bool, tmp_path: Path) -> None:

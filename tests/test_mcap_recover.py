@@ -101,22 +101,6 @@ def test_all_logs_cut_at_every_byte(number: int, tmp_path: Path) -> None:
     assert_cuts(specimens(tmp_path)[number], tmp_path / "cut.mcap")
 
 
-def test_a_cut_log_is_read_with_a_warning(whole: Specimen, tmp_path: Path) -> None:
-    """What `read_log` gives is what the account says, around the end of every chunk."""
-    ends = [end for _, end in chunk_groups(whole.data)]
-    for end in ends:
-        for length in (end - 1, end, end + 1):
-            path = put(tmp_path, whole.data[:length])
-            complete = sum(each <= length for each in ends)
-            if not complete:
-                refused(LogError, "no message of it is readable", read_log, path)
-                continue
-            with pytest.warns(DamageWarning) as caught:
-                trip = read_log(path)
-            rows = sum(len(frame) for frame in trip.topics.values())
-            assert rows == caught[0].message.account.messages == 40 * complete
-
-
 def test_damage_in_the_middle_costs_only_what_it_touches(whole: Specimen, tmp_path: Path) -> None:
     start, end = chunk_groups(whole.data)[1]
     for place in (start, start + 3, start + 40, end - 1):
@@ -257,17 +241,6 @@ def test_a_recording_that_was_not_closed(tmp_path: Path) -> None:
     assert account_of(path).unfinished is None
 
 
-def test_the_account_in_words_and_as_json() -> None:
-    losses = (Loss(10, 20, "a chunk fails its checksum", 3), Loss(30, 30, "the end is missing"))
-    account = Account(5, 2, losses)
-    assert account.bytes_lost == 10
-    assert account.messages_lost is None
-    assert len(account.lines()) == 3
-    assert json.loads(json.dumps(account.details()))["losses"][0]["messages"] == 3
-    assert "5 messages are readable" in account.sentence
-    assert Account(5, 2).sentence == "is whole: 5 messages in 2 chunks"
-
-
 # --------------------------------------------------------------------------------- bounded effort
 
 
@@ -293,21 +266,6 @@ def test_nonsense_takes_bounded_time(tmp_path: Path) -> None:
         data = head + b"\x00" + unit * (500_000 // len(unit)) + head
         with time_limit(60):
             account_of(put(tmp_path, data))
-
-
-def test_what_is_made_of_a_recovered_log_says_what_was_lost(
-    whole: Specimen, tmp_path: Path
-) -> None:
-    start = chunk_groups(whole.data)[1][0]
-    damaged = put(tmp_path, whole.data[: start + 60] + bytes(40) + whole.data[start + 100 :])
-    account = recover(damaged, tmp_path / "recovered.mcap")
-    assert account.bytes_lost
-    write_log(read_log(tmp_path / "recovered.mcap"), tmp_path / "derived.mcap")
-    step = read_log(tmp_path / "derived.mcap").provenance[-1]
-    assert step["step"] == "recover"
-    assert step["file"] == "damaged.mcap"
-    assert step["account"]["bytes_lost"] == account.bytes_lost
-    assert step["account"]["losses"][0]["start"] == start
 
 
 def test_recovery_of_a_large_log_stays_small_in_memory(tmp_path: Path) -> None:
@@ -475,27 +433,6 @@ def test_check_and_recover_from_the_command_line(
     status, _, _ = run(monkeypatch, capsys, "convert", logs / "cut.mcap", "-o", single)
     assert status == 0
     assert account_of(single).whole
-
-
-def test_one_file_that_is_no_log_does_not_keep_the_others_from_being_rebuilt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    (logs / "a.mcap").write_bytes(b"")
-    write_log(trip_of(rows=30), logs / "b.mcap")
-    status, printed, complaint = run(monkeypatch, capsys, "convert", logs, "-o", tmp_path / "again")
-    assert status == 1
-    assert "a.mcap" in complaint
-    assert "is empty" in complaint
-    assert "b.mcap" in printed
-    assert read_log(tmp_path / "again" / "b.mcap")
-    assert [path.name for path in (tmp_path / "again").iterdir()] == ["b.mcap"]
-    status, _, complaint = run(
-        monkeypatch, capsys, "convert", logs, "-o", tmp_path / "one.mcap"
-    )  # fmt: skip
-    assert status == 2  # logs that are joined are read whole
-    assert "a.mcap" in complaint
 
 
 def test_a_recording_that_lacks_only_its_end_is_not_called_damaged() -> None:

@@ -1,15 +1,12 @@
 """ROS messages as bytes: as the official writer makes them, broken, forged."""
 
 import struct
-import sys
 
 import pytest
-from foreign_logs import FIX_1, FIX_2, ForeignLog, cdr, cdr_numbers, schema_text
+from foreign_logs import FIX_1, FIX_2, cdr, schema_text
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
-from trainlog.errors import MissingExtraError
-from trainlog.mcap import frames_of
 from trainlog.mcap.foreign import (
     BYTES,
     LONG_ARRAY,
@@ -186,22 +183,3 @@ def test_definitions_as_they_are_found_in_files():
 @pytest.mark.parametrize("name", ["p/Thing\nimport os", "1/2", "p.Thing", "", "a/b/c/d"])
 def test_only_names_reach_the_code_that_is_made_of_a_definition(name):
     refused(UndecodableError, "", ros_decoder, name, b"int8 x", "ros1")
-
-
-def test_text_that_is_not_utf8_makes_a_message_broken():
-    decode = ros_decoder("p/Thing", b"string x", "ros1")
-    assert decode(struct.pack("<I3s", 3, b"Z\xc3\xbc")) == {
-        "x": "Z\N{LATIN SMALL LETTER U WITH DIAERESIS}"
-    }
-    refused(BrokenMessage, "", decode, struct.pack("<I2s", 2, b"Z\xfc"))
-
-
-def test_without_the_extra_the_command_that_installs_it_is_named(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "rosbags", None)
-    log = ForeignLog(tmp_path / "ros.mcap")
-    log.add(log.channel("/x", "cdr", ("p/msg/A", "ros2msg", b"float64 x")), [cdr_numbers(1.0)])
-    log.add(log.channel("/y", "json"), [b'{"y": 1}'])
-    path = log.close()
-    caught = refused(MissingExtraError, "rosbags", frames_of, path)
-    assert caught.remedy == "pip install 'trainlog[recorders]'"
-    assert frames_of(path, topics=["/y"]).frames["/y"]["y"].tolist() == [1]

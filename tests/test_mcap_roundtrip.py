@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +12,13 @@ from mcap_trips import START, assert_same, trip_of, trips
 from refusals import refused
 
 import trainlog
-from trainlog.errors import InputError, LogError
+from trainlog.errors import LogError
 from trainlog.mcap import read_log, write_log
 from trainlog.topics import (
     ENVIRONMENT,
     EVENTS,
     GNSS_FIX,
     GNSS_MOTION,
-    TOPICS,
     TRAIN_AXLES,
     TRAIN_STATE,
 )
@@ -91,17 +89,6 @@ def test_local_time_is_written_as_utc(tmp_path: Path) -> None:
     local.attrs = frame.attrs
     write_log(Trip({TRAIN_STATE.name: local}), tmp_path / "trip.mcap")
     assert_same(Trip({TRAIN_STATE.name: frame}), read_log(tmp_path / "trip.mcap"))
-
-
-def test_selected_topics_equal_the_same_topics_of_the_whole(tmp_path: Path) -> None:
-    trip = trip_of(rows=300)
-    write_log(trip, tmp_path / "trip.mcap")
-    for chosen in ([TRAIN_STATE.name], [EVENTS.name, GNSS_FIX.name], []):
-        back = read_log(tmp_path / "trip.mcap", topics=chosen)
-        wanted = {name: frame for name, frame in trip.topics.items() if name in chosen}
-        assert_same(replace(trip, topics=wanted), back)
-    write_log(replace(trip, topics={}), tmp_path / "trip.mcap")
-    assert read_log(tmp_path / "trip.mcap", topics=[EVENTS.name]).topics == {}
 
 
 def test_same_trip_same_bytes(tmp_path: Path) -> None:
@@ -184,10 +171,3 @@ def test_what_cannot_be_written_is_refused_and_leaves_no_file(
         assert caught.remedy
     assert list(tmp_path.iterdir()) == [older]
     assert older.read_bytes() == b"older"
-
-
-def test_missing_files_and_unknown_topics_are_named(tmp_path: Path) -> None:
-    refused(InputError, "does not exist", read_log, tmp_path / "nothing.mcap")
-    with pytest.raises(LogError, match="no topic /train/mood"):
-        read_log(tmp_path / "nothing.mcap", topics=["/train/mood"])
-    assert "/train/mood" not in TOPICS

@@ -21,10 +21,8 @@ from trainlog.mcap.contents import contents_of
 from trainlog.mcap.records import Source
 from trainlog.topics import (
     ENVIRONMENT,
-    ESTIMATED_STATE,
     EVENTS,
     GNSS_FIX,
-    TOPICS,
     TRAIN_AXLES,
     TRAIN_STATE,
 )
@@ -146,36 +144,6 @@ def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
             patch.setattr("trainlog.mcap.reader.decoded", lambda _: {})
         part = read_log(logs(seed), position=(stretch[0], stretch[1]))
     assert_same(whole.within(*stretch), part)
-
-
-def test_a_stretch_within_a_span_of_time(logs: Callable[[int], Path]) -> None:
-    whole = whole_of(logs(1))
-    span = in_time(whole, (0.2, 0.7))
-    part = read_log(logs(1), [TRAIN_AXLES.name], time=span, position=(280.0, None))
-    expected = whole.within(280.0, None).between(*span)
-    assert list(part.topics) == [TRAIN_AXLES.name]
-    pd.testing.assert_frame_equal(part[TRAIN_AXLES.name], expected[TRAIN_AXLES.name])
-    assert [step["step"] for step in part.provenance] == ["made", "slice", "slice"]
-
-
-def test_the_estimated_position_comes_first(tmp_path: Path) -> None:
-    time = START + np.arange(100) * SECOND
-    trip = Trip(
-        {
-            name: frame_of(TOPICS[name], time, {"position": values})
-            for name, values in (
-                (TRAIN_STATE.name, np.arange(100.0)),
-                (ESTIMATED_STATE.name, np.arange(100.0) + 1000.0),
-            )
-        }
-    )
-    write_log(trip, tmp_path / "trip.mcap")
-    part = read_log(tmp_path / "trip.mcap", position=(1010, 1020))
-    assert len(part[TRAIN_STATE.name]) == 11
-    assert_same(read_log(tmp_path / "trip.mcap").within(1010, 1020), part)
-    unknown = trip.with_topic(frame_of(ESTIMATED_STATE, time, {}))
-    write_log(unknown, tmp_path / "unknown.mcap")
-    assert_same(unknown.within(10, 20), read_log(tmp_path / "unknown.mcap", position=(10, 20)))
 
 
 def test_a_log_without_positions_says_so(tmp_path: Path) -> None:
@@ -340,9 +308,3 @@ def test_damage_outside_of_the_part_is_not_met(logs: Callable[[int], Path], tmp_
     whole = whole_of(logs(2))
     span = (whole.start, whole.start + pd.Timedelta("1 s"))
     assert_same(whole.between(*span), read_log(path, time=span))
-
-
-def test_one_column_of_a_topic(logs: Callable[[int], Path]) -> None:
-    part = read_log(logs(3), {TRAIN_AXLES.name: ["wheel_speed_2"]})
-    frame = shuttle(3)[TRAIN_AXLES.name][["wheel_speed_2"]]
-    pd.testing.assert_frame_equal(frame, part[TRAIN_AXLES.name], check_freq=False)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
@@ -20,7 +19,6 @@ from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 from mcap_trips import START, assert_same, trip_of
 from refusals import refused
-from rerun.chunk import McapReader
 
 from trainlog.errors import LogError
 from trainlog.mcap import describe, read_log, tables, write_log
@@ -132,55 +130,6 @@ def test_streaming_and_seeking_reader_validate_every_checksum(log: Path) -> None
     assert data_end.data_section_crc != 0
 
 
-def test_summary_is_right(trip: Trip, log: Path) -> None:
-    data = log.read_bytes()
-    reader = SeekingReader(BytesIO(data), validate_crcs=True)
-    summary = reader.get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    counts = {
-        summary.channels[number].topic: count
-        for number, count in summary.statistics.channel_message_counts.items()
-    }
-    assert counts == {name: len(frame) for name, frame in trip.topics.items()}
-    assert summary.statistics.message_count == sum(counts.values())
-    assert summary.statistics.message_start_time == trip.start.value
-    assert summary.statistics.message_end_time == trip.end.value
-    assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 1
-    assert summary.statistics.attachment_count == len(trip.attachments)
-    # Those in front, and the positions in each chunk behind the last.
-    assert summary.statistics.metadata_count == 4
-    assert len(summary.schemas) == summary.statistics.schema_count == len(TOPICS)
-    assert {a.name: a.data for a in reader.iter_attachments()} == trip.attachments
-    stored = {record.name: record.metadata for record in reader.iter_metadata()}
-    assert stored["trainlog"] == trip.metadata
-    assert stored["trainlog.format"] == {"schema_version": str(SCHEMA_VERSION)}
-    assert list(stored["trainlog.provenance"]) == ["0001", "0002"]
-
-
-def test_chunks_do_not_overlap_and_their_indexes_point_to_messages(log: Path) -> None:
-    data = log.read_bytes()
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    end = 0
-    for index in summary.chunk_indexes:
-        assert end <= index.message_start_time <= index.message_end_time
-        assert index.message_end_time - index.message_start_time < 60e9
-        assert index.uncompressed_size <= 2**20
-        assert data[index.chunk_start_offset] == 0x06
-        for channel, offset in index.message_index_offsets.items():
-            assert data[offset] == 0x07
-            assert int.from_bytes(data[offset + 9 : offset + 11], "little") == channel
-        end = index.message_end_time
-    # The official reader finds a message by these indexes alone.
-    reader = SeekingReader(BytesIO(data))
-    at = START + 30 * 10**9
-    found = list(
-        reader.iter_messages(topics=TRAIN_STATE.name, starting_at=at, ending_before=at + 1)
-    )
-    assert [message.log_time for _, _, message in found] == [at]
-
-
 @pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.message)
 def test_descriptors_and_channels_equal_the_table(topic: Topic, log: Path) -> None:
     summary = SeekingReader(BytesIO(log.read_bytes())).get_summary()
@@ -206,40 +155,6 @@ def test_descriptors_and_channels_equal_the_table(topic: Topic, log: Path) -> No
     for field in topic.fields:
         described = declared.fields_by_name[field.name]
         assert described.has_presence is not field.per_axle
-
-
-def test_rerun_imports_typed_columns(trip: Trip, log: Path) -> None:
-    found: dict[tuple[str, str], pa.Array] = {}
-    for chunk in McapReader(log).stream():
-        batch = chunk.to_record_batch()
-        for field in batch.schema:
-            column = batch.column(batch.schema.get_field_index(field.name))
-            key = (str(chunk.entity_path), field.name)
-            found[key] = pa.concat_arrays([found[key], column]) if key in found else column
-    for name, frame in trip.topics.items():
-        topic = TOPICS[name]
-        if topic.foxglove:
-            continue
-        messages = found[name, f"{topic.message}:message"].flatten()
-        assert [messages.type.field(i).name for i in range(messages.type.num_fields)] == [
-            field.name for field in topic.fields
-        ]
-        for field in topic.fields:
-            values = messages.field(field.name)
-            if field.per_axle:
-                assert values.type.value_type == pa.float64()
-                axles = [f"{field.name}_{axle}" for axle in range(1, AXLES + 1)]
-                table = np.array(values.flatten()).reshape(-1, AXLES)
-                np.testing.assert_array_equal(table, frame[axles].to_numpy())
-            else:
-                assert values.type == pa.float64()
-                np.testing.assert_array_equal(np.array(values), frame[field.name].to_numpy())
-    points = np.array(found[GNSS_FIX.name, "GeoPoints:positions"].flatten().flatten())
-    np.testing.assert_array_equal(
-        points.reshape(-1, 2), trip[GNSS_FIX.name][["latitude", "longitude"]].to_numpy()
-    )
-    texts = found[EVENTS.name, "TextLog:text"].flatten().to_pylist()
-    assert texts == trip[EVENTS.name]["message"].tolist()
 
 
 # --- files with our topics that another program wrote
@@ -380,17 +295,6 @@ def test_slow_and_fast_path_agree(
     assert_same(trip, read_log(log))
 
 
-def test_the_fast_path_is_taken_for_our_own_files(
-    trip: Trip, log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(*_: Any) -> Any:
-        raise AssertionError("decoded one by one")
-
-    monkeypatch.setattr(tables, "message_data", never)
-    numbers = [name for name in trip.topics if name != EVENTS.name]
-    assert list(read_log(log, topics=numbers).topics) == numbers
-
-
 def edited(change: Callable[[Any], None], topic: Topic = TRAIN_STATE) -> bytes:
     files = FileDescriptorSet.FromString(descriptor_set(topic))
     change(files.file[-1].message_type[0])
@@ -514,15 +418,3 @@ def test_times_beyond_pandas_are_refused(tmp_path: Path) -> None:
     state = message_class(TRAIN_STATE)
     write_elsewhere(tmp_path / "trip.mcap", [(TRAIN_STATE.name, [(2**63 + 5, state(speed=1.0))])])
     refused(LogError, "times after 2262", read_log, tmp_path / "trip.mcap")
-
-
-def test_a_topic_of_another_program_with_our_name_is_not_ours(tmp_path: Path) -> None:
-    with (tmp_path / "trip.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("std_msgs/String", "ros2msg", b"string data")
-        writer.register_channel(EVENTS.name, "cdr", schema)
-        writer.register_channel(TRAIN_STATE.name, "json", 0)
-        writer.finish()
-    with pytest.raises(LogError, match="no topic of trainlog, but '/events', '/train/state'"):
-        read_log(tmp_path / "trip.mcap")

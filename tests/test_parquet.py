@@ -44,15 +44,6 @@ def interrupted() -> Iterator[Trip]:
     raise KeyboardInterrupt
 
 
-def together(pieces: Iterator[Trip]) -> Trip:
-    every = list(pieces)
-    frames = {}
-    for name in every[0].topics:
-        frames[name] = pd.concat([piece[name] for piece in every])
-        frames[name].attrs = every[0][name].attrs
-    return replace(every[0], topics=frames)
-
-
 # ---------------------------------------------------------------------------------- round trips
 
 
@@ -68,16 +59,6 @@ def test_any_trip_comes_back_to_the_last_bit(
     folder = tmp_path_factory.mktemp("parquet") / "trip.parquet"
     write_parquet(trip, folder)
     assert_same(trip, read_parquet(folder))
-
-
-def test_values_at_the_edges_of_the_doubles_come_back(tmp_path: Path) -> None:
-    values = [-0.0, 5e-324, -5e-324, np.inf, -np.inf, np.nan, 1.7976931348623157e308, 0.1]
-    frame = frame_of(TRAIN_STATE, START + np.arange(len(values)), {"speed": values})
-    write_parquet(Trip({TRAIN_STATE.name: frame}), tmp_path / "trip.parquet")
-    back = read_parquet(tmp_path / "trip.parquet")[TRAIN_STATE.name]["speed"].to_numpy()
-    known = ~np.isnan(values)
-    assert back[known].tobytes() == np.array(values)[known].tobytes()
-    assert np.isnan(back[~known]).all()
 
 
 def test_a_column_of_words_keeps_its_kind(tmp_path: Path) -> None:
@@ -150,14 +131,6 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
 # -------------------------------------------------------------------------------- other programs
 
 
-def test_pandas_opens_a_topic_with_its_times_and_units(tmp_path: Path) -> None:
-    trip = trip_of(rows=20)
-    write_parquet(trip, tmp_path / "trip.parquet")
-    frame = pd.read_parquet(tmp_path / "trip.parquet" / "train_state.parquet")
-    pd.testing.assert_frame_equal(frame, trip[TRAIN_STATE.name])
-    assert frame.attrs["units"]["speed"] == "m/s"
-
-
 def test_the_columns_tell_unit_and_meaning_and_what_is_unknown_is_null(tmp_path: Path) -> None:
     write_parquet(trip_of(rows=20), tmp_path / "trip.parquet")
     file = tmp_path / "trip.parquet" / "train_state.parquet"
@@ -167,21 +140,6 @@ def test_the_columns_tell_unit_and_meaning_and_what_is_unknown_is_null(tmp_path:
     table = pyarrow.dataset.dataset(file).to_table(filter=pyarrow.dataset.field("speed") > 0.0)
     assert 0 < len(table) < 20
     assert str(table.schema.field("time").type) == "timestamp[ns, tz=UTC]"
-
-
-def test_doubles_are_split_by_bytes_unless_few_come_again_and_again(tmp_path: Path) -> None:
-    speed = np.random.default_rng(1).normal(20.0, 1.0, 400)
-    state = frame_of(
-        TRAIN_STATE, START + np.arange(400), {"speed": speed, "position": np.arange(400) // 10}
-    ).astype(float)
-    state.attrs = STATE.attrs
-    write_parquet(Trip({TRAIN_STATE.name: state}), tmp_path / "trip.parquet")
-    group = pq.ParquetFile(tmp_path / "trip.parquet" / "train_state.parquet").metadata.row_group(0)
-    kinds = {group.column(n).path_in_schema: group.column(n) for n in range(4)}
-    assert "BYTE_STREAM_SPLIT" in kinds["speed"].encodings
-    assert "RLE_DICTIONARY" in kinds["position"].encodings
-    assert "DELTA_BINARY_PACKED" in kinds["time"].encodings
-    assert all(column.compression == "ZSTD" for column in kinds.values())
 
 
 # ------------------------------------------------------------------------------------ bad input

@@ -24,7 +24,6 @@ from trainlog.presentation import (
     Column,
     Ends,
     Presented,
-    Quantity,
     Said,
     WordTable,
     new_table,
@@ -100,17 +99,8 @@ class Bare(Presented):
         return {"speed": "72.0 km/h"}
 
 
-def test_a_notebook_shows_the_title_once() -> None:
-    assert Bare()._repr_html_().count("A run") == 1
-
-
 def test_a_result_without_a_plot_names_what_to_use_instead() -> None:
     refused(InputError, "Bare has no plot; print it, or use its attributes", Bare().plot)
-
-
-def test_units_of_columns_multiply_before_the_last_and_divide_by_it() -> None:
-    suffixes = {"": "", "N": "N", "m_s": "m/s", "N_s_m": "N*s/m", "N_s2_m2": "N*s^2/m^2"}
-    assert {each: Quantity(each, "").si_unit for each in suffixes} == suffixes
 
 
 def test_json_has_facts_tables_in_si_units_and_notes_and_fits_its_schema() -> None:

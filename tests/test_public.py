@@ -51,11 +51,6 @@ def test_type_checkers_see_the_same_names(name: str) -> None:
         assert getattr(package, public) is getattr(importlib.import_module(str(module)), defined)
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="module 'trainlog' has no attribute 'raed'"):
-        _ = importlib.import_module("trainlog").raed
-
-
 def test_importing_the_packages_loads_neither_pandas_nor_a_solver() -> None:
     code = f"import sys, {', '.join(PACKAGES)}; print([m for m in {HEAVY} if m in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -134,10 +129,3 @@ def test_objects_print_in_at_most_ten_lines() -> None:
         assert len(repr(each).splitlines()) <= 10
         assert len(repr(each)) < 800, type(each)
     assert repr(line.gradients) == "StepProfile of 153 steps, -0.0154 to 0.0159"
-
-
-def test_the_reference_as_a_whole_is_a_page() -> None:
-    from trainlog.documentation import SOURCES, Documentation
-
-    path, _ = Documentation(SOURCES[1], built=False).place("reference")
-    assert path.parts[-2:] == ("reference", "index.md")

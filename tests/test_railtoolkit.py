@@ -17,7 +17,6 @@ from trainlog.formats.railtoolkit import (
     read_rolling_stock,
     read_running_paths,
 )
-from trainlog.formats.railway import read_train, read_trajectory
 from trainlog.railway import EffortCurve, Line, Train
 from trainlog.railway.motion import timetable_run
 from trainlog.units import GRAVITY
@@ -78,20 +77,6 @@ def test_running_times_of_trainruns(train: str, path: str) -> None:
 
 
 @SHARED
-@pytest.mark.parametrize(("train", "path"), [each for each in CASES if each[1] != "speed"])
-def test_what_a_step_gains_is_in_proportion_to_it(train: str, path: str) -> None:
-    """Why converged times differ from the published ones: those have the error of a 20 m step."""
-    line = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")[path]
-    given = train_of(train)
-    whole, half, quarter = (shortest_time(line, given, step) for step in (20.0, 10.0, 5.0))
-    converged = 2.0 * quarter - half
-    # Half of the step leaves half of the error, where limits do not change inside a step.
-    assert (converged - half) / (converged - whole) == pytest.approx(0.5, abs=0.1)
-    # What the published times lack to the converged ones is that error.
-    assert published(train, path) + converged - whole == pytest.approx(converged, rel=2e-3)
-
-
-@SHARED
 def test_a_share_of_the_load_beyond_all_of_it_is_refused() -> None:
     with pytest.raises(InputError, match=r"a share of 1\.5 of the load is not between 0 and 1"):
         train_of("local", 1.5)
@@ -140,18 +125,6 @@ def test_every_valid_case_is_read() -> None:
     line = read_running_paths(folder / "running-path.example.yaml")["example"]
     assert line.speed_limit(0.0) == pytest.approx(160 / 3.6)
     assert line.gradient(2_500.0) == pytest.approx(2e-3)
-
-
-@SHARED
-def test_all_vehicles_of_the_rolling_stock_are_read() -> None:
-    files = sorted((DATA / "rolling_stock").glob("*/*.yaml"))
-    vehicles = [next(iter(read_rolling_stock(file)[0].values())) for file in files]
-    assert len(vehicles) == 8
-    assert sum(vehicle.powered for vehicle in vehicles) == 3
-    for vehicle in vehicles:
-        assert 1.0 < vehicle.inertia_factor < 1.2
-        specific = vehicle.resistance(0.0)(100.0 / 3.6) / (GRAVITY * vehicle.mass)
-        assert 1e-3 < specific < 20e-3
 
 
 def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
@@ -247,21 +220,6 @@ def test_other_files_are_refused(tmp_path: Path, text: str, words: str) -> None:
     refused(InputError, words, read_running_paths, file)
 
 
-@pytest.mark.parametrize(
-    ("speeds", "efforts", "words"),
-    [
-        ([], [], "needs pairs"),
-        ([1.0, 2.0], [1.0, 1.0], "do not grow from 0"),
-        ([0.0, 2.0, 2.0], [1.0, 1.0, 1.0], "do not grow from 0"),
-        ([0.0, 2.0], [1.0, -1.0], "negative"),
-    ],
-)
-def test_effort_curves_that_cannot_be_are_refused(
-    speeds: list[float], efforts: list[float], words: str
-) -> None:
-    refused(InputError, words, EffortCurve, np.array(speeds), np.array(efforts))
-
-
 STOCK = """
 schema: https://railtoolkit.org/schema/rolling-stock.json
 schema_version: "2022.05"
@@ -272,42 +230,6 @@ LOCOMOTIVE = (
     " mass_traction: 80, speed_limit: 80, rotation_mass: 1.09, base_resistance: 2.2,"
     " air_resistance: 10, tractive_effort: [[0, 180000], [20, 100000], [80, 25000]]}\n"
 )
-WAGON = (
-    STOCK + "  - {id: Facs, name: Facs, vehicle_type: freight, length: 19, mass: 25,"
-    " load_limit: 59, speed_limit: 100, rotation_mass: 1.03, base_resistance: 1.4,"
-    " air_resistance: 3.9}\n"
-)
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_a_formation_of_several_files_is_planned_for_from_the_keyboard(tmp_path: Path) -> None:
-    (tmp_path / "v90.yaml").write_text(LOCOMOTIVE)
-    (tmp_path / "facs.yaml").write_text(WAGON)
-    path_file(
-        tmp_path,
-        "      - {position: 0, speed: 80, resistance: 0}\n"
-        "      - {position: 3000, speed: 60, resistance: 4}\n"
-        "      - {position: 6000, speed: 60}\n",
-    )
-    files = [str(tmp_path / name) for name in ("v90.yaml", "facs.yaml", "path.yaml")]
-    out = ["-o", str(tmp_path)]
-    made = ["--formation", "ore: V90, 10 Facs", "--loaded", "50"]
-    strip = ["--set", "mass-model=homogeneous_strip"]
-    assert cli.run(["import", *files[:2], *made, *strip, *out]) == 0
-    assert cli.run(["import", files[2], "--set", "curve-resistance=roeckl", *out]) == 0
-    train = read_train(tmp_path / "ore.train.json")
-    assert (train.length, train.mass, train.max_load) == (204.0, 625e3, 295e3)
-    assert train.strip_length == 204.0
-    # Half of the load: 545 t of wagons at 1.4 per mille, the locomotive at 2.2.
-    wind = 10e-3 * 80e3 * GRAVITY * 0.15**2
-    assert train.resistance(0.0) == pytest.approx(GRAVITY * (545 * 1.4 + 80 * 2.2) + wind)
-    assert train.tractive_effort_limit([0.0, 20 / 3.6]) == pytest.approx([180e3, 100e3])
-    line = tmp_path / "path.line.json"
-    plan = ["--train", str(tmp_path / "ore.train.json"), "--line", str(line), "--set", "cells=60"]
-    assert cli.run(["plan", *plan, "-o", str(tmp_path / "plan.json")]) == 0
-    found = read_trajectory(tmp_path / "plan.json")
-    assert found.certificate["certified"]
-    assert found.model == ("curve resistance roeckl, homogeneous strip, gross acceleration limits")
 
 
 @pytest.mark.parametrize(

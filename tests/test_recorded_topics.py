@@ -101,14 +101,6 @@ def test_cut_converted_recovered_and_streamed_it_stays(tmp_path: Path) -> None:
     assert sum(len(piece[PANTOGRAPH.name]) for piece in pieces) == 40
 
 
-def test_between_samples_it_follows_its_own_rule() -> None:
-    trip = made()
-    finer = trainlog.resampled(trip, 0.5, max_gap=None)[PANTOGRAPH.name]
-    assert finer["contact_force"].iloc[17] == 78.5
-    assert finer["raised"].iloc[17] == 0.0
-    assert finer["raised"].iloc[18] == 1.0
-
-
 def test_the_replay_draws_a_plot_a_unit(tmp_path: Path) -> None:
     trainlog.write_replay([made()], tmp_path / "own.rrd")
     store = RrdReader(tmp_path / "own.rrd").stream().collect()

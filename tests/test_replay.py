@@ -32,8 +32,7 @@ from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
 from trainlog.replay import ReplayOptions, write_replay
-from trainlog.replay.drawing import CLASS_COLOURS
-from trainlog.replay.samples import CURVES, Samples, broken, clock_of, thinned
+from trainlog.replay.samples import CURVES, Samples, clock_of, thinned
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
 TIMELINES = {"time", "elapsed", "position_m"}
@@ -89,11 +88,6 @@ def test_efforts_are_in_kilonewtons_with_braking_downwards(trip: Trip, recording
     assert shown[:, 0].max() > 50.0 > 0.0 > shown[:, 1].min()
 
 
-def test_gradient_is_per_mille(recording: Path) -> None:
-    shown = curve(recording, "/trips/up/gradient")[:, 0]
-    assert set(shown) == {5.0, -10.0}
-
-
 def test_estimates_have_a_band_of_one_deviation(trip: Trip, recording: Path) -> None:
     frame = trip["/estimates/state"]
     entity = "/trips/up/speed/estimated"
@@ -136,11 +130,6 @@ def test_timelines_tell_when_and_where(trip: Trip, recording: Path) -> None:
     assert (found["position_m"][1:] == metres).all()
 
 
-def test_ticks_fall_on_whole_kilometres(recording: Path) -> None:
-    assert rows(recording, "/trips/up/speed/measured")["position_m"][0] == 0
-    assert rows(recording, "/trips/up/gradient")["position_m"][0] == 0
-
-
 def test_a_standing_train_does_not_move_back_on_the_position_timeline(trip: Trip) -> None:
     state = trip["/estimates/state"].copy()
     noise = np.random.default_rng(3).normal(0.0, 0.5, len(state))
@@ -176,12 +165,6 @@ def test_unknown_values_and_missing_rows_break_the_line(trip: Trip, tmp_path: Pa
     assert np.flatnonzero(np.isnan(shown)).tolist() == [100]
 
 
-def test_steady_samples_have_no_gaps() -> None:
-    time = START + np.cumsum(np.tile([90, 100, 130], 50)) * 10**6
-    points = Samples(time, np.ones((150, 1)))
-    assert broken(points).time.size == 150
-
-
 @settings(max_examples=100)
 @given(arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 2.0, np.nan])))
 def test_a_held_value_is_the_same_at_every_instant_after_thinning(values: np.ndarray) -> None:
@@ -208,17 +191,6 @@ def test_phases_follow_the_lever(recording: Path) -> None:
         "standstill", "traction", "coasting", "braking", "standstill",
     ]  # fmt: skip
     assert (np.diff(found["time"]) > 0).all()
-
-
-def test_phases_without_a_lever_follow_the_efforts(trip: Trip, tmp_path: Path) -> None:
-    controls = trip["/train/controls"].assign(
-        lever=np.nan, tractive_effort_demand=np.nan, braking_effort_demand=np.nan
-    )
-    controls.attrs = trip["/train/controls"].attrs
-    path = tmp_path / "efforts.rrd"
-    write_replay([trip.with_topic(controls)], path)
-    states = list(rows(path, "/trips/up/phase")["StateChange:state"])
-    assert states == ["standstill", "traction", "coasting", "braking", "standstill"]
 
 
 def test_events_keep_their_words_and_levels(recording: Path) -> None:
@@ -268,29 +240,6 @@ def test_a_line_without_coordinates_is_drawn_straight(tmp_path: Path) -> None:
     assert np.ptp(np.array(ends)[:, 0]) == pytest.approx(LENGTH, rel=1e-3)
 
 
-def test_stations_and_track_are_there_at_all_times(tiled: Path) -> None:
-    found = entities(tiled)
-    for name in ("/lines/hill/track", "/lines/hill/stations/A", "/lines/hill/stations/B\\ town"):
-        assert found[name] == set()
-    place = static(tiled, "/lines/hill/stations/B\\ town", "GeoPoints:positions")[0]
-    assert place == pytest.approx([float(x) for x in LINE.geometry.at(LENGTH)])
-
-
-def test_the_way_along_the_fixes_stands_for_a_line_without_coordinates(
-    trip: Trip, tmp_path: Path
-) -> None:
-    fix = trip["/gnss/fix"]
-    kept = fix.drop(fix.index[400:600])  # an outage of 20 s
-    kept.attrs = fix.attrs
-    path = tmp_path / "path.rrd"
-    bare = replace(trip, attachments={}).with_topic(kept)
-    write_replay([bare], path, options=ReplayOptions(tiles=True))
-    before, after = static(path, "/trips/up/place/path", "GeoLineStrings:line_strings")
-    assert before[0] == pytest.approx(fix[["latitude", "longitude"]].iloc[0])
-    assert (len(before), len(after)) == (40, 71)
-    assert not {name for name in entities(path) if name.startswith("/lines")}
-
-
 def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Path) -> None:
     bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})
     for empty in (topics.EVENTS, topics.TRAIN_CONTROLS, topics.GNSS_FIX, topics.TRUTH):
@@ -301,19 +250,6 @@ def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Pat
     assert found == {
         f"/trips/up/{each}" for each in ("speed/measured", "about", "cursor", "kilometre")
     }
-
-
-def test_slip_is_wheel_less_train_speed_where_nothing_better_is_known(
-    trip: Trip, tmp_path: Path
-) -> None:
-    topics_left = {k: v for k, v in trip.topics.items() if not k.startswith("/estimates")}
-    path = tmp_path / "raw.rrd"
-    write_replay([replace(trip, topics=topics_left)], path)
-    shown = curve(path, "/trips/up/slip")
-    wheels = trip["/train/axles"][["wheel_speed_1", "wheel_speed_2"]].to_numpy()
-    train = trip["/train/state"][["speed"]].to_numpy()
-    assert shown == pytest.approx((wheels - train) * 3.6, abs=1e-9)
-    assert "/trips/up/adhesion/used" not in entities(path)
 
 
 def test_a_receiver_alone_gives_the_distance_from_its_speed(trip: Trip) -> None:
@@ -333,17 +269,6 @@ def test_a_trip_without_any_place_stays_at_zero(tmp_path: Path) -> None:
     path = tmp_path / "air.rrd"
     write_replay([Trip({"/environment": air})], path)
     assert set(rows(path, "/trips/unnamed/gradient")["position_m"]) == {0}
-
-
-def test_each_trip_has_its_own_subtree(trip: Trip, tmp_path: Path) -> None:
-    path = tmp_path / "three.rrd"
-    write_replay([trip, made_trip("down", "reverse"), made_trip(top=30.0)], path)
-    found = entities(path)
-    for name in ("up", "down", "up\\ \\(2\\)"):
-        assert f"/trips/{name}/speed/measured" in found
-    first = curve(path, "/trips/up/speed/measured").max()
-    second = curve(path, "/trips/up\\ \\(2\\)/speed/measured").max()
-    assert (first, second) == (pytest.approx(72.0, abs=0.1), pytest.approx(108.0, abs=0.1))
 
 
 def test_the_map_lies_under_a_trip_in_its_own_direction(mapped: Path) -> None:
@@ -486,22 +411,6 @@ def test_an_older_recording_stays_when_a_new_one_fails(trip: Trip, tmp_path: Pat
     assert path.read_bytes() == b"older"
 
 
-def test_a_long_trip_is_sent_whole(tmp_path: Path) -> None:
-    count = 25_000
-    time = START + np.arange(count) * 10**8
-    state = frame_of(
-        topics.TRAIN_STATE, time, {"position": np.arange(count) * 2.0, "speed": np.arange(count)}
-    )
-    path = tmp_path / "long.rrd"
-    write_replay([Trip({"/train/state": state})], path)
-    shown = curve(path, "/trips/unnamed/speed/measured")[:, 0]
-    assert shown == pytest.approx(np.arange(count) * 3.6)
-    assert (
-        pd.Timestamp(rows(path, "/trips/unnamed/speed/measured")["time"][-1], tz="UTC")
-        == (state.index[-1])
-    )
-
-
 def test_pieces_are_drawn_as_the_whole(trip: Trip, tmp_path: Path) -> None:
     """Of a held value, samples beside the seams may be more, none of them other."""
     whole, parts = tmp_path / "whole.rrd", tmp_path / "parts.rrd"
@@ -612,33 +521,3 @@ def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(tmp_path: 
         for trip in ("up", "down")
     ]  # fmt: skip
     assert np.allclose(places[0], places[1])
-
-
-def test_the_colours_of_adhesion_have_a_legend_that_shows_on_a_dark_ground(mapped: Path) -> None:
-    entity = "/lines/hill/condition/dry"
-    labels = static(mapped, f"{entity}/legend", "Points2D:labels")
-    assert list(labels) == ["< 0.05", "< 0.08", "< 0.12", "< 0.20", "≥ 0.20"]
-    # Of each class enough light, against a ground that is nearly black.
-    light = CLASS_COLOURS @ np.array([0.299, 0.587, 0.114])
-    assert light.min() > 90.0
-    course = static(mapped, "/lines/hill/track", "LineStrips2D:strips")
-    south = np.vstack(list(course[0]))[:, 1].max()
-    legend = static(mapped, f"{entity}/legend", "Points2D:positions")
-    assert min(place[1] for place in legend) > south
-
-
-def test_lateness_has_its_sign_at_the_cursor(tmp_path: Path) -> None:
-    trip = made_trip()
-    state = trip["/train/state"]
-    late = np.linspace(-5.0, 12.0, len(state))
-    zero = np.zeros(len(state))
-    frame = frame_of(
-        topics.REFERENCE,
-        state.index,
-        {each.name: late if each.name == "lateness" else zero for each in topics.REFERENCE.fields},
-    )
-    path = tmp_path / "late.rrd"
-    write_replay([replace(trip, topics={**trip.topics, topics.REFERENCE.name: frame})], path)
-    texts = [str(each) for each in rows(path, "/trips/up/cursor")["TextDocument:text"]]
-    assert any("-5.0 s, early" in each for each in texts[:3])
-    assert "+12.0 s, late" in texts[-1] or "+11.9 s, late" in texts[-1]

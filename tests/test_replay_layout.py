@@ -14,7 +14,6 @@ from rerun.chunk import RrdReader
 
 from trainlog.errors import InputError
 from trainlog.replay import ReplayOptions, write_replay
-from trainlog.replay.layout import SHARED_AXIS
 from trainlog.trip import Trip
 
 COMPONENTS = {
@@ -141,14 +140,6 @@ def test_everything_recorded_is_shown(trips: list[Trip], tmp_path: Path) -> None
     assert hidden == []
 
 
-def test_plots_name_quantity_and_unit(trips: list[Trip], tmp_path: Path) -> None:
-    path = tmp_path / "replay.rrd"
-    write_replay(trips[:1], path)
-    plots = [view for view in layout_of(path).views() if view["class"] == ["TimeSeries"]]
-    assert len({view["name"][0] for view in plots}) == 7
-    assert all(re.search(r"\[(km/h|kN|‰|1)\]", view["name"][0]) for view in plots)
-
-
 @pytest.mark.parametrize("count", [1, 3])
 def test_each_view_is_a_tab_and_has_one_a_trip(
     trips: list[Trip], tmp_path: Path, count: int
@@ -191,64 +182,6 @@ def test_views_without_what_they_are_about_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_bare_trip_has_no_empty_plots(tmp_path: Path) -> None:
-    trip = made_trip()
-    path = tmp_path / "bare.rrd"
-    write_replay(
-        [replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})], path
-    )
-    assert layout_of(path).names() == {
-        "up: speed [km/h]", "Kilometre", "At the cursor: up", "Trip up"
-    }  # fmt: skip
-
-
-def test_plots_show_the_whole_trip_on_a_shared_axis(trips: list[Trip], tmp_path: Path) -> None:
-    path = tmp_path / "replay.rrd"
-    write_replay(trips[:1], path)
-    layout = layout_of(path)
-    shared = layout.logged["/" + SHARED_AXIS]["TimeAxis:view_range"]
-    assert shared == [{"start": None, "end": None}]
-    for view in layout.views():
-        if view["class"] in (["TimeSeries"], ["StateTimeline"]):
-            assert layout.logged[f"{view['path']}/TimeAxis"]["TimeAxis:link"] == [2]
-
-
-def test_speed_plot_begins_at_zero_and_holds_the_limit(trips: list[Trip], tmp_path: Path) -> None:
-    path = tmp_path / "replay.rrd"
-    write_replay(trips[:1], path)
-    layout = layout_of(path)
-    speed = next(view for view in layout.views() if view["name"] == ["up: speed [km/h]"])
-    low, high = layout.logged[f"{speed['path']}/ScalarAxis"]["ScalarAxis:range"][0]
-    assert low == 0.0
-    assert 40.0 * 3.6 < high < 1.2 * 40.0 * 3.6
-
-
-def test_an_outlier_does_not_flatten_the_speed_plot(tmp_path: Path) -> None:
-    trip = made_trip()
-    motion = trip["/gnss/motion"].copy()
-    motion.iloc[500, 0] = 900.0
-    path = tmp_path / "outlier.rrd"
-    write_replay([trip.with_topic(motion)], path)
-    layout = layout_of(path)
-    speed = next(view for view in layout.views() if view["name"] == ["up: speed [km/h]"])
-    high = layout.logged[f"{speed['path']}/ScalarAxis"]["ScalarAxis:range"][0][1]
-    assert high < 1.2 * 40.0 * 3.6
-
-
-def test_the_map_fits_the_line(trips: list[Trip], tmp_path: Path) -> None:
-    path = tmp_path / "replay.rrd"
-    write_replay(trips[:1], path, options=ReplayOptions(tiles=True))
-    layout = layout_of(path)
-    zooms = [
-        layout.logged[f"{view['path']}/MapZoom"]["MapZoom:zoom"][0]
-        for view in layout.views()
-        if view["class"] == ["Map"]
-    ]
-    # 2 km are 0.02637 degrees at 47 degrees north: so many points of the 330 that there are.
-    points = 0.02637 / 360.0 * 256.0 * 2.0 ** min(zooms)
-    assert points == pytest.approx(330.0, rel=0.02)
-
-
 def test_without_tiles_there_is_no_map_that_asks_for_them(
     trips: list[Trip], tmp_path: Path
 ) -> None:
@@ -263,14 +196,3 @@ def test_without_tiles_there_is_no_map_that_asks_for_them(
     (left, right), (top, bottom) = bounds["x_range"], bounds["y_range"]
     assert left < 0.0 < 2000.0 < right < 3000.0
     assert top < 0.0 < bottom
-
-
-@pytest.mark.parametrize(("count", "timeline"), [(1, "time"), (2, "position_m")])
-def test_several_trips_are_compared_by_position(
-    trips: list[Trip], tmp_path: Path, count: int, timeline: str
-) -> None:
-    path = tmp_path / "replay.rrd"
-    write_replay(trips[:count], path)
-    panel = layout_of(path).logged["/time_panel"]
-    assert panel["TimePanelBlueprint:timeline"] == [timeline]
-    assert panel["TimePanelBlueprint:play_state"] == [1]

@@ -19,7 +19,7 @@ from trainlog.railway import LineReference
 from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.recording import MOST_WHOLE
 from trainlog.replay.samples import clock_of
-from trainlog.replay.survey import OVERVIEW, extremes, thinned_trip, thinned_trips
+from trainlog.replay.survey import OVERVIEW, extremes, thinned_trips
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 
@@ -52,16 +52,6 @@ def test_a_trip_is_behind_another_by_the_difference_of_their_passing_times(tmp_p
     slower = rows(path, "/trips/slow/behind/speed")["Scalars:scalars"][1:, 0]
     assert slower[place == 1000.0] == pytest.approx(-9.0 * 3.6, abs=0.01)
     assert not [name for name in entities(path) if name.startswith("/trips/fast/behind")]
-
-
-def test_differences_stand_on_every_timeline_where_the_trip_was(tmp_path: Path) -> None:
-    fast, slow = unlike("fast", 25.0), unlike("slow", 16.0)
-    path = tmp_path / "both.rrd"
-    write_replay([fast, slow], path)
-    found = rows(path, "/trips/slow/behind/time")
-    driven = clock_of(slow).position_at(found["time"][1:])
-    assert driven == pytest.approx(found["position_m"][1:], abs=1.0)
-    assert (np.diff(found["elapsed"]) >= 0).all()
 
 
 def test_the_reference_is_the_trip_that_is_chosen(tmp_path: Path) -> None:
@@ -116,20 +106,6 @@ def test_thinning_keeps_the_least_and_the_greatest_of_each_piece(
             assert np.nanmax(left) == np.nanmax(whole)
 
 
-def test_a_single_high_sample_survives_thinning(tmp_path: Path) -> None:
-    trip = made_trip()
-    state = trip["/train/state"].copy()
-    state.iloc[777, state.columns.get_loc("speed")] = 61.0
-    trip = trip.with_topic(state)
-    thin = thinned_trip(trip)
-    assert len(thin["/train/state"]) < 0.6 * len(state)
-    assert thin["/train/state"]["speed"].max() == 61.0
-    path = tmp_path / "thin.rrd"
-    made = write_replay([trip, unlike("b", 16.0)], path, options=ReplayOptions(thinned=True))
-    assert made.thinned
-    assert np.nanmax(rows(path, "/trips/up/speed/measured")["Scalars:scalars"]) == 61.0 * 3.6
-
-
 def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
     trip = made_trip()
     ((known, _),) = thinned_trips([lambda: [trip]])
@@ -145,13 +121,6 @@ def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
     assert np.array_equal(
         rows(path, entity)["Scalars:scalars"], rows(full, entity)["Scalars:scalars"], equal_nan=True
     )
-
-
-def test_a_limit_recorded_each_second_has_no_gaps_when_thinned(tmp_path: Path) -> None:
-    path = tmp_path / "thin.rrd"
-    write_replay([made_trip(), unlike("b", 16.0)], path, options=ReplayOptions(thinned=True))
-    limit = rows(path, "/trips/up/speed/limit")["Scalars:scalars"][1:, 0]
-    assert limit.tolist() == [144.0, 144.0, 108.0, 108.0]
 
 
 def test_a_receiver_alone_is_thinned_too(tmp_path: Path) -> None:
@@ -243,16 +212,6 @@ def test_kilometres_are_written_with_three_decimals_for_each_second(tmp_path: Pa
     assert "limit 108 km/h" in text or "limit 144 km/h" in text
 
 
-def test_lanes_name_kilometres_and_sections(tmp_path: Path) -> None:
-    path = tmp_path / "one.rrd"
-    write_replay([made_trip()], path)
-    found = rows(path, "/trips/up/kilometre")
-    names = found["StateChange:state"].tolist()
-    assert names[:3] == ["km 0", "km 0.2", "km 0.4"]
-    assert found["position_m"].tolist()[:3] == [0, 200, 400]
-    assert rows(path, "/trips/up/section")["StateChange:state"].tolist() == ["A – B town"]
-
-
 def test_blocks_are_named_by_the_operators_kilometre_at_which_they_begin(tmp_path: Path) -> None:
     """On a line that begins at km 61.33: what is too short for its kilometre has no name."""
     course = replace(
@@ -263,27 +222,6 @@ def test_blocks_are_named_by_the_operators_kilometre_at_which_they_begin(tmp_pat
         attached = trip.attachments | {LINE_ATTACHMENT: line_to_bytes(course)}
         write_replay([replace(trip, attachments=attached)], path)
         assert rows(path, "/trips/up/kilometre")["StateChange:state"].tolist()[:2] == firsts
-
-
-def test_before_a_trip_the_cursor_states_where_it_begins(tmp_path: Path) -> None:
-    """The position timeline begins on a whole kilometre, where no trip has been yet."""
-    state = made_trip()["/train/state"]
-    moved = state.assign(position=np.linspace(420.0, LENGTH, len(state)))
-    moved.attrs.update(state.attrs)
-    path = tmp_path / "one.rrd"
-    write_replay([bare_trip(topics={"/train/state": moved})], path)
-    found = rows(path, "/trips/up/cursor")
-    assert found["position_m"].tolist()[:2] == [0, 420]
-    assert str(found["TextDocument:text"][0]) == "# km 0.420\n\nThe trip begins there."
-
-
-def test_particulars_are_listed_with_units_and_fit_a_narrow_panel(tmp_path: Path) -> None:
-    path, trip = tmp_path / "one.rrd", made_trip()
-    known = {**trip.metadata, "load": "17700", "not_used": "columns " * 20}
-    write_replay([replace(trip, metadata=known)], path)
-    (text,) = static(path, "/trips/up/about", "TextDocument:text")
-    assert "- **load**: 17.7 t\n" in text
-    assert "|" not in text
 
 
 # --------------------------------------------------------------------------------- the command

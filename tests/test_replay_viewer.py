@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 from refusals import refused
 from replay_trips import condition_of, made_trip, trajectory_of
-from rerun.chunk import McapReader
 
 from trainlog.errors import InputError
 from trainlog.mcap import write_log
@@ -283,18 +282,6 @@ def test_rerun_takes_the_fields_out_of_a_log(trip: Trip, log: Path, topic: Any) 
             ]
         )
         np.testing.assert_array_equal(values, frame[names].to_numpy().ravel())
-
-
-def test_rerun_reads_fixes_and_events_of_a_log_by_itself(trip: Trip, log: Path) -> None:
-    found: dict[str, int] = {}
-    for chunk in McapReader(log).stream().to_chunks():
-        for component in chunk.to_record_batch().schema.names:
-            if component in ("GeoPoints:positions", "TextLog:text"):
-                found[component] = found.get(component, 0) + chunk.num_rows
-    assert found == {
-        "GeoPoints:positions": len(trip["/gnss/fix"]),
-        "TextLog:text": len(trip["/events"]),
-    }
 
 
 @pytest.mark.parametrize(

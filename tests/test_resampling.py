@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
-from tests.mcap_trips import START, frames, trip_of, trips
+from tests.mcap_trips import START, frames, trip_of
 from trainlog.errors import InputError, LogError
 from trainlog.resampling import (
     interpolated,
@@ -127,16 +127,6 @@ def test_a_trip_on_one_clock_keeps_its_events_where_they_were() -> None:
     last = again.provenance[-1]
     assert (last["step"], last["seconds"], last["max_gap"]) == ("resample", 0.05, 1.0)
     assert again.metadata == trip.metadata
-
-
-@settings(max_examples=30)
-@given(trips())
-def test_resampling_twice_to_one_clock_changes_nothing_more(trip: Trip) -> None:
-    times = clock(0.0, 1.0, 2.5)
-    once = resampled(trip, times, max_gap=None)
-    twice = resampled(once, times, max_gap=None)
-    for name, frame in once.topics.items():
-        pd.testing.assert_frame_equal(frame, twice[name], check_exact=True)
 
 
 def test_columns_of_several_topics_stand_side_by_side_with_their_units() -> None:

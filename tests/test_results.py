@@ -50,24 +50,6 @@ def fitted():  # type: ignore[no-untyped-def]
     return analysis.fit([LOG])
 
 
-@pytest.mark.long
-def test_a_map_equals_itself_read_again_and_no_other() -> None:
-    path = trainlog.sample("CH_StGallen_Wil.map")
-    first, second = trainlog.read_map(path), trainlog.read_map(path)
-    assert first == second
-    second.layers["wet"].log_mean[3] += 1e-9
-    assert first != second
-    assert first != "a map"
-
-
-def test_a_fit_equals_its_pickled_copy(fitted) -> None:  # type: ignore[no-untyped-def]
-    (fit,) = fitted.trips
-    again = pickle.loads(pickle.dumps(fit))
-    assert again == fit
-    again.covariance[0, 0] *= 1.001
-    assert again != fit
-
-
 def test_arrays_of_other_types_shapes_and_values_differ() -> None:
     assert not same_values(np.zeros(2), [0.0, 0.0])
     assert not same_values({"a": 1.0}, {"b": 1.0})
@@ -87,12 +69,6 @@ def test_a_fit_goes_straight_into_set_and_calculation(fitted) -> None:  # type: 
         assert calculated.total("calculated_work") == expected.total("calculated_work")
     with pytest.raises(trainlog.InputError, match=r"\(str\) was given where"):
         analysis.calculate(LOG, "params.json")
-
-
-def test_a_report_of_what_is_no_path_is_refused(fitted, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(trainlog.InputError, match="a Fits was given where a str or Path"):
-        analysis.write_report(fitted, tmp_path / "fit.html")
-    assert not (tmp_path / "fit.html").exists()
 
 
 def test_a_page_prints_its_contents_in_few_lines() -> None:

@@ -8,7 +8,6 @@ import pytest
 from command import Shell
 from refusals import refused
 
-from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.formats.settings import MEANINGS, Settings, read_settings, set_setting
@@ -101,11 +100,6 @@ def test_a_line_that_is_set_is_taken_where_none_is_given(
     shell("simulate", "drive", "--count", "1", "-o", tmp_path / "trips")
     _, out, _ = shell("show", tmp_path / "trips" / "trip-01.mcap")
     assert "OWN" in out
-
-
-def test_words_without_speeds_and_times_stay() -> None:
-    for words in ("trip-80km/hour", "2024-10-09 06:00 CET", "version 1.2", "[km/h]"):
-        assert in_zone(in_speed_unit(words, "mph"), "Asia/Tokyo") == words
 
 
 def test_the_page_lists_the_settings() -> None:

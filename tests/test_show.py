@@ -16,7 +16,6 @@ from trainlog.cli.main import run
 from trainlog.errors import TrainlogError
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import write_summaries
-from trainlog.mcap import write_log
 from trainlog.mcap.convert import convert
 
 pytestmark = pytest.mark.usefixtures("remembered")
@@ -56,15 +55,6 @@ def test_a_table_of_a_recorder_is_shown_as_ingest_reads_it(
     assert found.kind == "table of a recorder"
     assert found.lines[0] == "50 rows of 3 columns: Uhrzeit, Länge [°], v [km/h]"
     assert f"make a trip of it with: trainlog ingest {path}" in found.lines[1]
-
-
-@pytest.mark.parametrize("kind", ["line", "train", "journey", "profile"])
-def test_templates_are_shown(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / f"mine.{kind}.toml"
-    assert run(["new", kind, "-o", str(path)]) == 0
-    capsys.readouterr()
-    assert run(["show", str(path)]) == 0
-    assert f"{kind}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
@@ -186,13 +176,6 @@ def test_a_damaged_log_is_shown_and_ends_with_1(share: float, tmp_path: Path, sh
     assert shell("show", whole, whole)[0] == 0
 
 
-def test_none_of_several_that_can_be_shown_ends_with_2(tmp_path: Path, shell: Shell) -> None:
-    absent = [tmp_path / "a.mcap", tmp_path / "b.line.json"]
-    status, shown, complaint = shell("show", *absent)
-    assert (status, shown) == (2, "")
-    assert all(f"{each}: does not exist" in complaint for each in absent)
-
-
 @pytest.mark.parametrize("name", ["nonstop.mcap", "CH_StGallen_Wil.line.json"])
 def test_trips_and_lines_have_a_picture(name: str, tmp_path: Path) -> None:
     picture = tmp_path / "out.png"
@@ -202,48 +185,12 @@ def test_trips_and_lines_have_a_picture(name: str, tmp_path: Path) -> None:
         run(["show", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--picture", str(picture)])
 
 
-def test_fields_without_any_value_are_not_listed_as_recorded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A recorder without a lever; the JSON states the same, as numbers in SI units."""
-    trip = trainlog.read(sample("nonstop.mcap"))
-    frame = trip["/train/controls"]
-    empty = frame.assign(lever=float("nan"))
-    empty.attrs.update(frame.attrs)
-    log = tmp_path / "trip.mcap"
-    write_log(trip.with_topic(empty), log)
-    run(["show", str(log)])
-    shown = capsys.readouterr().out
-    assert "not recorded: lever" in shown
-    run(["show", str(log), "--json"])
-    (found,) = json.loads(capsys.readouterr().out)["logs"]
-    topics = {each["name"]: each for each in found["topics"]}
-    recorded = {each["name"]: each["recorded"] for each in topics["/train/controls"]["fields"]}
-    assert not recorded["lever"]
-    assert recorded["tractive_effort"]
-    assert topics["/train/controls"]["messages"] == len(frame)
-    assert topics["/train/controls"]["rate_Hz"] == pytest.approx(10.0, rel=1e-3)
-    assert found["position_end_m"] == pytest.approx(trip["/train/state"]["position"].max())
-
-
 def test_a_map_is_no_log_and_no_fit(tmp_path: Path) -> None:
     """What is wrong with a file is stated before what is wrong with the display."""
     track = str(sample("CH_StGallen_Wil.map"))
     refused(TrainlogError, "not an MCAP file but a track-condition map", run, ["replay", track])
     with pytest.raises(TrainlogError, match="is a track-condition map; the parameters"):
         run(["compare", "calculated", str(sample("nonstop.mcap")), "--model", track])
-
-
-def test_settings_take_the_options_of_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    run(["settings", "--json"])
-    assert json.loads(capsys.readouterr().out)["settings"]["speed"]
-    run(["settings", "-q"])
-    assert capsys.readouterr().out == ""
-
-
-def test_a_conversion_makes_the_folder_that_is_named(tmp_path: Path) -> None:
-    run(["convert", str(sample("nonstop.mcap")), "-o", str(tmp_path / "new" / "trip.parquet")])
-    assert (tmp_path / "new" / "trip.parquet").is_dir()
 
 
 def test_what_ingest_repaired_is_listed_with_its_raw_values(tmp_path: Path, shell: Shell) -> None:

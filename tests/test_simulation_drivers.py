@@ -11,7 +11,6 @@ from refusals import refused
 from simulated_line import flirt, hilly_line, level_line, steps, trajectory_of
 
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.railway import Station
 from trainlog.railway.motion import timetable_run
 from trainlog.simulation import (
     Run,
@@ -21,15 +20,12 @@ from trainlog.simulation import (
     trajectory_scenarios,
 )
 from trainlog.simulation.drivers import (
-    Demand,
     Driver,
     Habits,
-    Observation,
     Stop,
     TimetableDriver,
     plan,
 )
-from trainlog.simulation.plant import Plant
 
 
 def journey(line=None, adhesion: float = 0.3, **changes: object) -> Scenario:
@@ -108,15 +104,6 @@ def test_driver_stops_on_slippery_rails() -> None:
     assert found["protected_axles"].max() > 0.0
 
 
-def test_early_driver_runs_more_slowly() -> None:
-    tight, loose = (
-        journey(stops=plan(hilly_line(), flirt(), hilly_line().stations, reserve=reserve))
-        for reserve in (0.05, 0.25)
-    )
-    fast, slow = (columns(s, drive(s))["speed"].max() for s in (tight, loose))
-    assert slow < fast - 1.0
-
-
 def test_a_train_that_cannot_climb_is_refused() -> None:
     line = replace(hilly_line(), gradients=steps((0.0, 0.0), (3_000.0, 0.06)))
     refused(InfeasibleError, "does not arrive; at km 3", drive, journey(line, adhesion=0.05))
@@ -128,18 +115,6 @@ def test_a_train_that_never_moves_is_given_up_after_twenty_minutes() -> None:
         drive(journey(train=weak))
 
 
-def test_a_train_that_waits_long_at_a_stop_is_not_given_up() -> None:
-    stops = plan(hilly_line(), flirt(), hilly_line().stations)
-    late = 2_000.0
-    waits = [replace(stops[0], departure=stops[0].departure + late)]
-    waits += [
-        replace(stop, arrival=stop.arrival + late, departure=stop.departure + late)
-        for stop in stops[1:]
-    ]
-    run = drive(journey(stops=tuple(waits)))
-    assert run.seconds[-1] > late
-
-
 def test_running_time_of_a_level_run() -> None:
     """Constant acceleration, cruising and braking in closed form."""
     train = replace(flirt(), max_traction_power=1e9, max_tractive_effort=100e3, length=0.0)
@@ -149,14 +124,6 @@ def test_running_time_of_a_level_run() -> None:
     expected = 25.0 / a + 25.0 / b + (10_000.0 - 25.0**2 / (2 * a) - 25.0**2 / (2 * b)) / 25.0
     found = timetable_run(line, train, 0.0, 10_000.0, deceleration=b, lever=1.0).running_time
     assert found == pytest.approx(expected, rel=2e-3)
-
-
-def test_the_whole_train_must_have_passed_a_restriction() -> None:
-    line = replace(level_line(), speed_limits=steps((0.0, 20.0), (500.0, 30.0), (800.0, 10.0)))
-    grid = np.array([0.0, 499.0, 501.0, 550.0, 559.0, 799.0, 801.0])
-    np.testing.assert_array_equal(
-        line.limits_over(58.6)(grid), [20.0, 20.0, 20.0, 20.0, 30.0, 30.0, 10.0]
-    )
 
 
 @given(
@@ -215,26 +182,3 @@ def test_trajectory_of_another_line_is_refused() -> None:
 def test_a_train_that_cannot_brake_is_not_driven() -> None:
     train = replace(flirt(), max_dynamic_braking_effort=0.0, max_pneumatic_braking_effort=0.0)
     refused(InputError, "has no brake", draw_scenarios, hilly_line(), train, count=1)
-
-
-def test_any_driver_can_drive() -> None:
-    """The protocol is all a controller needs."""
-
-    class Half:
-        finished = False
-
-        def demand(self, observation: Observation) -> Demand:
-            return Demand(50e3 if observation.speed < 10.0 else 0.0, 0.0)
-
-    driver, plant = Half(), Plant.of(level_line(), flirt())
-    state = plant.at()
-    for tick in range(600):
-        asked = driver.demand(Observation(0.1 * tick, state.position, state.speed, 0.0))
-        plant.advance(state, asked.tractive_effort, asked.braking_effort, 20)
-    assert state.speed == pytest.approx(10.0, abs=0.1)
-
-
-def test_a_line_without_stations_in_between_runs_through() -> None:
-    line = replace(hilly_line(), stations=(Station("Aach", 0.0), Station("Dorf", 11_000.0)))
-    for scenario in draw_scenarios(line, flirt(), 2, seed=4):
-        assert len(scenario.stops) == 2

@@ -97,24 +97,6 @@ def test_same_seed_draws_the_same_network(network: Network) -> None:
     assert draw_network(seed=4).edges[0].line != network.edges[0].line
 
 
-def test_trains_of_three_kinds_differ_from_their_kind_and_from_each_other() -> None:
-    trains = draw_trains(20, seed=1)
-    assert {each.kind for each in trains} == {"flirt", "kiss", "traxx"}
-    for kind in ("flirt", "kiss", "traxx"):
-        shares = [
-            each.resistance(25.0) / each.train.resistance(25.0)
-            for each in trains
-            if each.kind == kind
-        ]
-        assert 0.01 < np.std(shares) < 0.09
-    assert len({each.train.axles.count for each in trains}) == 2
-    assert len({round(each.train.mass) for each in trains}) == 3
-    # Some recorders lack channels, some weigh no load.
-    for name in ("satellites", "axles", "acceleration", "demands"):
-        assert {getattr(each.recorder, name) for each in trains} == {True, False}
-    assert {each.recorder.sensors.load_error is None for each in trains} == {True, False}
-
-
 def test_wheels_wear_between_readings_and_are_set_right_over_the_months() -> None:
     train = draw_trains(1, seed=2)[0]
     start = pd.Timestamp("2026-10-01T06:00Z").value
@@ -355,15 +337,6 @@ def test_fleets_that_cannot_be_are_refused(network: Network) -> None:
         draw_fleet(network, trains=2, faults=[Fault("flirt-09", "mass", 3e3, 0)])
     refused(InputError, "more than", draw_fleet, network, trains=1, days=1, trips=100)
     refused(InputError, "0 lines", draw_network, 1, lines=0)
-
-
-def test_a_year_with_few_trips_a_day_meets_winter_and_wear(network: Network) -> None:
-    drawn = draw_fleet(network, trains=2, days=300, trips=40, seed=5)
-    first, last = drawn.departure(0), drawn.departure(39)
-    assert (last - first) / DAY > 270.0
-    scenarios = [drawn.scenario(number) for number in range(0, 40, 6)]
-    temperatures = [each.temperature for each in scenarios]
-    assert np.ptp(temperatures) > 8.0
 
 
 def test_a_fault_that_takes_effect_in_no_trip_is_refused() -> None:

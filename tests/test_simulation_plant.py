@@ -104,17 +104,6 @@ def test_momentum_is_conserved_without_outer_forces() -> None:
     assert momentum() == pytest.approx(before, rel=1e-13)
 
 
-@pytest.mark.parametrize("effort", [20e3, pytest.param(40e3, marks=pytest.mark.long)])
-def test_constant_effort_reaches_equilibrium_speed(effort: float) -> None:
-    train = flirt(max_traction_power=50e6)
-    plant = Plant.of(level_line(), train)
-    state = rolling(plant, 0.0, 45.0)
-    plant.advance(state, effort, 0.0, 700_000, 700_000)
-    r = train.resistance
-    expected = (-r.r1 + np.sqrt(r.r1**2 - 4.0 * r.r2 * (r.r0 - effort))) / (2.0 * r.r2)
-    assert state.speed == pytest.approx(expected, rel=1e-9)
-
-
 def test_coasting_follows_the_closed_form() -> None:
     drag = RunningResistance(2_400.0, 0.0, 12.0)
     train = flirt(resistance=drag)
@@ -128,14 +117,6 @@ def test_coasting_follows_the_closed_form() -> None:
     expected = np.tan(np.arctan(40.0 * ratio) - rate * time) / ratio
     # The wheels lag by the creep that slows them down, some mm/s.
     np.testing.assert_allclose(rows["speed"], expected, rtol=0.0, atol=2e-4)
-
-
-def test_rotating_mass_counts_once() -> None:
-    train = flirt(resistance=NO_DRAG, rotating_mass_factor=0.2)
-    plant = Plant.of(level_line(), train)
-    state = rolling(plant, 0.0, 5.0)
-    rows = columns(plant, plant.advance(state, 60e3, 0.0, 1_000, 10))
-    assert rows["acceleration"][-1] == pytest.approx(60e3 / (1.2 * train.mass), rel=2e-5)
 
 
 def test_gradient_curve_and_tunnel_forces() -> None:
@@ -234,19 +215,6 @@ def test_effort_stays_within_its_curve_at_every_sample() -> None:
             assert np.all(found[name][200:] <= CURVE(found["speed"][200:]))
 
 
-def test_a_curve_that_is_the_hyperbola_changes_nothing() -> None:
-    train = flirt()
-    speeds = np.linspace(0.0, 60.0, 3_001)
-    curve = EffortCurve(speeds, train.tractive_effort_limit(speeds))
-    ends = []
-    for each in (train, replace(train, traction_curve=curve, max_traction_power=9e7)):
-        plant = Plant.of(level_line(), each)
-        state = released(plant)
-        plant.advance(state, 300e3, 0.0, 20_000, 1_000)
-        ends.append((state.position, state.speed))
-    assert ends[0] == pytest.approx(ends[1], rel=1e-5)
-
-
 def test_a_share_of_the_power_stretches_the_curve() -> None:
     train = replace(flirt(), traction_curve=CURVE)
     plant = Plant.of(level_line(), train, max_power=0.8 * train.max_traction_power)
@@ -311,14 +279,6 @@ def test_a_stop_is_clean() -> None:
     assert np.all(np.diff(rows["position"]) >= 0.0)
     # The wheels come to rest with the train.
     assert np.abs(state.wheel_speeds).max() < 1e-12
-
-
-def test_wheels_roll_with_the_train_when_nothing_is_asked() -> None:
-    plant = Plant.of(level_line(), flirt())
-    state = rolling(plant, 0.0, 25.0)
-    rows = plant.advance(state, 0.0, 0.0, 10_000, 50)
-    # Creep only carries the deceleration of the wheels themselves.
-    assert np.abs(slips(plant, rows)).max() < 5e-3
 
 
 def test_slip_only_where_demand_exceeds_adhesion() -> None:
@@ -404,13 +364,6 @@ def test_creep_curves_are_those_of_the_paper_at_its_two_rails() -> None:
     found = between[4] * (np.exp(-between[2] * slip) - np.exp(-between[3] * slip))
     assert found.max() == pytest.approx(0.2, rel=1e-3)
     assert WET.peak_slip > slip[int(np.argmax(found))] > DRY.peak_slip
-
-
-def test_load_rests_on_the_powered_axles_too() -> None:
-    train = flirt()
-    empty, loaded = Plant.of(level_line(), train), Plant.of(level_line(), train, mass=142e3)
-    assert loaded.weights.sum() == pytest.approx(train.adhesive_weight(20e3))
-    assert loaded.weights.sum() / empty.weights.sum() == pytest.approx(142.0 / 122.0)
 
 
 def test_recording_changes_nothing() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from refusals import refused
@@ -48,12 +46,6 @@ def test_effort_noise_is_proportional_and_quantised() -> None:
     assert on_grid(found, 100.0)
     assert np.std(found) == pytest.approx(800.0, rel=0.03)
     assert np.all(measuring.measured_effort(np.zeros(100), Sensors(), generator()) == 0.0)
-
-
-def test_noise_can_be_switched_off() -> None:
-    exact = Sensors(speed_noise=0.0, speed_resolution=0.0)
-    speed = np.linspace(0.0, 30.0, 77)
-    assert np.array_equal(measuring.measured_speed(speed, 1.0, exact, generator()), speed)
 
 
 def test_wheel_diameters_err_together_and_apart() -> None:
@@ -111,16 +103,6 @@ def test_gnss_noise_rates_and_outages() -> None:
     assert np.std(motion.speed - speed[0]) == pytest.approx(0.083, rel=0.15)
     reported = np.sqrt(np.mean(fix.horizontal_accuracy**2))
     assert np.std(np.concatenate((north, east))) == pytest.approx(reported, rel=0.25)
-
-
-def test_without_geometry_there_is_motion_but_no_fix() -> None:
-    line = replace(hilly_line(), geometry=None)
-    time = ticks(3_000)
-    fix, motion, _ = measuring.gnss(
-        line, time, np.linspace(0.0, 2_000.0, 3_000), np.full(3_000, 6.7), Sensors(), generator()
-    )
-    assert fix is None
-    assert len(motion) > 1_000
 
 
 def test_environment_is_that_of_the_position() -> None:

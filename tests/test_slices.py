@@ -112,40 +112,12 @@ def test_times_that_make_no_slice_are_refused(start: object, end: object, said: 
 # --------------------------------------------------------------------------------- by position
 
 
-def test_every_topic_is_cut_to_the_times_within_the_stretch() -> None:
-    cut = driven([0, 1, 2, 3], [0, 10, 20, 30]).within(5, 20)
-    assert cut[TRAIN_STATE.name]["position"].tolist() == [10, 20]
-    # 5 m were passed half way between two samples.
-    assert messages(cut) == ["0.5 s", "1 s", "1.5 s", "2 s"]
-
-
-def test_a_train_that_comes_back_gives_several_spans() -> None:
-    cut = driven([0, 1, 2, 3, 4], [0, 20, 40, 20, 0]).within(10, 20)
-    assert cut[TRAIN_STATE.name]["position"].tolist() == [20, 20]
-    assert messages(cut) == ["0.5 s", "1 s", "3 s", "3.5 s"]
-
-
-def test_a_stretch_passed_between_two_samples_still_has_its_time() -> None:
-    cut = driven([0, 1, 2], [0, 100, 200]).within(40, 60)
-    assert len(cut[TRAIN_STATE.name]) == 0
-    assert messages(cut) == ["0.5 s"]
-
-
-def test_standing_at_the_limit_is_within() -> None:
-    assert messages(driven([0, 1, 2], [0, 10, 10]).within(10, 12)) == ["1 s", "1.5 s", "2 s"]
-
-
 def test_the_smoothed_position_counts_where_there_is_one() -> None:
     trip = driven([0, 1], [0, 10])
     smoothed = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"position": [100, 110]})
     assert messages(trip.with_topic(smoothed).within(100, 104)) == ["0 s"]
     unknown = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"speed": [1.0, 1.0]})
     assert messages(trip.with_topic(unknown).within(0, 4)) == ["0 s"]
-
-
-def test_positions_that_are_not_known_are_passed_over() -> None:
-    cut = driven([0, 1, 2, 3], [np.nan, 10, np.nan, 30]).within(10, 20)
-    assert messages(cut) == ["1 s", "1.5 s", "2 s"]
 
 
 def test_a_trip_without_position_is_refused() -> None:
@@ -218,24 +190,3 @@ def test_between_two_samples_the_position_is_on_the_line(
     held = in_spans(every, spans)
     assert held[(place > start + slack) & (place < end - slack)].all()
     assert not held[(place < start - slack) | (place > end + slack)].any()
-
-
-@settings(max_examples=15)
-@given(rides(), limits, limits)
-def test_slicing_by_position_and_writing_can_change_places(
-    tmp_path_factory: pytest.TempPathFactory,
-    ride: tuple[np.ndarray, np.ndarray],
-    one: float,
-    other: float,
-) -> None:
-    time, position = ride
-    if not np.isfinite(position).any():
-        return
-    frame = frame_of(TRAIN_STATE, START + time, {"position": position})
-    events = frame_of(EVENTS, START + np.arange(time[-1] + 1), {})
-    trip = Trip({TRAIN_STATE.name: frame, EVENTS.name: events})
-    stretch = sorted((one, other))
-    folder = tmp_path_factory.mktemp("slices")
-    write_log(trip, folder / "whole.mcap")
-    write_log(trip.within(*stretch), folder / "part.mcap")
-    assert_same(read_log(folder / "whole.mcap").within(*stretch), read_log(folder / "part.mcap"))

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_examples import TRAINS, assert_same, journeys, lines
+from format_examples import TRAINS, assert_same, lines
 from hypothesis import HealthCheck, given, settings, strategies as st
 from refusals import refused
 
 from trainlog.declaration import entries, example, meanings
 from trainlog.errors import InputError
 from trainlog.formats import railway as templates
-from trainlog.formats.declared import thing_from_bytes
 from trainlog.formats.railway import (
     line_from_bytes,
     line_to_bytes,
@@ -22,12 +21,10 @@ from trainlog.formats.railway import (
     read_line_table,
     read_train,
     train_from_bytes,
-    write_journey,
     write_line,
     write_template,
     write_train,
 )
-from trainlog.formats.samples import sample
 from trainlog.ingest import ingest, read_profile
 from trainlog.railway import Line, Train
 from trainlog.railway.trajectory import Journey
@@ -141,24 +138,6 @@ def test_trains_in_toml(tmp_path: Path, train: Train) -> None:
     assert_same(found, train, ROUNDING)
 
 
-@quick
-@given(journeys())
-def test_journeys_in_toml(tmp_path: Path, journey: Journey) -> None:
-    """What has no bound is nan."""
-    write_journey(journey, tmp_path / "a.toml")
-    found = thing_from_bytes(Journey, (tmp_path / "a.toml").read_bytes(), file="a.toml")
-    assert_same(found, journey, ROUNDING)
-
-
-def test_mistakes_in_toml_are_named_as_in_json(tmp_path: Path) -> None:
-    path = tmp_path / "a.train.toml"
-    text = templates.template("train")
-    path.write_text(text.replace('mass = { value = 120, unit = "t" }', "mass = 120", 1), "utf-8")
-    refused(InputError, r"a\.train\.toml, mass: 120 has no unit; give value and", read_train, path)
-    path.write_text(text.replace("[axles]", "[axles", 1), "utf-8")
-    refused(InputError, r"a\.train\.toml: is not TOML: .*line \d+", read_train, path)
-
-
 # ------------------------------------------------------------------ a line from a table
 
 
@@ -197,14 +176,6 @@ Kilometrierung [km];Neigung [‰];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];L�
     assert line.geometry.latitudes.tolist() == [47.40, 47.41, 47.42, 47.44]
     np.testing.assert_allclose(line.kilometre([0.0, 2_700.0, 12_000.0]) / 1e3, [12.3, 15.0, 24.3])
     assert line.reversed().kilometre(0.0) == pytest.approx(24_300.0)
-
-
-def test_coordinates_of_a_table_are_degrees(tmp_path: Path) -> None:
-    head = "km;Steigung [%];Geschwindigkeit [km/h];Breite;Länge"
-    rows = f"{head}\n0;1;80;50,80;12,90\n5;0;80;50,81;12,95\n"
-    line = read_line_table(table(tmp_path, rows))
-    assert line.geometry is not None
-    assert line.geometry.longitudes.tolist() == [12.90, 12.95]
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
@@ -285,20 +256,3 @@ def test_tables_that_are_no_line(tmp_path: Path, text: str, message: str) -> Non
     caught = refused(InputError, message, read_line_table, path)
     assert str(caught).startswith(str(path))
     assert "\n" not in str(caught)
-
-
-def test_the_sample_line_as_a_table(tmp_path: Path) -> None:
-    """Limits and gradients of St.Gallen-Wil, written as a person would."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    at = np.unique(np.concatenate((line.speed_limits.positions, line.gradients.positions)))
-    rows = [
-        f"{s / 1e3:.6f};{1e3 * line.gradient(s):.6f};{3.6 * line.speed_limit(s):.6f}" for s in at
-    ]
-    rows.append(f"{line.length / 1e3:.6f}")
-    found = read_line_table(
-        table(tmp_path, "\n".join(["km;gradient [permil];limit [km/h]", *rows]))
-    )
-    assert found.length == pytest.approx(line.length)
-    s = np.linspace(1.0, line.length - 1.0, 1000)
-    np.testing.assert_allclose(found.gradient(s), line.gradient(s), atol=1e-8)
-    np.testing.assert_allclose(found.speed_limit(s), line.speed_limit(s), rtol=1e-6)

@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 
 from trainlog.errors import LogError
-from trainlog.resampling import interpolated
-from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, column_field
+from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_STATE, column_field
 from trainlog.trip import Trip, frame_of, seconds
 
 SECOND = 1_000_000_000
@@ -47,12 +46,6 @@ def test_frames_carry_units_and_absent_fields_are_nan() -> None:
     assert str(frame.index.dtype) == "datetime64[ns, UTC]"
 
 
-def test_frames_take_axles_as_a_matrix() -> None:
-    frame = frame_of(TRAIN_AXLES, [0, SECOND], {"wheel_speed": np.arange(6.0).reshape(2, 3)})
-    assert list(frame.columns) == ["wheel_speed_1", "wheel_speed_2", "wheel_speed_3"]
-    assert frame["wheel_speed_3"].tolist() == [2.0, 5.0]
-
-
 def test_frames_refuse_columns_that_the_topic_does_not_have() -> None:
     with pytest.raises(KeyError):
         frame_of(TRAIN_STATE, [0], {"velocity": [1.0]})
@@ -71,53 +64,11 @@ def test_span_of_a_trip() -> None:
         _ = Trip({}).start
 
 
-def test_interpolation_follows_the_topic_table_and_invents_nothing() -> None:
-    wanted = pd.to_datetime(np.array([-1.0, 0.5, 1.5, 3.0]) * SECOND, utc=True)
-    speed = interpolated(state([0, 1, 2], [0.0, 10.0, 20.0]), "speed", wanted)
-    np.testing.assert_array_equal(speed, [np.nan, 5.0, 15.0, np.nan])
-    lever = frame_of(TRAIN_CONTROLS, np.array([0, 1, 2]) * SECOND, {"lever": [0.0, 0.5, 1.0]})
-    held = interpolated(lever, "lever", wanted)
-    np.testing.assert_array_equal(held, [np.nan, 0.0, 0.5, np.nan])
-
-
 def test_seconds_since_a_common_origin() -> None:
     frame = state([10, 11], [0.0, 0.0])
     np.testing.assert_array_equal(seconds(frame), [0.0, 1.0])
     origin = pd.Timestamp(8 * SECOND, tz="UTC")
     np.testing.assert_array_equal(seconds(frame, origin), [2.0, 3.0])
-
-
-def test_steps_of_provenance_are_appended() -> None:
-    trip = Trip({}).with_step("ingest", file="a.csv").with_step("fit")
-    assert [step["step"] for step in trip.provenance] == ["ingest", "fit"]
-
-
-def test_a_trip_is_summed_up_in_a_few_lines() -> None:
-    trip = Trip({"/train/state": state([0, 1, 2], [3.0, 4.0, 5.0])}, {"trip": "one", "train": "T"})
-    lines = repr(trip).splitlines()
-    assert lines[0] == "Trip 'one', T"
-    assert lines[1].split() == ["when", "1970-01-01", "00:00:00", "UTC,", "0:02", "min"]
-    assert "3 rows at 1 Hz" in lines[2]
-    assert "<table>" in trip._repr_html_()
-    assert repr(Trip({})).splitlines() == ["Trip 'unnamed'", "  topics  none"]
-
-
-def test_a_trip_of_many_topics_still_fits_ten_lines() -> None:
-    frames = {}
-    for topic in TOPICS.values():
-        frames[topic.name] = frame_of(topic, [0, SECOND], {})
-    trip = Trip(frames, {"train": "<T>"})
-    assert len(repr(trip).splitlines()) <= 10
-    assert all(name in repr(trip) for name in TOPICS)
-    assert "&lt;T&gt;" in trip._repr_html_()
-
-
-def test_a_trip_is_a_mapping_of_its_topics() -> None:
-    trip = Trip({"/train/state": state([0], [3.0])})
-    assert list(trip) == ["/train/state"]
-    assert len(trip) == 1
-    assert "/train/state" in trip
-    assert "/truth" not in trip
 
 
 def test_trips_are_equal_by_metadata_and_samples() -> None:
