@@ -21,7 +21,6 @@ import sqlalchemy as sa
 from command import run
 from hypothesis import given, settings, strategies as st
 from synthetic_trips import FIRST, synthetic_entry
-from test_cli_help import commands
 
 import trainlog
 from analysis.view import views_of
@@ -371,26 +370,6 @@ def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------ the command line
-
-
-def test_every_command_that_takes_logs_takes_trips_of_a_catalogue() -> None:
-    named = {"logs", "paths", "files", "sources"}
-    without = {"fleet add", "sfera"}
-    for words, command in commands():
-        names = {each.name for each in command.params}
-        options = {option for each in command.params for option in each.opts}
-        if {"trips", "catalogue"} <= names:
-            assert "--trips" in options, words
-        elif named & names and words not in without:
-            takes = next(each for each in command.params if each.name in named)
-            assert ".mcap" not in (takes.help or ""), words
-    found = {
-        words
-        for words, command in commands()
-        if {"--trips", "--catalogue"} <= {option for each in command.params for option in each.opts}
-    }
-    asked = "estimate, replay, report, convert, show, new line, map update, map score, fit efforts"
-    assert {*asked.split(", "), "fit coasting", "compare trips", "compare groups"} <= found
 
 
 def test_commands_take_the_trips_of_an_expression(

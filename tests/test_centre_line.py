@@ -10,12 +10,9 @@ from satellite_trips import Receiver, curve_of, drive, errors, winding
 
 from analysis.geometry.centre_line import CentreLine, geometry_of, line_of
 from estimators.centre_line import CURVATURE_CHANGE, fitted_curve
-from trainlog.cli.main import run
 from trainlog.errors import InputError
-from trainlog.formats.railway import read_line
 from trainlog.ingest import ingest_each, profile_of
 from trainlog.ingest.chainage import estimated_state
-from trainlog.mcap import write_log
 from trainlog.railway import Geometry
 from trainlog.railway.geometry import beside, nearest_on, track_of
 from trainlog.trip import Trip
@@ -149,24 +146,6 @@ def test_trips_without_fixes_make_no_line() -> None:
     trip = trips(1)[0]
     with pytest.raises(InputError, match="none of the trips has satellite fixes"):
         geometry_of([Trip({"/gnss/motion": trip["/gnss/motion"]}, trip.metadata)])
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_the_command_writes_line_and_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for trip in trips(2):
-        write_log(trip, tmp_path / f"{trip.name}.mcap")
-    assert (
-        run(["new", "line", "--from", str(tmp_path), "-o", str(tmp_path / "valley.line.json")]) == 0
-    )
-    line = read_line(tmp_path / "valley.line.json")
-    assert line.name == "valley"
-    assert line.geometry is not None
-    assert line.curvatures is not None
-    assert line.geometry.quality.startswith("fitted to the satellite fixes of 2 trips")
-    assert (tmp_path / "valley.line.png").is_file()
-    assert "from 2 trips" in capsys.readouterr().out
 
 
 AALTO = Path(__file__).parents[2] / "shared" / "data" / "aalto" / "device_data.csv"

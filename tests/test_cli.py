@@ -16,9 +16,8 @@ import pytest
 from command import Shell
 
 import analysis
-from trainlog.errors import InputError
-from trainlog.formats.railway import read_line, read_train, write_parameters
-from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.railway import write_parameters
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
 
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
 
@@ -301,15 +300,6 @@ def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
     assert complaint
 
 
-def test_a_file_called_sample_is_that_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert read_line("sample").name == "CH_StGallen_Wil"
-    assert read_train("sample").name == "CH_Stadler_FLIRT_TPF"
-    monkeypatch.chdir(tmp_path)
-    Path("sample").write_text("{}", "utf-8")
-    with pytest.raises(InputError):
-        read_line("sample")
-
-
 def test_a_damaged_log_is_reported_once_a_command(tmp_path: Path, shell: Shell) -> None:
     log = sample("nonstop.mcap").read_bytes()
     half = tmp_path / "half.mcap"
@@ -344,22 +334,6 @@ def test_brackets_in_names_and_findings_are_shown(tmp_path: Path, shell: Shell) 
     assert "run [1]: " in shown
     assert "not used: [time] of the profile" in shown
     assert "run [1].mcap" in shown
-
-
-def test_a_recorded_trip_can_be_fitted_and_mapped(tmp_path: Path, shell: Shell) -> None:
-    known = ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
-    profile = ("--profile", sample("recorder.profile.toml"), "--set", "load=24000")
-    log = tmp_path / "recorder.mcap"
-    shell("ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path)
-    status, _, complaint = shell("fit", log, "-o", tmp_path / "fit.json")
-    assert (status, complaint) == (0, "")
-    update = ("map", "update", log, "--map", tmp_path / "wil.map")
-    status, _, complaint = shell(*update)
-    assert status == 2
-    assert "dry or wet" in complaint
-    status, shown, _ = shell(*update, "--layer", "dry")
-    assert status == 0
-    assert "dry" in shown
 
 
 def test_an_interrupted_command_says_so(

@@ -137,13 +137,6 @@ def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
     assert state.speeds == pytest.approx(10.0, abs=1e-3)
 
 
-def test_time_does_not_pass_backwards() -> None:
-    plant = ConsistPlant(train(2))
-    state = plant.at(100.0, 10.0)
-    refused(InputError, "-10 steps", plant.advance, state, 0.0, 0.0, -10)
-    assert state.time == 0.0
-
-
 def test_the_track_acts_under_each_vehicle() -> None:
     """Only the vehicles that have passed the edge climb."""
     edge = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (1_000.0, 0.02)))

@@ -90,17 +90,6 @@ def test_a_measurement_file_that_is_none_or_of_others_is_refused(tmp_path: Path)
     assert not (tmp_path / "again.mcap").exists()
 
 
-def test_a_csv_file_opens_in_any_program(log: Path, tmp_path: Path) -> None:
-    convert(log, tmp_path / "trip.csv")
-    text = (tmp_path / "trip.csv" / "train_state.csv").read_text("utf-8").splitlines()
-    assert text[0] == '"time","position [m]","speed [m/s]","acceleration [m/s^2]"'
-    assert len(text) == 201
-    frame = pd.read_csv(tmp_path / "trip.csv" / "train_state.csv", parse_dates=["time"])
-    state = read_log(log)[TRAIN_STATE.name]
-    assert frame["position [m]"].tolist() == state["position"].tolist()
-    assert (pd.DatetimeIndex(frame["time"]) == state.index).all()
-
-
 FORMULAS = ("=1+1", "'=x", "''=x", "-5", "'s", "\t=a", "\r@a", "+49", "@b", "-")
 
 CELLS = st.fixed_dictionaries(

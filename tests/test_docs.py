@@ -30,8 +30,8 @@ import pages  # noqa: E402
 import sources  # noqa: E402
 
 PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
-LONG = ("engineer.md", "gallery.md", "planner.md")
-"""Pages whose code takes tens of seconds."""
+LONG = ("engineer.md", "gallery.md", "network.md", "planner.md", "simulation.md")
+"""Pages whose code takes many seconds."""
 TUTORIAL = DOCS / "tutorials" / "developer.md"
 PAINTED = Figure.savefig
 LINK = re.compile(r"\]\(([^)#\s]+)")

@@ -11,13 +11,11 @@ import pytest
 from format_examples import effort_curves
 from hypothesis import given, settings, strategies as st
 from refusals import refused
-from typer.testing import CliRunner
 
-from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats import osrd, railtoolkit
 from trainlog.formats.csv_tables import read_effort_curve
-from trainlog.formats.imports import ImportOptions, import_file
+from trainlog.formats.imports import import_file
 from trainlog.formats.railway import (
     read_train,
     write_train,
@@ -167,20 +165,6 @@ def test_bad_csv_is_refused_with_the_place(text: str, words: str, tmp_path: Path
     assert "curve.csv" in str(refusal)
 
 
-def test_the_command_puts_a_curve_into_a_train(tmp_path: Path) -> None:
-    write_train(FLIRT, tmp_path / "mine.train.json")
-    (tmp_path / "curve.csv").write_text("speed [km/h],effort [kN]\n0,100\n36,80\n108,20\n")
-    arguments = ["import", str(tmp_path / "mine.train.json"), "-o", str(tmp_path / "out")]
-    arguments += ["--traction-curve", str(tmp_path / "curve.csv")]
-    assert CliRunner().invoke(app, arguments).exit_code == 0
-    train = read_train(tmp_path / "out" / "mine.train.json")
-    assert train.traction_curve == CURVE
-    assert train.max_tractive_effort == 100e3
-    assert train.max_traction_power == pytest.approx(CURVE.peak_power)
-    line = sample("CH_StGallen_Wil.line.json")
-    refused(InputError, "", import_file, line, tmp_path, ImportOptions(traction_curve=CURVE))
-
-
 # ---- OSRD and railtoolkit -----------------------------------------------------------------------
 
 STOCK = {
@@ -220,25 +204,6 @@ def stock(folder: Path, **changes: object) -> Path:
     path = folder / "stock.json"
     path.write_text(json.dumps(STOCK | changes))
     return path
-
-
-def test_an_osrd_train_has_the_efforts_of_its_electrification(tmp_path: Path) -> None:
-    train, dropped = osrd.read_train(stock(tmp_path))
-    assert train.tractive_effort_limit([0.0, 10.0, 40.0]).tolist() == [120e3, 100e3, 40e3]
-    assert train.resistance(10.0) == pytest.approx(1000.0 + 200.0 + 500.0)
-    assert train.rotating_mass == pytest.approx(5_000.0)
-    assert (train.max_acceleration, train.max_deceleration, train.max_speed) == (0.8, 0.5, 40.0)
-    assert dropped == [
-        "efforts of electrification 1500V",
-        "1 efforts by comfort",
-        "keys loading_gauge",
-    ]
-    other, _ = osrd.read_train(stock(tmp_path), "1500V")
-    assert other.tractive_effort_limit(40.0) == 20e3
-    assert "1500V" in other.source
-    with pytest.raises(InputError, match="no tractive effort for electrification 'steam'") as no:
-        osrd.read_train(stock(tmp_path), "steam")
-    assert no.value.remedy == "choose one of 25000V, 1500V"
 
 
 @pytest.mark.parametrize(

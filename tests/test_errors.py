@@ -69,12 +69,6 @@ def test_every_error_survives_pickling_and_copying() -> None:
             assert again.remedy == error.remedy
 
 
-def test_several_problems_survive_pickling() -> None:
-    two = [trainlog.InputError("is missing", place=place) for place in ("mass", "length")]
-    error = pickle.loads(pickle.dumps(trainlog.InputError.listing(two, file="train.json")))
-    assert [each.place for each in error.each] == ["mass", "length"]
-
-
 def test_a_refused_trip_is_refused_across_processes() -> None:
     trip = trainlog.read(trainlog.sample("nonstop.mcap")).within(3_200.0, 3_300.0)
     met = refused(analysis.TripRefusedError, "", analysis.fit_trip, trip)

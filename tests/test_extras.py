@@ -104,7 +104,7 @@ MISSING = (
 """Commands that need a package, and its extra."""
 
 
-@pytest.mark.parametrize("kept", ["", "learn"])
+@pytest.mark.parametrize("kept", [pytest.param("", marks=pytest.mark.long), "learn"])
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(
     kept: str, tmp_path: Path
 ) -> None:

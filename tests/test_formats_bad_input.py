@@ -383,16 +383,6 @@ def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path: Path) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_a_list_of_problems_ends(tmp_path: Path) -> None:
-    content = json.loads(GOOD["line"][0])
-    content["speed_limits"]["values"] = [[0, None] for _ in range(100)]
-    path = tmp_path / "l.json"
-    path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"100 problems: \(1\).*\(20\).*; and 80 more$") as caught:
-        read_line(path)
-    assert len(caught.value.each) == 100
-
-
 # ------------------------------------------------------------------ what cannot be meant
 
 TRAINS_FOUND = {

@@ -30,25 +30,17 @@ from trainlog.formats.railway import (
     line_from_bytes,
     line_of,
     line_to_bytes,
-    read_journey,
     read_line,
     read_network,
-    read_parameters,
-    read_train,
-    read_trajectory,
     train_from_bytes,
     train_of,
     train_to_bytes,
-    write_journey,
     write_line,
     write_network,
-    write_parameters,
     write_train,
-    write_trajectory,
 )
 from trainlog.formats.samples import sample
 from trainlog.railway import (
-    Configuration,
     Line,
     ParameterSet,
     RunningResistance,
@@ -61,7 +53,7 @@ from trainlog.railway import (
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.network import Edge, Network, Node
 from trainlog.railway.train import Consist
-from trainlog.railway.trajectory import Journey, TimingPoint
+from trainlog.railway.trajectory import Journey
 from trainlog.trip import Trip
 
 pytestmark = pytest.mark.usefixtures("remembered")
@@ -198,36 +190,6 @@ def test_any_unit_of_the_right_dimension_is_read(written: str, declared: str) ->
     if "1.19" in declared:
         changed = changed.replace("permil", "%")
     assert_same(line_from_bytes(changed.encode()), simple_line(), 1e-15)
-
-
-def test_files_and_bytes_agree(tmp_path: Path) -> None:
-    configuration = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
-    zeros = np.zeros((1, 2))
-    trajectory = Trajectory(
-        "L",
-        "T",
-        np.array([0.0, 9.0]),
-        (configuration,),
-        zeros,
-        zeros,
-        zeros[0, :1],
-        zeros[:, :1],
-        9.0,
-    )
-    condition = TrackConditionMap("L", 25.0, 25.0, np.array([0.1]), {})
-    journey = Journey("J", "L", (TimingPoint(0.0), TimingPoint(9.0)))
-    write_parameters(ParameterSet("T", (configuration,)), tmp_path / "p.json")
-    assert read_parameters(tmp_path / "p.json").configurations == (configuration,)
-    write_trajectory(trajectory, tmp_path / "t.json")
-    assert_same(read_trajectory(tmp_path / "t.json"), trajectory)
-    write_map(condition, tmp_path / "m.map")
-    assert_same(read_map(tmp_path / "m.map"), condition)
-    write_journey(journey, tmp_path / "j.json")
-    assert read_journey(tmp_path / "j.json") == journey
-    write_line(simple_line(), tmp_path / "l.json")
-    assert read_line(tmp_path / "l.json") == simple_line()
-    write_train(simple_train(), tmp_path / "v.json")
-    assert read_train(tmp_path / "v.json") == simple_train()
 
 
 def test_what_json_cannot_say_is_refused_when_written() -> None:

@@ -37,8 +37,6 @@ from trainlog.mcap import read_log, recover, write_log
 from trainlog.mcap.convert import convert
 from trainlog.mcap.reader import identity_of_log
 from trainlog.railway import TrackConditionMap
-from trainlog.topics import TRAIN_STATE
-from trainlog.trip import Trip, frame_of
 
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "analysed_once")
 
@@ -165,16 +163,6 @@ class TestIdentity:
         assert whole is not None
         np.testing.assert_array_equal(found.blocks, whole.blocks)
         assert same_drives([Known("table", found), Known("log", whole)])
-
-    def test_trains_that_stand_at_the_same_time_are_two(self) -> None:
-        """All standing trains are alike: what they record must not make them one."""
-
-        def standing(train: str) -> Trip:
-            frame = frame_of(TRAIN_STATE, np.arange(3600) * 10**9, {"speed": np.zeros(3600)})
-            return Trip({"/train/state": frame}, {"train": train})
-
-        assert identity_of(standing("a")) == identity_of(standing("a"))
-        assert identity_of(standing("a")) != identity_of(standing("b"))
 
     def test_what_recorded_neither_speed_nor_place_has_none(self) -> None:
         assert identity_of(replace(WHOLE, topics={"/events": WHOLE["/events"]})) is None

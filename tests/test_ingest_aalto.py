@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 from refusals import refused
 
-from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_each, report_of
 from trainlog.trip import Trip
@@ -130,21 +129,3 @@ def test_the_published_rides() -> None:
         assert fix.index[0] >= pd.Timestamp(trip.metadata["departure"])
         assert fix.index[-1] <= pd.Timestamp(trip.metadata["arrival"])
         assert fix["latitude"].dropna().between(60.1, 60.4).all()
-
-
-def test_what_the_file_holds_besides_is_reported_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = fixes(1, "09:00:00", "09:30:00")
-    rides = [
-        ride(1, "SUBWAY", "V", "09:02:00", "09:10:00"),
-        ride(1, "TRAM", "9", "09:12:00", "09:20:00"),
-        ride(1, "BUS", "5", "09:21:00", "09:29:00"),
-    ]
-    words = ["trainlog", "ingest", str(both(tmp_path, rows, rides)), "-o", str(tmp_path / "logs")]
-    monkeypatch.setattr("sys.argv", words)
-    with pytest.raises(SystemExit):
-        cli.main()
-    shown = capsys.readouterr().out
-    assert shown.count("wrote") == 2
-    assert shown.count("not used: rides not by rail: 1") == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from ingest_logs import SECOND, START, plain_profile, write
-from recorder_files import MTK_HEADER, drive, mtk_frozen, mtk_rows
+from recorder_files import mtk_frozen
 
 from trainlog import draw_scenarios, read, read_line, read_train, sample, simulate
 from trainlog.formats.ttobench import read_track, read_train as read_published_train
@@ -229,20 +228,6 @@ def test_a_receiver_that_repeats_its_speed_for_minutes(tmp_path: Path, seed: int
     assert len(raw) == report.count("frozen")
     assert len(set(raw["raw_value"])) == 1
     assert raw["new_value"].isna().all()
-
-
-def test_speeds_that_a_receiver_renews_once_a_minute_are_not_kept(tmp_path: Path) -> None:
-    """No column agrees with them anywhere; what is kept is the train's speed, or near it."""
-    run = drive(12_000, 10.0, 3)
-    renewed = replace(run, speed=run.speed[np.arange(12_000) // 600 * 600])
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join([MTK_HEADER, *mtk_rows(renewed)]) + "\n", "ascii")
-    trip = ingest(path)
-    off = np.abs(trip["/gnss/motion"]["speed"].to_numpy() - run.speed)
-    assert np.mean(np.abs(renewed.speed - run.speed) > 2.0) > 0.7
-    assert np.count_nonzero(off > 2.0) < 0.1 * np.count_nonzero(np.isfinite(off))
-    assert report_of(trip).count("frozen", "/gnss/motion.speed") > 0.9 * 12_000
-    assert report_of(trip).count("unit_suspected") == 0
 
 
 def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from ingest_logs import plain_profile, plain_rows, write
 from recorder_files import MTK_HEADER, Drive, drive, mtk_rows
@@ -106,37 +105,3 @@ def test_a_value_that_stays_where_it_jumped_is_no_spike() -> None:
 
 
 # ------------------------------------------------------------------ every row and cell counted
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_every_row_and_cell_is_accounted_for(tmp_path: Path, seed: int) -> None:
-    """A file with all of it at once: rows read are rows kept and dropped, cells are counted."""
-    rng = np.random.default_rng(seed)
-    run = drive(6_000, 10.0, seed)
-    run = moved(run, rng.choice(np.arange(100, 4_400, 40), 9, replace=False), 500.0, 60.0)
-    speed = run.speed.copy()
-    begin = int(rng.integers(1_000, 3_000))
-    speed[begin : begin + 1_200] = speed[begin]
-    rows = mtk_rows(
-        Drive(run.time, run.latitude, run.longitude, run.altitude, speed, run.hdop, run.satellites)
-    )
-    rows = [row + "," * (i % 4) for i, row in enumerate(rows)]
-    for place in rng.choice(np.arange(4_500, 5_900, 30), 12, replace=False):
-        rows[place] = rows[place][: int(rng.integers(5, 30))]
-    before = [f"2000,0,0,0,0,{i // 10 % 60},0,0,0,0,0,9999" for i in range(700)]
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join([MTK_HEADER + ",,,", *before, *rows]) + "\n", "ascii")
-    trip = ingest(path)
-    report, raw = report_of(trip), repairs_of(trip)
-    assert report.rows_read == 6_700
-    assert report.rows_dropped == report.count("truncated_rows") + 700
-    assert report.count("truncated_rows") == 12
-    assert report.count("before_first_fix") == 700
-    assert report.count("frozen", "/gnss/motion.speed") >= 1_199
-    assert report.count("spikes", "/gnss/fix.latitude") == 9
-    for rule in ("spikes", "frozen"):
-        assert np.count_nonzero(raw["rule"] == rule) == report.count(rule)
-    motion, fix = trip["/gnss/motion"], trip["/gnss/fix"]
-    assert motion["speed"].isna().sum() == report.count("frozen", "/gnss/motion.speed")
-    assert fix["latitude"].isna().sum() == fix["longitude"].isna().sum() == 9
-    assert isinstance(fix.index, pd.DatetimeIndex)

@@ -12,12 +12,10 @@ from refusals import refused
 
 from analysis.adhesion.axles import protection_onsets
 from trainlog.errors import InputError
-from trainlog.ingest import ingest, profile_of, read_profile, report_of
+from trainlog.ingest import ingest, profile_of, read_profile
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import RunningResistance, Train
 from trainlog.units import _KEPT_IN, _NAMED, _OFFSETS, _registry, _spelled
-
-SAMPLE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"
 
 TRAIN = Train("small", 100_000.0, 0.1, RunningResistance(2e3, 50.0, 8.0), 200e3, 2e6)
 
@@ -315,23 +313,6 @@ def test_speed_and_a_start_make_an_estimated_position(tmp_path: Path) -> None:
     assert np.abs(error).max() < 0.5
     assert np.all(np.abs(error) < 4.0 * estimate["position_std"] + 0.02)
     assert np.all(np.diff(estimate["position"]) >= 0.0)
-
-
-def test_a_profile_and_a_report_are_printed_in_a_few_lines(tmp_path: Path) -> None:
-    profile = read_profile(SAMPLE)
-    assert "Vehicle recorder" in str(profile)
-    assert "/train/axles" in repr(profile)
-    rows = clean_run(40, 1).rows()
-    rows[4], rows[9] = rows[4].replace(",", ",x", 1), rows[9].rpartition(",")[0] + ","
-    report = report_of(ingest(write(tmp_path / "run.csv", rows), profile=plain_profile()))
-    assert repr(report).splitlines() == [
-        "Report: 40 rows read, 40 kept, 0 dropped",
-        "  not_a_number /train/state.speed  1 (rows 6)",
-        "  empty /train/state.position      1 (rows 11)",
-        "  raw values                       1 kept",
-    ]
-    assert "<table>" in report._repr_html_()
-    assert "<table>" in profile._repr_html_()
 
 
 def test_what_a_recorder_calls_slip_protection_is_named_so(tmp_path: Path) -> None:

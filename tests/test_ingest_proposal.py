@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +14,11 @@ from recorder_layouts import Verdict, draw, judged, table
 from typer.testing import CliRunner
 
 from analysis import fit_trip
-from analysis.comparison.groups import trip_cost
 from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.ingest import Proposal, ingest, propose_profile
-from trainlog.mcap import read_log
 from trainlog.railway import RunningResistance
 from trainlog.trip import Trip
 
@@ -124,19 +121,6 @@ def test_what_the_file_does_not_state_is_open() -> None:
     assert "# open: or local time" in proposal.text
 
 
-def test_energy_of_a_brake_that_may_be_both_is_stated_with_reservation(tmp_path: Path) -> None:
-    run = drive()
-    efforts = {"Zugkraft [kN]": np.maximum(run.F, 0.0), "Bremskraft [kN]": np.maximum(-run.F, 0.0)}
-    columns = {"t [s]": run.t, "v [m/s]": run.v, "s [m]": run.s}
-    path = written(tmp_path, columns | {name: force / 1e3 for name, force in efforts.items()})
-    metadata = propose_profile(path).profile.metadata
-    assert "the sum of both brakes" in metadata["recorded_brake"]
-    trip = read_log(sample("nonstop.mcap"))
-    stated = replace(trip, metadata={**trip.metadata, **metadata})
-    (more,) = set(trip_cost(stated).notes) - set(trip_cost(trip).notes)
-    assert "the recorded dynamic brake may be" in more
-
-
 def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> None:
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F [kN]": run.F})
@@ -164,25 +148,6 @@ def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) ->
     trip = ingest(path, propose_profile(path).profile)
     np.testing.assert_allclose(trip["/train/state"]["speed"], run.v, atol=1e-3)
     np.testing.assert_allclose(trip["/train/state"]["position"], run.s, atol=0.1)
-
-
-def test_the_brakes_of_a_german_recorder_are_known_by_their_names(tmp_path: Path) -> None:
-    run = drive()
-    braked = np.maximum(-np.gradient(run.v, run.t), 0.0)
-    path = written(
-        tmp_path,
-        {
-            "t [s]": run.t,
-            "v [km/h]": run.v * 3.6,
-            "E-Bremskraft [kN]": 150.0 * braked,
-            "HL-Druck [bar]": 5.0 - (braked > 0.1) * (0.3 + braked),
-            "C-Druck [bar]": 3.0 * braked,
-        },
-    )
-    columns = propose_profile(path).profile.columns
-    assert columns["/train/controls.dynamic_braking_effort"].column == "E-Bremskraft [kN]"
-    assert columns["/train/brakes.brake_pipe_pressure"].column == "HL-Druck [bar]"
-    assert columns["/train/brakes.brake_cylinder_pressure"].column == "C-Druck [bar]"
 
 
 @pytest.mark.parametrize(
@@ -347,21 +312,6 @@ def test_wheel_speeds_are_kept_where_no_speed_is_recorded(
     trip = ingest(path, propose_profile(path).profile)
     found = trip["/train/axles"][["wheel_speed_1", "wheel_speed_2"]].to_numpy()
     assert np.abs(found - run.v.to_numpy()[:, None]).max() < 0.02 * run.v.max()
-
-
-def test_traction_without_braking_moves_the_mass_of_its_own_seconds(tmp_path: Path) -> None:
-    """A train of 200 t that brakes half as long as it accelerates; its brakes are not recorded."""
-    run = drive()
-    path = written(
-        tmp_path,
-        {"t [s]": run.t, "Speed [m/s]": run.v, "Tractive effort [kN]": run.F.clip(lower=0.0) / 1e3},
-    )
-    check = field(propose_profile(path), "/train/controls.tractive_effort")["check"]
-    assert float(check.split()[2]) == pytest.approx(200.0, rel=0.15)
-    assert "only seconds in which it acts or the train coasts are used" in check
-    path = written(tmp_path, {"t [s]": run.t, "Speed [m/s]": run.v, "Kraft [kN]": run.F / 1e3})
-    check = field(propose_profile(path), "/train/controls.tractive_effort")["check"]
-    assert "only seconds" not in check
 
 
 @pytest.mark.parametrize(

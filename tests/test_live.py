@@ -409,7 +409,10 @@ def test_addresses_that_are_none_are_refused() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 @pytest.mark.parametrize(
     "number",
-    [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGINT],
+    [
+        signal.SIGKILL,
+        *(pytest.param(n, marks=pytest.mark.long) for n in (signal.SIGTERM, signal.SIGINT)),
+    ],
 )
 def test_what_ends_the_program_costs_a_second_at_most(number: int, tmp_path: Path) -> None:
     log = tmp_path / "live.mcap"

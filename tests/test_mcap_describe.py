@@ -6,21 +6,15 @@ import hashlib
 from io import StringIO
 from pathlib import Path
 
-import numpy as np
 import pytest
 from mcap_mutations import CHUNK, records_of
-from mcap_trips import ATTACHMENTS, METADATA, PROVENANCE, START, trip_of
-from refusals import refused
+from mcap_trips import ATTACHMENTS, METADATA, PROVENANCE, trip_of
 from rich.console import Console
 
 import trainlog
-from trainlog.errors import LogError
-from trainlog.mcap import LogDescription, describe, read_log, write_log
-from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE
-from trainlog.trip import Trip, frame_of
-
-FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
-foreign = pytest.mark.skipif(not FOREIGN.is_dir(), reason="the foreign MCAP files are not there")
+from trainlog.mcap import LogDescription, describe, write_log
+from trainlog.topics import TOPICS, TRAIN_STATE
+from trainlog.trip import Trip
 
 
 def described(trip: Trip, folder: Path) -> LogDescription:
@@ -74,47 +68,12 @@ def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
     assert 0 < found.stored_size < found.content_size
 
 
-def test_gaps_are_counted(tmp_path: Path) -> None:
-    steps = np.array([1, 1, 1, 3, 1, 4, 1, 0, 10, 1]) * 10**8
-    time = START + np.concatenate([[0], np.cumsum(steps)])
-    frame = frame_of(TRAIN_STATE, time, {"position": np.arange(11.0)})
-    (topic,) = described(Trip({TRAIN_STATE.name: frame}), tmp_path).topics
-    # Exactly three median intervals are not yet a gap.
-    assert topic.gaps == 2
-    assert topic.largest_gap == pytest.approx(1.0)
-    assert topic.rate == pytest.approx(10 / 2.3)
-
-
-def test_position_that_is_absent_or_runs_back(tmp_path: Path) -> None:
-    def span(position: list[float]) -> tuple[float, float] | None:
-        frame = frame_of(TRAIN_STATE, START + np.arange(len(position)), {"position": position})
-        return described(Trip({TRAIN_STATE.name: frame}), tmp_path).position_span
-
-    assert span([np.nan, np.nan]) is None
-    assert span([50.0, np.nan, 90.0, -10.0]) == (-10.0, 90.0)
-    assert described(trip_of(rows=3, topics=[EVENTS.name]), tmp_path).position_span is None
-
-
 def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None:
     trip = Trip({}, {"trip": "[red]night[/red]", "note": "a\x1b[2Jb\nc", "long": "x" * 500})
     text = printed(described(trip, tmp_path))
     assert "[red]night[/red]" in text
     assert "\x1b" not in text
     assert "x" * 500 not in text.replace("\n", "").replace(" ", "")
-
-
-@foreign
-def test_foreign_files_are_listed_but_are_no_trip() -> None:
-    for path in sorted(FOREIGN.glob("*.mcap")):
-        found = describe(path)
-        assert found.complete
-        assert found.schema_version is None
-        assert found.problem is not None
-        assert found.problem.startswith("holds no topic of trainlog, but ")
-        assert found.topics
-        assert found.topics[0].name in printed(found)
-        caught = refused(LogError, "holds no topic of trainlog", read_log, path)
-        assert caught.file == path
 
 
 def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path: Path) -> None:

@@ -181,15 +181,6 @@ def test_events_that_do_not_fit(
     assert len(read_log(tmp_path / "log.mcap")[EVENTS.name]) == 0
 
 
-def test_an_event_happens_now_unless_a_time_is_given(tmp_path: Path) -> None:
-    before = clock.time_ns()
-    with trainlog.record(tmp_path / "log.mcap") as log:
-        log.event(2, "departure", "driver")
-    events = read_log(tmp_path / "log.mcap")[EVENTS.name]
-    assert before <= events.index[0].value <= clock.time_ns()
-    assert events.iloc[0].tolist() == [2, "departure", "driver"]
-
-
 @pytest.fixture
 def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """A disk that takes no chunk before the gate is opened."""

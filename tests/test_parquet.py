@@ -61,15 +61,6 @@ def test_any_trip_comes_back_to_the_last_bit(
     assert_same(trip, read_parquet(folder))
 
 
-def test_a_column_of_words_keeps_its_kind(tmp_path: Path) -> None:
-    for kind in ("str", "object"):
-        words = pd.Series(["a", "b"], dtype=kind).array
-        frame = frame_of(EVENTS, [START, START + 1], {"level": [1, 2]}).assign(message=words)
-        trip = Trip({EVENTS.name: frame})
-        write_parquet(trip, tmp_path / "trip.parquet")
-        assert_same(trip, read_parquet(tmp_path / "trip.parquet"))
-
-
 def test_frames_of_other_programs_come_back(tmp_path: Path) -> None:
     index = pd.DatetimeIndex([1, 2], tz="UTC", name="time").as_unit("ns")
     frame = pd.DataFrame(

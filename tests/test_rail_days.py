@@ -78,24 +78,6 @@ class TestSpots:
         lasts = (rail.spots["kind"] == "frost").to_numpy()
         assert np.array_equal(wet[lasts], dry[lasts])
 
-    def test_a_fresh_spot_has_the_adhesion_it_was_drawn_with(self, rail: Rail) -> None:
-        alone = 0
-        for spot in rail.spots[rail.spots["birth"] > rail.start].to_dict("records"):
-            time = spot["birth"] + 1
-            fresh = "dry" if rail.weather(time).condition == "dry" else "wet"
-            state = rail.state(time)
-            middle = spot["start"] + 0.5 * spot["length"]
-            near = state.spots[(state.spots["start"] - middle).abs() < 1_000.0]
-            if len(near) > 1 or state.lasting([middle])[0] < 1.2 * spot[fresh]:
-                continue
-            alone += 1
-            met = rail.profile(time, 1)
-            assert met([middle])[0] == pytest.approx(spot[fresh], rel=1e-6)
-            before = rail.profile(spot["birth"] - HOUR // 60, 1)
-            if rail.weather(spot["birth"] - HOUR // 60).condition == rail.weather(time).condition:
-                assert before([middle])[0] > 1.1 * spot[fresh]
-        assert alone > 10
-
     @pytest.mark.parametrize("kind", ["leaves", "contamination"])
     def test_lives_are_lognormal_with_the_median_that_is_stated(
         self, line: Line, kind: str

@@ -186,20 +186,6 @@ def path_file(folder: Path, sections: str) -> Path:
     return file
 
 
-def test_a_section_keeps_what_it_does_not_say(tmp_path: Path) -> None:
-    file = path_file(
-        tmp_path,
-        "      - {position: 100, speed: 90, resistance: 5}\n"
-        "      - {position: 600, speed: 60}\n"
-        "      - {position: 900, resistance: -3}\n"
-        "      - {position: 1100, speed: 90}\n",
-    )
-    line = read_running_paths(file)["here"]
-    assert line.length == 1_000.0
-    assert line.speed_limits.values == pytest.approx(np.array([25.0, 60 / 3.6, 60 / 3.6]))
-    assert line.gradients.values == pytest.approx(np.array([0.005, 0.005, -0.003]))
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

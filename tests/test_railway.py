@@ -143,13 +143,6 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
     refused(InputError, "finite", StepProfile, np.array([0.0]), np.array([np.nan]))
 
 
-def test_a_configuration_has_no_negative_load() -> None:
-    with pytest.raises(InputError, match=r"load: -0\.005 t is negative; give 0 or more"):
-        Configuration.of(TRAIN, -5.0)
-    with pytest.raises(InputError, match="rotating_mass: -1 kg is negative"):
-        Configuration("light", 1e5, -1.0, TRAIN.resistance, 1e6)
-
-
 def test_a_configuration_with_negative_resistance_is_refused() -> None:
     with pytest.raises(InputError, match="running resistance is negative at"):
         Configuration("c", 1e5, 1e4, RunningResistance(1000.0, -200.0, 0.1), 1e6)

@@ -130,15 +130,6 @@ def test_timelines_tell_when_and_where(trip: Trip, recording: Path) -> None:
     assert (found["position_m"][1:] == metres).all()
 
 
-def test_a_standing_train_does_not_move_back_on_the_position_timeline(trip: Trip) -> None:
-    state = trip["/estimates/state"].copy()
-    noise = np.random.default_rng(3).normal(0.0, 0.5, len(state))
-    state["position"] += noise
-    position = clock_of(trip.with_topic(state)).position
-    assert (np.diff(position) >= 0.0).all()
-    assert np.abs(position - trip["/estimates/state"]["position"]).max() < 2.0
-
-
 @settings(max_examples=50)
 @given(arrays(np.float64, 30, elements=st.floats(0.0, 1e5)))
 def test_a_train_that_only_goes_on_is_where_it_said(position: np.ndarray) -> None:
@@ -191,12 +182,6 @@ def test_phases_follow_the_lever(recording: Path) -> None:
         "standstill", "traction", "coasting", "braking", "standstill",
     ]  # fmt: skip
     assert (np.diff(found["time"]) > 0).all()
-
-
-def test_events_keep_their_words_and_levels(recording: Path) -> None:
-    found = rows(recording, "/trips/up/events")
-    assert list(found["TextLog:text"]) == ["train: departure from A", "slip protection"]
-    assert list(found["TextLog:level"]) == ["INFO", "WARN"]
 
 
 def test_places_lie_on_the_line(trip: Trip, tiled: Path) -> None:
@@ -282,20 +267,6 @@ def test_the_map_lies_under_a_trip_in_its_own_direction(mapped: Path) -> None:
     )
     assert (down["position_m"] == LENGTH - up["position_m"][::-1]).all()
     assert (down["Scalars:scalars"] == up["Scalars:scalars"][::-1]).all()
-
-
-def test_bins_without_evidence_are_not_shown(mapped: Path) -> None:
-    condition = condition_of()
-    found = rows(mapped, "/trips/up/adhesion/map/bins")
-    values = found["Measurements:values"][:, 0]
-    assert np.isnan(values).sum() == 1 + condition.layers["dry"].observed.sum()
-    shown = ~np.isnan(values)
-    bins = condition.bin_of(found["position_m"][shown] - 0.5)
-    assert condition.layers["dry"].observed[bins].mean() > 0.5
-    deviation = np.sqrt(found["Measurements:variances"][shown, 0])
-    assert deviation / values[shown] == pytest.approx(0.05)
-    assert len(static(mapped, "/lines/hill/condition/dry", "Points2D:positions")) == 3
-    assert "/lines/hill/condition/wet" not in entities(mapped)
 
 
 def test_the_map_of_other_weather_is_not_shown(trip: Trip, tmp_path: Path) -> None:

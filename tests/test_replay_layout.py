@@ -162,13 +162,6 @@ def test_each_view_is_a_tab_and_has_one_a_trip(
     assert (over <= layout.names()) == (count > 1)
 
 
-def test_the_view_asked_for_is_shown_first(trips: list[Trip], tmp_path: Path) -> None:
-    path = tmp_path / "replay.rrd"
-    for view in ("driving", "map"):
-        write_replay(trips[:1], path, options=ReplayOptions(view=view))
-        assert layout_of(path).active_tab() == view.capitalize()
-
-
 def test_views_without_what_they_are_about_are_refused(tmp_path: Path) -> None:
     trip, path = made_trip(), tmp_path / "replay.rrd"
     bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
-from replay_trips import LENGTH, LINE, entities, made_trip, rows, static, trajectory_of
+from replay_trips import LENGTH, LINE, entities, made_trip, rows, trajectory_of
 
 from trainlog.cli.main import run
 from trainlog.errors import InputError
@@ -123,18 +123,6 @@ def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
     )
 
 
-def test_a_receiver_alone_is_thinned_too(tmp_path: Path) -> None:
-    whole = made_trip()
-    trip = replace(
-        whole,
-        topics={name: whole[name] for name in ("/gnss/motion", "/gnss/fix")},
-        attachments={},
-    )
-    path = tmp_path / "thin.rrd"
-    write_replay([trip], path, options=ReplayOptions(thinned=True))
-    assert {"/trips/up/speed/satellites", "/trips/up/place/path"} <= set(entities(path))
-
-
 def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path: Path) -> None:
     log, asked = tmp_path / "up.mcap", []
     write_log(made_trip(), log)
@@ -162,19 +150,6 @@ def bare_trip(**changes: object) -> Trip:
     trip = made_trip()
     kept = {"/train/state": trip["/train/state"], "/gnss/fix": trip["/gnss/fix"]}
     return replace(trip, **{"topics": kept, **changes})
-
-
-def test_limit_and_gradient_of_the_line_stand_in_for_those_not_recorded(tmp_path: Path) -> None:
-    path = tmp_path / "bare.rrd"
-    write_replay([bare_trip()], path)
-    limit, slope = rows(path, "/trips/up/speed/limit"), rows(path, "/trips/up/gradient")
-    assert limit["position_m"][1:].tolist() == [0, 1000, 2000]
-    assert limit["Scalars:scalars"][1:, 0] == pytest.approx([144.0, 108.0, 108.0])
-    assert slope["position_m"][1:].tolist() == [0, 500, 2000]
-    assert slope["Scalars:scalars"][1:, 0] == pytest.approx([5.0, -10.0, -10.0])
-    assert static(path, "/trips/up/speed/limit", "SeriesLines:names") == ["limit of the line"]
-    moment = (limit["time"][2] - limit["time"][0]) / 1e9
-    assert moment == pytest.approx(reached(made_trip(), np.array([1000.0]))[0], abs=0.2)
 
 
 def test_a_line_can_be_given_to_a_trip_that_carries_none(tmp_path: Path) -> None:
@@ -241,12 +216,3 @@ def test_the_command_states_with_what_trips_are_compared(
     with pytest.raises(InputError, match="no view 'drivnig'"):
         run([*command, "--view", "drivnig", "-o", str(tmp_path / "no.rrd")])
     assert not (tmp_path / "no.rrd").exists()
-
-
-def test_a_line_attached_as_bytes_is_the_same_line(tmp_path: Path) -> None:
-    """A trip that carries its line keeps it, whatever line is given besides."""
-    other = replace(LINE, name="dale")
-    trip = bare_trip(attachments={LINE_ATTACHMENT: line_to_bytes(LINE)})
-    path = tmp_path / "own.rrd"
-    write_replay([trip], path, options=ReplayOptions(line=other))
-    assert "/lines/hill/track" in entities(path)

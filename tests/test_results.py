@@ -226,22 +226,6 @@ def test_every_result_with_charts_is_drawn(results) -> None:  # type: ignore[no-
             assert all(each.has_data() for each in figure.axes), kind
 
 
-def test_frames_hold_what_a_developer_computes_with(results) -> None:  # type: ignore[no-untyped-def]
-    plan = results[trainlog.Trajectory]
-    cells = plan.to_frame()
-    assert len(cells) == plan.braking_effort.size
-    assert cells.attrs["units"]["speed_m_s"] == "m/s"
-    assert cells.attrs["units"]["tractive_effort_fall_N"] == "N"
-    time = np.diff(cells["time_s"], append=plan.times[0, -1])
-    assert (time > 0.0).all()
-    found = {
-        kind.__name__: result.to_frame() for kind, result in results.items() if result.tables()
-    }
-    assert found["SlipAnalysis"]["adhesion"].notna().any()
-    assert found["SlipAnalysis"].attrs["units"]["energy"] == "J"
-    assert found["Calculation"]["work_J"].sum() > 0.0
-
-
 @pytest.mark.parametrize("width", [60, pytest.param(110, marks=pytest.mark.long)])
 def test_no_table_of_a_result_is_wider_than_the_page(results, width: int) -> None:  # type: ignore[no-untyped-def]
     for kind, result in results.items():

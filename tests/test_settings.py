@@ -9,7 +9,7 @@ from command import Shell
 from refusals import refused
 
 from trainlog.errors import InputError
-from trainlog.formats.samples import DEFAULT_LINE, sample
+from trainlog.formats.samples import sample
 from trainlog.formats.settings import MEANINGS, Settings, read_settings, set_setting
 
 pytestmark = pytest.mark.usefixtures("remembered")
@@ -88,18 +88,6 @@ def test_units_and_zone_change_what_is_shown_and_no_file(
     assert "km/h" not in shown[1]
     _, out, _ = shell("show", log)
     assert "2024-10-07 08:00:00.000 to 2024-10-07 08:19:43.100 CEST" in out
-
-
-def test_a_line_that_is_set_is_taken_where_none_is_given(
-    settings: Path, tmp_path: Path, shell: Shell
-) -> None:
-    own = tmp_path / "own.line.json"
-    own.write_text(sample(DEFAULT_LINE).read_text("utf-8").replace("CH_StGallen_Wil", "OWN"))
-    set_setting("line", str(own))
-    set_setting("train", "sample")
-    shell("simulate", "drive", "--count", "1", "-o", tmp_path / "trips")
-    _, out, _ = shell("show", tmp_path / "trips" / "trip-01.mcap")
-    assert "OWN" in out
 
 
 def test_the_page_lists_the_settings() -> None:

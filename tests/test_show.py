@@ -10,7 +10,7 @@ from command import Shell
 from refusals import refused
 
 import trainlog
-from analysis.contents import contents_of, folder_contents
+from analysis.contents import contents_of
 from analysis.resistance.logs import fit
 from trainlog.cli.main import run
 from trainlog.errors import TrainlogError
@@ -136,20 +136,6 @@ def test_what_cannot_be_shown_is_stated_with_a_remedy(case: str, tmp_path: Path)
     caught = refused(TrainlogError, problem, contents_of, path)
     assert caught.file == path
     assert caught.remedy
-
-
-def test_a_folder_lists_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("gnss.csv", "CH_StGallen_Wil.line.json"):
-        (tmp_path / name).write_bytes(sample(name).read_bytes())
-    (tmp_path / "note.txt").write_text("late")
-    rows = {entry.name: entry.kind for entry in folder_contents(tmp_path)}
-    assert rows == {
-        "gnss.csv": "recording (ublox)",
-        "CH_StGallen_Wil.line.json": "line",
-        "note.txt": "not shown",
-    }
-    assert run(["show", str(tmp_path)]) == 0
-    assert "recording (ublox)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("share", [0.0, pytest.param(0.4, marks=pytest.mark.long), 0.95])

@@ -158,14 +158,6 @@ def test_impossible_stops_are_refused(stops: tuple[Stop, ...], message: str) -> 
     refused(InputError, message, TimetableDriver, hilly_line(), flirt(), stops)
 
 
-def test_choice_of_configurations() -> None:
-    trajectory = trajectory_of(hilly_line(), flirt(), (0.9, 1.0, 1.1))
-    assert trajectory.chosen("all") == ("r0.9", "r1", "r1.1")
-    assert set(trajectory.chosen()) == {"r0.9", "r1.1"}
-    assert trajectory.chosen("r1, r0.9") == ("r1", "r0.9")
-    refused(InputError, "no configuration 'r7'", trajectory.chosen, "r7")
-
-
 def nobody() -> Driver:
     raise AssertionError("nobody is asked to drive")
 

@@ -13,7 +13,7 @@ from foreign_recorders import write_recorder_csv, write_ublox_csv
 from refusals import refused
 from simulated_line import flirt, hilly_line
 
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError
 from trainlog.mcap import write_log
 from trainlog.simulation import (
     Scenario,
@@ -21,7 +21,6 @@ from trainlog.simulation import (
     simulate,
 )
 from trainlog.simulation.rail import base_map
-from trainlog.simulation.sensors import Sensors
 from trainlog.trip import Trip
 
 
@@ -163,23 +162,6 @@ def test_events_tell_what_happened() -> None:
             speeds = axles.loc[when, [f"wheel_speed_{k}" for k in range(1, 5)]]
             around = truth.speed.loc[when]
             assert np.abs(speeds - around).max() > 1.0
-
-
-def test_on_board_rate_is_a_parameter() -> None:
-    scenario = replace(drawn()[0], sensors=Sensors(rate=50))
-    trip, usual = simulate(scenario), trips()[0]
-    step = np.diff(trip["/train/axles"].index.asi8)
-    assert np.all(step == 20_000_000)
-    np.testing.assert_array_equal(trip["/truth"].speed[::5], usual["/truth"].speed)
-
-
-def test_foreign_files_need_what_they_hold(tmp_path: Path) -> None:
-    trip = trips()[0]
-    bare = replace(trip, topics={k: v for k, v in trip.topics.items() if k != "/gnss/fix"})
-    refused(LogError, "/gnss/fix", write_ublox_csv, bare, tmp_path / "x.csv")
-    short = replace(trip, topics={k: v.iloc[:100] for k, v in trip.topics.items()})
-    refused(LogError, "too short", write_recorder_csv, short, tmp_path / "x.csv")
-    assert not list(tmp_path.iterdir())
 
 
 def test_bad_wishes_are_refused() -> None:

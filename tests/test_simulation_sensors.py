@@ -34,13 +34,6 @@ def test_speed_noise_and_resolution() -> None:
     assert np.std(found) == pytest.approx(np.hypot(0.03, 0.01 / np.sqrt(12.0)), rel=0.03)
 
 
-def test_standing_wheels_show_zero() -> None:
-    speed = np.concatenate((np.zeros(500), np.full(500, 0.01)))
-    found = measuring.measured_speed(speed, 1.0, Sensors(), generator())
-    assert np.all(found[:500] == 0.0)
-    assert np.all(found >= 0.0)
-
-
 def test_effort_noise_is_proportional_and_quantised() -> None:
     found = measuring.measured_effort(np.full(COUNT, 80e3), Sensors(), generator())
     assert on_grid(found, 100.0)

@@ -178,16 +178,6 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
     assert line.reversed().kilometre(0.0) == pytest.approx(24_300.0)
 
 
-@pytest.mark.parametrize("suffix", [".toml", ".json"])
-def test_a_lines_file_is_made_from_a_table(tmp_path: Path, suffix: str) -> None:
-    path = table(tmp_path, "km,slope [%],speed [mph]\n0,0.5,50\n5,-1.2,75\n8,,\n")
-    target = write_template("line", tmp_path / f"A-B.line{suffix}", table=path)
-    line = read_line(target)
-    assert_same(line, read_line_table(path), ROUNDING)
-    assert line.gradient(6e3) == pytest.approx(-0.012)
-    assert line.speed_limit(6e3) == pytest.approx(75 * 0.44704)
-
-
 @given(
     st.lists(st.integers(1, 5_000), min_size=1, max_size=30),
     st.data(),
