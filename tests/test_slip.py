@@ -292,6 +292,13 @@ class TestWhatTheRecorderLacks:
         assert any("slips below" in note for note in found.notes)
         assert not found.complete
 
+    def test_slips_of_coarse_samples_measure_no_level(self, wet: Fine) -> None:
+        found, coarse = (slip(slower(wet.trip, every)) for every in (10, 30))
+        assert found.events["measured"].any()
+        assert len(coarse.events)
+        assert not coarse.events["measured"].any()
+        assert any("6 s may be missed, none measures a level" in note for note in coarse.notes)
+
     @pytest.mark.parametrize("every", [5, 10])
     def test_levels_of_slow_samples_hold_their_band(self, wet: Fine, every: int) -> None:
         """Of each passage of a place; the axles of one err alike, so that they count once."""

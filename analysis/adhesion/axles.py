@@ -67,6 +67,9 @@ SLOW = 0.25
 """Time between samples [s] from which on short slips are missed."""
 
 
+COARSE = 2.0
+"""Time between samples [s] beyond which a slip measures no level: its band would be too wide."""
+
 SLOW_STD = 0.1
 """Relative standard deviation of the levels of a trip for each second between two samples: those
 seen in the slip lie below the maximum that was passed between."""
@@ -209,10 +212,16 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         common_std = float(np.hypot(calibration, SLOW_STD * sampling))
         passage_std = PASSAGE_STD * sampling
         within = 1.96 * float(np.hypot(SLOW_STD, PASSAGE_STD)) * sampling
+        levels = (
+            f"levels are read within ± {within:.0%}; slips in which the effort only falls measure"
+            " none"
+            if sampling <= COARSE
+            else "none measures a level"
+        )
+        levelled &= sampling <= COARSE
         more.append(
             f"the axles are sampled every {sampling:.2g} s: slips shorter than {2 * sampling:.2g} s"
-            f" may be missed, levels are read within ± {within:.0%}; slips in which the effort"
-            " only falls measure none"
+            f" may be missed, {levels}"
         )
     return PoweredAxles(
         clock=clock,

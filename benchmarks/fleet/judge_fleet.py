@@ -462,7 +462,9 @@ def judge_map(given: Judged) -> None:
     for edge, track in given.maps.maps.items():
         rail = given.fleet.rail(edge)
         for name, layer in track.layers.items():
-            true = rail.lasting(name, given.fleet.start)(track.centres)
+            # Directions that differ have layers of their own; the drawn rail is one for both.
+            condition = name.partition(" ")[0]
+            true = rail.lasting(condition, given.fleet.start)(track.centres)
             trips = layer.evidence.by_bin("trips")
             bins_of_days = layer.evidence.bin[layer.evidence.trips > 0.0]
             days = np.bincount(bins_of_days, minlength=track.bins)
