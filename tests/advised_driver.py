@@ -40,8 +40,11 @@ class Row:
             (float(speed) / KMH, float(at or start or -np.inf), float(at or end or np.inf))
             for speed, start, end, at in CAP.findall(capped)
         ]
-        turns = re.findall(r"(falls|rises) to (\d+)", words)
-        self.turns = [(verb, float(speed) / KMH) for verb, speed in turns]
+        turns = re.findall(r"(falls|rises) to (at most )?(\d+)", words)
+        self.turns = [(verb, float(speed) / KMH) for verb, _, speed in turns]
+        if turns and turns[-1][1]:
+            place = float(row["to_km"])
+            self.caps.append((self.turns[-1][1], place, place))
         by = re.search(r"by km ([\d.]+)", words)
         self.by = float(by[1]) if by else None
         self.verb = self.words.split()[0]

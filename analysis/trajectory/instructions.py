@@ -282,8 +282,21 @@ class Instruction:
             for before, after in pairwise(self.course)
             if abs(after - before) > NOTICED
         ]
-        words = ", ".join(f"{verb} to {speed:.0f}" for verb, speed in turns)
-        return f": speed {words} km/h" if words else ""
+        words = [f"{verb} to {speed:.0f}" for verb, speed in turns]
+        if words and self._ends_at_cap:
+            words[-1] = f"{turns[-1][0]} to at most {turns[-1][1]:.0f}"
+        return f": speed {', '.join(words)} km/h" if words else ""
+
+    @property
+    def _ends_at_cap(self) -> bool:
+        """Whether the speed where it ends is one not to exceed there alone, said by its course."""
+        if self.phase is not Phase.COASTING or len(self.course) < 2 or not self.caps:
+            return False
+        if abs(self.course[-1] - self.course[-2]) <= NOTICED:
+            return False
+        last = self.caps[-1]
+        ends = round(self._capped(KMH * self.until)) == round(KMH * last.speed)
+        return ends and last.start == last.end == self.end
 
     def _capped(self, speed: float) -> float:
         """A speed [km/h] as the caps state it, which are rounded down."""
@@ -293,7 +306,8 @@ class Instruction:
     def _caps(self, line: Line | None) -> str:
         """Speeds not to exceed: ``"; at most 90 km/h to km 0.504"``."""
         words = []
-        for number, cap in enumerate(self.caps):
+        caps = self.caps[:-1] if self._ends_at_cap else self.caps
+        for number, cap in enumerate(caps):
             goes_on = any(each.start == cap.end for each in self.caps[number + 1 :])
             place = f" from km {_km(line, cap.start)}" if cap.start > self.position else ""
             if cap.start == cap.end:
