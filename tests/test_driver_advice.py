@@ -198,7 +198,8 @@ def test_page_and_table_state_the_same(
         assert row["advice"] in text or row["event"] == "passes"
         assert row["time"] in printed
         stated = re.search(
-            r"(?:hold|(?:falls|rises) to(?: at most)?|traction to|brake to) (\d+) km/h$", row["advice"]
+            r"(?:hold|(?:falls|rises) to(?: at most)?|traction to|brake to) (\d+) km/h$",
+            row["advice"],
         )
         assert stated is None or row["target_kmh"] == stated[1]
     assert sum(row["advice"].startswith("coast") for row in rows) > 1
