@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -167,14 +167,6 @@ SCARCE = 20_000.0
 """Total torque [N m] at which sharing it matters: less than its share is what a wet axle bears."""
 
 
-class Controller(Protocol):
-    """What decides on the torques."""
-
-    def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
-        """Torques until the next sample, (n,) [N m]."""
-        ...
-
-
 @dataclass(frozen=True)
 class Noise:
     """Of what the controller sees: standard deviations of train and wheel speeds [m/s]."""
@@ -221,31 +213,25 @@ class AssumedRail:
     reference: FloatArray | None = None
 
 
-class RailSource(Protocol):
-    """From where a controller knows the rail."""
-
-    def rail(self, measured: Measurement) -> AssumedRail:
-        """What the rail is taken to be at a sample."""
-        ...
+RailSource = Callable[[Measurement], AssumedRail]
+"""From where a controller knows the rail at a sample."""
 
 
-@dataclass(frozen=True)
-class KnownRail:
+def known_rail(case: Case) -> RailSource:
     """The rail under each axle is known, as in the paper."""
 
-    case: Case
+    def rail(measured: Measurement) -> AssumedRail:
+        curves = case.rail(measured.time, measured.position)
+        return AssumedRail(curves, adhesion_at(peak_slips(curves), curves))
 
-    def rail(self, measured: Measurement) -> AssumedRail:
-        """The rail as it is."""
-        rail = self.case.rail(measured.time, measured.position)
-        return AssumedRail(rail, adhesion_at(peak_slips(rail), rail))
+    return rail
 
 
-STRATEGIES: dict[str, Callable[[Preset], Controller]] = {
+STRATEGIES: dict[str, Callable[[Preset], CooperativeController | SlipControl]] = {
     "cooperative": lambda each: CooperativeController(each.locomotive, each.tuning),
-    "each axle for itself": lambda each: AxleByAxle(each.locomotive, each.tuning.period),
-    "one torque for all": lambda each: EqualTorque(each.locomotive, each.tuning.period),
-    "no slip control": lambda each: NoSlipControl(each.locomotive),
+    "each axle for itself": lambda each: SlipControl(each.locomotive, each.tuning.period),
+    "one torque for all": lambda each: SlipControl(each.locomotive, each.tuning.period, alike=True),
+    "no slip control": lambda each: SlipControl(each.locomotive, each.tuning.period, heeds=False),
 }
 """The paper's controller, and what there is without it."""
 
@@ -394,7 +380,7 @@ def run(
         locomotive.torque_limit, asked / locomotive.axles
     ):
         raise InputError(f"first torque {first} N m is not within the limits of the motors")
-    known, errors = knowledge or KnownRail(case), noise or Noise()
+    known, errors = knowledge or known_rail(case), noise or Noise()
     random = np.random.default_rng(seed)
     controller = STRATEGIES[strategy](preset)
     asking = CooperativeController(locomotive, preset.tuning)
@@ -402,7 +388,7 @@ def run(
     torques = np.zeros(locomotive.axles)
     for k in range(round(DURATION / period)):
         measured = plant.measured(k * period, torques, errors, random)
-        assumed = known.rail(measured)
+        assumed = known(measured)
         limits = case.limits(measured.time, preset)
         demand = asking.demand(assumed.rail, limits, asked, assumed.reference)
         torques = controller.torques(measured.speed, measured.wheel_speeds, demand)
@@ -479,73 +465,42 @@ BANDWIDTH = 6.0
 
 
 @dataclass
-class NoSlipControl:
-    """Every motor has its share of the total and gives it, whatever its wheels do."""
+class SlipControl:
+    """Every motor has its share of the total, less by proportional and integral control of slip.
 
-    locomotive: MultiMotorLocomotive
-
-    def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
-        """Torques until the next sample, (n,) [N m]; see `CooperativeController.torques`."""
-        del speed, wheel_speeds
-        return _share(demand)
-
-
-@dataclass
-class AxleByAxle:
-    """Every motor has its share of the total and a slip controller of its own."""
-
-    locomotive: MultiMotorLocomotive
-    period: float
-
-    def __post_init__(self) -> None:
-        self._memory = np.zeros(self.locomotive.axles)
-
-    def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
-        """Torques until the next sample, (n,) [N m]; see `CooperativeController.torques`."""
-        error = demand.reference[0] - (wheel_speeds - speed)
-        torque, self._memory = _controlled(
-            self.locomotive, self.period, error, self._memory, _share(demand)
-        )
-        return torque
-
-
-@dataclass
-class EqualTorque:
-    """All motors get one torque, as from one inverter; the axle that slips most decides on it."""
+    Attributes
+    ----------
+    locomotive : MultiMotorLocomotive
+    period : float [s]
+    alike : bool
+        All motors get one torque, as from one inverter; the axle that slips most decides on it.
+    heeds : bool
+        False: every motor gives its share, whatever its wheels do.
+    """
 
     locomotive: MultiMotorLocomotive
     period: float
+    alike: bool = False
+    heeds: bool = True
 
     def __post_init__(self) -> None:
-        self._memory = np.zeros(1)
+        self._memory = np.zeros(1 if self.alike else self.locomotive.axles)
 
     def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
         """Torques until the next sample, (n,) [N m]; see `CooperativeController.torques`."""
+        most = np.minimum(demand.total / demand.limits.size, demand.limits)
+        if not self.heeds:
+            return most
         error = demand.reference[0] - (wheel_speeds - speed)
-        worst, most = error.min(keepdims=True), _share(demand).min(keepdims=True)
-        torque, self._memory = _controlled(self.locomotive, self.period, worst, self._memory, most)
-        return np.full(self.locomotive.axles, torque[0])
-
-
-def _share(demand: Demand) -> FloatArray:
-    return np.minimum(demand.total / demand.limits.size, demand.limits)
-
-
-def _controlled(
-    locomotive: MultiMotorLocomotive,
-    period: float,
-    error: FloatArray,
-    memory: FloatArray,
-    most: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Proportional and integral control of slip errors [m/s]: torques and memory [N m]."""
-    gain = locomotive.effort_per_torque / locomotive.rotating_mass
-    proportional = 2.0 * BANDWIDTH / gain * error
-    grown = memory + period * BANDWIDTH**2 / gain * error
-    torque = np.clip(proportional + grown, 0.0, most)
-    # Beyond a limit the memory may only move back.
-    outward = (proportional + grown - torque) * error > 0.0
-    return np.asarray(torque), np.where(outward, memory, grown)
+        if self.alike:
+            error, most = error.min(keepdims=True), most.min(keepdims=True)
+        gain = self.locomotive.effort_per_torque / self.locomotive.rotating_mass
+        grown = self._memory + self.period * BANDWIDTH**2 / gain * error
+        asked = 2.0 * BANDWIDTH / gain * error + grown
+        torque = np.clip(asked, 0.0, most)
+        # Beyond a limit the memory may only move back.
+        self._memory = np.where((asked - torque) * error > 0.0, self._memory, grown)
+        return np.full(self.locomotive.axles, torque)
 
 
 MEASURED = Noise(speed=0.05, wheel_speed=0.02)
@@ -575,65 +530,48 @@ STEEP = replace(
 """Case 3 on a wet rail whose peak lies at 0.55 m/s instead of 3 m/s; not of the paper."""
 
 
-@dataclass
-class LearntRail:
+def learnt_rail(preset: Preset) -> RailSource:
     """The rail is learnt while driving."""
+    noise = MEASURED.speed, MEASURED.wheel_speed
+    estimator = RailEstimator(preset.locomotive, preset.tuning, *noise)
 
-    estimator: RailEstimator
-
-    def rail(self, measured: Measurement) -> AssumedRail:
-        """What was learnt up to the sample."""
-        found = self.estimator.update(measured.speed, measured.wheel_speeds, measured.torques)
+    def rail(measured: Measurement) -> AssumedRail:
+        found = estimator.update(measured.speed, measured.wheel_speeds, measured.torques)
         return AssumedRail(found.rail, found.maximum, found.reference)
 
-
-@dataclass(frozen=True)
-class MappedRail:
-    """A map gives the maximum adhesion ahead."""
-
-    maximum_adhesion: StepProfile
-    preset: Preset
-
-    def rail(self, measured: Measurement) -> AssumedRail:
-        """The map's rail over the horizon."""
-        tuning = self.preset.tuning
-        ahead = rail_ahead(self.maximum_adhesion, measured.position, measured.speed, AXLES, tuning)
-        return AssumedRail(ahead, adhesion_at(peak_slips(ahead[0]), ahead[0]))
+    return rail
 
 
-@dataclass(frozen=True)
-class UniformRail:
-    """The rail is taken for one and the same everywhere."""
-
-    curve: CreepCurve
-
-    def rail(self, measured: Measurement) -> AssumedRail:
-        """That rail under every axle."""
-        del measured
-        return AssumedRail(coefficients([self.curve] * 4), np.full(4, self.curve.peak))
-
-
-def mapped(case: Case, preset: Preset) -> RailSource:
-    """The rail of a case from a map.
+def mapped_rail(case: Case, preset: Preset) -> RailSource:
+    """A map gives the maximum adhesion ahead.
 
     Raises
     ------
     InputError
         If the rail of the case changes with time: no map holds that.
     """
-    if case.places is None:
+    places = case.places
+    if places is None:
         raise InputError(f"case {case.number}: its rail changes with time, no map holds that")
-    return MappedRail(case.places, preset)
+
+    def rail(measured: Measurement) -> AssumedRail:
+        ahead = rail_ahead(places, measured.position, measured.speed, AXLES, preset.tuning)
+        return AssumedRail(ahead, adhesion_at(peak_slips(ahead[0]), ahead[0]))
+
+    return rail
+
+
+def uniform_rail(curve: CreepCurve) -> RailSource:
+    """The rail is taken for one and the same everywhere."""
+    return lambda _: AssumedRail(coefficients([curve] * 4), np.full(4, curve.peak))
 
 
 RAIL_SOURCES: dict[str, Callable[[Case, Preset], RailSource]] = {
-    "known": lambda case, _: KnownRail(case),
-    "map": mapped,
-    "learnt": lambda _, preset: LearntRail(
-        RailEstimator(preset.locomotive, preset.tuning, MEASURED.speed, MEASURED.wheel_speed)
-    ),
-    "taken for dry": lambda *_: UniformRail(DRY),
-    "taken for wet": lambda *_: UniformRail(WET),
+    "known": lambda case, _: known_rail(case),
+    "map": mapped_rail,
+    "learnt": lambda _, preset: learnt_rail(preset),
+    "taken for dry": lambda *_: uniform_rail(DRY),
+    "taken for wet": lambda *_: uniform_rail(WET),
 }
 """From where a controller may know the rail, by name."""
 
