@@ -279,27 +279,6 @@ def test_what_cannot_be_done_is_refused_in_one_line(
     assert state_of(given) == before
 
 
-@pytest.fixture
-def cut(tmp_path: Path) -> Path:
-    """A log of which a third is left."""
-    log = sample("nonstop.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(log[: len(log) // 3])
-    return tmp_path / "cut.mcap"
-
-
-def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
-    cut: Path, tmp_path: Path, shell: Shell
-) -> None:
-    status, _, complaint = shell("replay", cut, "-o", tmp_path / "cut.rrd")
-    assert status == 0
-    for line in complaint.splitlines():
-        assert line.startswith(f"trainlog: warning: {cut}: is damaged: ")
-        assert "messages are readable" in line
-        assert "bytes are lost" in line
-        assert "trainlog convert" in line
-    assert complaint
-
-
 def test_a_damaged_log_is_reported_once_a_command(tmp_path: Path, shell: Shell) -> None:
     log = sample("nonstop.mcap").read_bytes()
     half = tmp_path / "half.mcap"

@@ -170,30 +170,13 @@ def test_no_wrong_value_anywhere_makes_a_traceback(kind: str) -> None:
 
 LINE_CASES = [
     ("length.unit", "kg", "f.json, length.unit: unit 'kg' cannot be read as m; declare a unit of"),
-    ("length.unit", "furlongish", "f.json, length.unit: unit 'furlongish' cannot be read as m"),
     ("length.value", -1, "f.json, length: -1 m is not positive; give more than 0"),
-    ("length.value", "1", "f.json, length.value: must be a valid number"),
-    ("length.value", True, "f.json, length.value: must be a valid number"),
     ("length", {"value": 1}, "f.json, length.unit: 'unit' is missing; add it"),
     ("name", "", "f.json, name: must have at least 1 character"),
-    ("speed_limits.units.speed", "m", "f.json, speed_limits.units.speed: unit 'm' cannot be read"),
-    ("speed_limits.values.1", [300], "f.json, speed_limits.values[1][1]: '1' is missing; add it"),
     ("speed_limits.values.1", [0, 9], "f.json, speed_limits.values[1]: position 0 m follows 0 m"),
     ("speed_limits.values.0.0", 5, "f.json, speed_limits.values: the first row is not at position"),
-    ("speed_limits.values", [], "f.json, speed_limits.values: the first row is not at position 0"),
-    ("speed_limits.values.1.1", 0, "f.json: line 'L': speed limit at km 0.400 is not positive; a"),
-    ("speed_limits.values.1.1", None, "f.json, speed_limits.values[1][1]: must be a valid"),
-    ("gradients.values.0.1", 300, "f.json: line 'L': gradient at km 0.000 is steeper than 200 per"),
     ("stations.values.1.1", 2000, "f.json: line 'L': station at km 2.000 lies before the line's"),
     ("stations.values.0.0", 7, "f.json, stations.values[0][0]: must be a valid string"),
-    (
-        "curvatures",
-        {
-            "units": {"position": "m", "radius_at_start": "m", "radius_at_end": "m"},
-            "values": [[0, "straight", 500]],
-        },
-        "f.json, curvatures.values[0][1]: must be a finite number or 'infinity'",
-    ),
     (
         "curvatures",
         {
@@ -201,14 +184,6 @@ LINE_CASES = [
             "values": [[0, "infinity", 500], [9, 500, 0]],
         },
         "f.json, curvatures.values[1]: the radius is 0 m; straight track has the radius 'infinity'",
-    ),
-    (
-        "tunnels",
-        {
-            "units": {"position": "m", "length": "m", "cross_section": "m^2"},
-            "values": [[900, 200, 40]],
-        },
-        "f.json: line 'L': tunnel at km 0.900 leaves the line",
     ),
     (
         "geometry",
@@ -226,50 +201,25 @@ LINE_CASES = [
         {"gradient_std": {"value": -0.1, "unit": "permil"}},
         "f.json, survey.gradient_std: -0.1 per mille is not positive and finite; give more",
     ),
-    (
-        "survey",
-        {"correlation_length": {"value": 100, "unit": "m"}},
-        "f.json, survey.gradient_std: 'gradient_std' is missing; add it",
-    ),
-    (
-        "braking_parameters",
-        {"Kt_ind": {"value": 1, "unit": "1"}},
-        "f.json, braking_parameters.Kt_ind: unknown key 'Kt_ind'; correct its spelling",
-    ),
 ]
 TRAIN_CASES = [
     ("mass.value", -122, "f.json, mass: -122 t is not positive; give more than 0"),
-    ("mass.value", 0, "f.json, mass: 0 t is not positive"),
-    ("mass.unit", "kN", "f.json, mass.unit: unit 'kN' cannot be read as kg"),
     ("efficiency_traction.value", 900, "f.json, efficiency_traction: 900 % is not above 0 and at"),
-    ("efficiency_traction.value", 0, "f.json, efficiency_traction: 0 % is not above 0 and at most"),
-    ("max_deceleration.value", 0, "f.json, max_deceleration: 0 m/s^2 is not positive"),
     ("brake.dead_time.value", -1, "f.json, brake.dead_time: -1 s is negative; give 0 or more"),
     ("running_resistance.r2.value", -9, "f.json, running_resistance: train 'T': running resist"),
     ("axles.count", 0, "f.json, axles.count: 0 is not positive"),
     ("axles.count", 4.5, "f.json, axles.count: must be a valid integer"),
-    ("axles.wheel_radius.value", 0, "f.json, axles.wheel_radius: 0 m is not positive"),
-    ("running_resistance.r3", 1, "f.json, running_resistance.r3: unknown key 'r3'"),
-    ("running_resistance.r1.unit", "kN", "f.json, running_resistance.r1.unit: unit 'kN' cannot"),
-    ("max_speed", [160], "f.json, max_speed: must be a valid dictionary"),
     (
         "max_speed",
         160,
         'f.json, max_speed: 160 has no unit; give value and unit, for example {"value": 160',
     ),
-    ("mass", "122 t", "f.json, mass: '122 t' has no unit; give value and unit, for example {"),
 ]
 OTHER_CASES = [
     ("journey", "timing_points.values.0.1", -1, "f.json: journey 'J': time window at km 0.000 has"),
     ("journey", "timing_points.values.1.2", 4, "f.json: journey 'J': time window at km 0.009 ends"),
     ("journey", "timing_points.values.0.0", 50, "f.json: journey 'J': timing point at km 0.009 co"),
     ("journey", "timing_points.values", [], "f.json: journey 'J': needs at least a departure and"),
-    (
-        "parameters",
-        "configurations.0.mass.value",
-        -1,
-        "f.json, configurations[0].mass: -1 kg is not positive; give more than 0",
-    ),
     ("parameters", "common_covariance.values.1", [1], "f.json, common_covariance.values: needs 3"),
     (
         "parameters",
@@ -284,14 +234,12 @@ OTHER_CASES = [
         [0, 9],
         "f.json: trajectory: speeds has shape (1, 3), needs",
     ),
-    ("trajectory", "speeds.values.0.1", -3, "f.json, speeds.values: must not be negative"),
     ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times.values: rows differ in length"),
     ("trajectory", "configurations", [], "f.json, configurations: has too few entries; give at le"),
 ]
 
 
 CONSIST_CASES = [
-    ("vehicles.0.mass.value", -1, "f.json, vehicles[0].mass: -1 t is not positive"),
     ("vehicles.0.count", 0, "f.json, vehicles[0].count: 0 is not between 1 and 1000"),
     (
         "vehicles.0.count",
@@ -299,24 +247,7 @@ CONSIST_CASES = [
         "f.json: consist 'train of Amirhosseini et al. (2024), 8 wagons': 9 vehicles need 8",
     ),
     ("vehicles", [], "f.json, vehicles: has too few entries; give at least 1 item"),
-    (
-        "vehicles.0.length.unit",
-        "t",
-        "f.json, vehicles[0].length.unit: unit 't' cannot be read as m",
-    ),
-    ("couplers.0.stiffness.value", 0, "f.json, couplers[0].stiffness: 0 MN/m is not positive"),
     ("couplers.0.slack.value", -3, "f.json, couplers[0].slack: -3 mm is negative"),
-    ("couplers.0.stifness", 1, "f.json, couplers[0].stifness: unknown key 'stifness'"),
-    (
-        "brake.lag.value",
-        -1,
-        "f.json, brake.lag: -1 s is negative",
-    ),
-    (
-        "brake.propagation",
-        {"value": 0, "unit": "m/s"},
-        "f.json, brake.propagation: 0 m/s is not positive",
-    ),
 ]
 
 

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 from hypothesis import given, settings, strategies as st
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text
-from recorder_files import MTK_HEADER, mtk
 
 from trainlog.ingest import Profile, ingest, repairs_of, report_of
 from trainlog.trip import Trip
@@ -46,23 +44,6 @@ def test_empty_cells_at_the_end_make_no_difference(tmp_path: Path, data: st.Data
     assert (report.rows_read, report.rows_kept) == (60, 60)
     np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
-
-
-@pytest.mark.parametrize(("header", "rows"), [(0, 0), (0, 5), (1, 2), (7, 1), (3, 9)])
-def test_mtk_headers_end_in_cells_that_rows_do_not_have(
-    tmp_path: Path, header: int, rows: int
-) -> None:
-    made = mtk(1, before=20)
-    path = tmp_path / "run.csv"
-    first, *others = made.text.splitlines()
-    assert first == MTK_HEADER
-    lines = [first + "," * header, *(row + "," * rows for row in others)]
-    path.write_text("\n".join(lines) + "\n", "ascii")
-    trip = ingest(path)
-    report = report_of(trip)
-    assert report.rows_dropped == 20
-    assert {rule: report.count(rule) for rule in made.defects} == made.defects
-    np.testing.assert_allclose(trip["/gnss/fix"]["latitude"], made.truth.latitude, atol=1e-9)
 
 
 def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path: Path) -> None:

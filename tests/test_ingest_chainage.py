@@ -19,7 +19,6 @@ from trainlog.ingest.receiver import Fixes
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import Trip
 
 METRES_PER_DEGREE = 111_177.0
 """Length of a degree of latitude at 47° north [m]."""
@@ -69,23 +68,6 @@ def test_points_beside_the_track_find_their_chainage(at: list[float], beside: fl
     assert np.all(np.abs(distance - abs(beside))[inside] < 0.2 + 0.03 * abs(beside))
 
 
-def test_fixes_off_the_line_and_out_of_step_are_rejected() -> None:
-    seconds = np.arange(0.0, 500.0, 1.0)
-    speed = np.full(seconds.size, 20.0)
-    clean = fixes(seconds, 20.0 * seconds, speed)
-    latitude, longitude = clean.latitude.copy(), clean.longitude.copy()
-    latitude[100:110] += 200.0 / METRES_PER_DEGREE
-    ahead = winding().at(20.0 * seconds[300:310] + 150.0)
-    latitude[300:310], longitude[300:310] = ahead
-    damaged = replace(clean, latitude=latitude, longitude=longitude)
-    matched = chainage_of(winding(), damaged)
-    wrong = np.zeros(seconds.size, dtype=bool)
-    wrong[100:110] = wrong[300:310] = True
-    np.testing.assert_array_equal(matched.rejected, wrong)
-    assert np.abs(matched.chainage - 20.0 * seconds)[~wrong].max() < 1e-3
-    assert not chainage_of(winding(), damaged, gated=False).rejected.any()
-
-
 def test_a_trip_elsewhere_is_refused() -> None:
     seconds = np.arange(0.0, 100.0)
     away = fixes(seconds, 20.0 * seconds, np.full(100, 20.0))
@@ -111,21 +93,3 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     path = tmp_path_factory.mktemp("gnss") / "gnss.csv"
     write_ublox_csv(driven, path)
     return driven, ingest(path, line=line, train=TRAIN, direction=request.param)
-
-
-def test_chainage_and_speed_follow_the_truth(run: tuple[Trip, Trip]) -> None:
-    """Fixes err by 2.5 m over half a minute, are lost in the tunnel and in outages."""
-    driven, read = run
-    estimate, truth = read["/estimates/state"], driven["/truth"]
-    at = estimate.index.as_unit("ns").asi8
-    known = truth.index.as_unit("ns").asi8
-    bounds = {"position": 5.0, "speed": 0.15}
-    for name, bound in bounds.items():
-        error = estimate[name] - np.interp(at, known, truth[name])
-        assert np.sqrt(np.mean(error**2)) < bound
-        inside = np.abs(error) < 1.96 * estimate[f"{name}_std"]
-        assert inside.mean() > 0.9, f"{name}: the band holds {inside.mean():.0%} of the truth"
-    assert np.all(np.diff(estimate["position"]) >= 0.0)
-    assert estimate["speed"].min() >= 0.0
-    # A line that lies right is misplaced by no more than the fixes' own error.
-    assert float(read.metadata["line.misfit"]) < 2.0

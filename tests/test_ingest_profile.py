@@ -22,6 +22,11 @@ TRAIN = Train("small", 100_000.0, 0.1, RunningResistance(2e3, 50.0, 8.0), 200e3,
 HEAD = 'format = "trainlog/recorder-profile"\nversion = 1\nname = "x"\n'
 
 
+def column_of(field: str, stated: str) -> str:
+    """A profile that states this of one field."""
+    return f"{HEAD}[columns]\n'{field}' = {{{stated}}}"
+
+
 @pytest.mark.parametrize(
     ("toml", "message"),
     [
@@ -31,80 +36,57 @@ HEAD = 'format = "trainlog/recorder-profile"\nversion = 1\nname = "x"\n'
         (HEAD.replace("1", "2"), "version: must be 1"),
         (HEAD.replace("name", "names"), "(names: unknown key 'names'|name: key 'name' is missing)"),
         (HEAD + "[time]\ncolunm = 't'", "time.colunm: unknown key 'colunm'.*did you mean 'column'"),
-        (HEAD + "[tiem]\ncolumn = 't'", "tiem: unknown key 'tiem'; did you mean 'time'"),
         (HEAD + "[time]\nformat = 'iso'", "time: needs either column or columns"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'parts'", "format 'parts' needs 6 columns"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'isoo'", "format 'isoo' is none of 'iso'"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'elapsed'", "'elapsed' and start"),
         (HEAD + "[time]\ncolumn = 't'\ntimezone = 'Mars'", "timezone 'Mars' is not known"),
-        (HEAD + "[time]\ncolumn = 't'\nunit = 'h'", "time.unit: must be 's'"),
         (HEAD + "[time]\ncolumn = 't'\ndate = 2024-05-01", "date is for a pattern"),
         (HEAD + "[file]\ndelimiter = ';;'", "file.delimiter: must have at most 1"),
         (HEAD + "[file]\ndelimiter = ','\ndecimal = ','", "delimiter and decimal are both ','"),
-        (HEAD + "[file]\nencoding = 'utf8000'", "encoding 'utf8000' is not known"),
-        (HEAD + "[file]\nheader = -1", "file.header: must be greater"),
         (
-            HEAD + "[columns]\n'/train/sate.speed' = {column='v', unit='m/s'}",
+            column_of("/train/sate.speed", "column='v', unit='m/s'"),
             "unknown field '/train/sate.speed'; did you mean '/train/state.speed'",
         ),
         (
-            HEAD + "[columns]\n'/train/state.sped' = {column='v', unit='m/s'}",
+            column_of("/train/state.sped", "column='v', unit='m/s'"),
             "topic /train/state has no field 'sped'; did you mean 'speed'",
         ),
         (
-            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='kg'}",
+            column_of("/train/state.speed", "column='v', unit='kg'"),
             """columns."/train/state.speed": unit 'kg' cannot be read as m/s; declare a unit""",
         ),
         (
-            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='furlong per sennight'}",
-            "unit 'furlong per sennight' cannot be read as m/s",
-        ),
-        (
-            HEAD + "[columns]\n'/train/state.speed' = {column='v'}",
+            column_of("/train/state.speed", "column='v'"),
             """columns."/train/state.speed" needs a unit; for example unit = 'm/s'""",
         ),
         (
-            HEAD + "[columns]\n'/train/state.speed' = {colum='v', unit='m/s'}",
+            column_of("/train/state.speed", "colum='v', unit='m/s'"),
             """columns."/train/state.speed".colum: unknown key 'colum'; did you mean 'column'""",
         ),
+        (column_of("/train/state.speed", "unit='m/s'"), "needs one of column, columns and value"),
         (
-            HEAD + "[columns]\n'/train/state.speed' = {unit='m/s'}",
-            "needs one of column, columns and value",
-        ),
-        (
-            HEAD + "[columns]\n'/train/state.speed' = {columns=['v', 'w'], unit='m/s'}",
+            column_of("/train/state.speed", "columns=['v', 'w'], unit='m/s'"),
             """columns."/train/state.speed" needs one column""",
         ),
         (
-            HEAD + "[columns]\n'/train/axles.wheel_speed' = {column='v', unit='m/s'}",
+            column_of("/train/axles.wheel_speed", "column='v', unit='m/s'"),
             """columns."/train/axles.wheel_speed" needs columns, one an axle""",
         ),
         (
-            HEAD + "[columns]\n'/train/axles.wheel_speed_2' = {column='v', unit='m/s'}",
-            "no field 'wheel_speed_2'; did you mean 'wheel_speed'",
-        ),
-        (
-            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='m/s', sign=2}",
+            column_of("/train/state.speed", "column='v', unit='m/s', sign=2"),
             """columns."/train/state.speed".sign: must be 1 or -1""",
         ),
         (
-            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='m/s', scale=nan}",
+            column_of("/train/state.speed", "column='v', unit='m/s', scale=nan"),
             "scale: must be a finite number",
         ),
+        (column_of("/events.message", "value=3"), """columns."/events.message" needs a text"""),
         (
-            HEAD + "[columns]\n'/events.message' = {value=3}",
-            """columns."/events.message" needs a text""",
-        ),
-        (
-            HEAD + "[columns]\n'/events.message' = {column='x', unit='m'}",
+            column_of("/events.message", "column='x', unit='m'"),
             """columns."/events.message" has no unit""",
         ),
         (HEAD + "[trip]\nload = {value=3, unit='m'}", "load: unit 'm' cannot be read as kg"),
-        (HEAD + "[trip]\nload = 3", "trip.load"),
-        (
-            HEAD + "[trip]\nweather = 'wett'",
-            "trip.weather: rail condition 'wett' is not known; did you mean 'wet'",
-        ),
         *(
             (HEAD + stated, f"{place}: rail condition 'trocken' is not known; known: dry, wet")
             for place, stated in {
@@ -122,42 +104,20 @@ HEAD = 'format = "trainlog/recorder-profile"\nversion = 1\nname = "x"\n'
             HEAD + "[lines]\nkind='1'\npayload='2'\nkinds={I={typ='<i2'}}",
             "lines.kinds.I.typ: unknown key 'typ'; did you mean 'type'",
         ),
-        (
-            HEAD + "[trip]\nload = {valu=3, unit='t'}",
-            "trip.load.valu: unknown key 'valu'; did you mean 'value'",
-        ),
         (HEAD + "[repair]\nspike = false", "unknown key 'spike'; did you mean 'spikes'"),
-        (HEAD + "[repair]\nspikes = 3", "repair.spikes: must be a valid boolean"),
-        (
-            HEAD + "[limits.columns]\n'/train/state.speed' = {unit='m/s', maximum=3}",
-            "unknown key 'maximum'",
-        ),
         (
             HEAD + "[limits.columns]\n'/train/state.speed' = {unit='kg', max=3}",
             "/train/state.speed: unit 'kg' cannot be read as m/s",
         ),
-        (HEAD + "[metadata]\noperator = 3", "metadata.operator: must be a valid string"),
         (
             HEAD + "[trip]\nmass={value=122,unit='kg'}",
             "trip: mass: 0.122 t is not plausible.*were t",
         ),
+        (column_of("/train/axles.wheel_speed", "columns=['', ''], unit='m/s'"), "names no column"),
         (
-            HEAD + "[trip]\nload={value=8.5,unit='kg'}",
-            "trip: load: 0.0085 t is not plausible.*were",
-        ),
-        (
-            HEAD + "[trip]\nmass={value=122000,unit='t'}",
-            "trip: mass: 122000 t is not.*were kg mean",
-        ),
-        (
-            HEAD + "[columns]\n'/train/axles.wheel_speed' = {columns=['', ''], unit='m/s'}",
-            "names no column",
-        ),
-        (
-            HEAD + "[columns]\n'/events.name' = {column='n', slip_protection=['WSP']}",
+            column_of("/events.name", "column='n', slip_protection=['WSP']"),
             'slip_protection is for "/events.message"',
         ),
-        (b"\xff\xfe\x00x", "is not UTF-8 text"),
         (b"name = 'caf\xe9'", "is not UTF-8 text"),
         (None, "mine.profile.toml: does not exist"),
     ],

@@ -46,21 +46,6 @@ def messages(data: bytes) -> list[tuple[str, int, int]]:
     return found
 
 
-def test_channels_may_come_between_chunks_and_are_written_once() -> None:
-    stream = BytesIO()
-    sink = Sink(stream)
-    declare(sink)
-    sink.put_chunk(*chunk())
-    declare(sink, 8)
-    at = sink.position
-    declare(sink, 8)
-    assert sink.position == at
-    sink.put_chunk(*chunk(8))
-    sink.finish()
-    topics = [topic for topic, _, _ in messages(stream.getvalue())]
-    assert topics == ["/7"] * 3 + ["/8"] * 3
-
-
 class Disk(BytesIO):
     """A disk with so many bytes left, which takes what fits before it fails."""
 

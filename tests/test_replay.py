@@ -342,22 +342,6 @@ def test_the_same_trips_give_the_same_content(trip: Trip, tmp_path: Path) -> Non
             np.testing.assert_array_equal(values, two[name])
 
 
-def test_other_content_has_another_id(trip: Trip, tmp_path: Path) -> None:
-    ids = set()
-    changed = trip.with_topic(trip["/train/state"] * 1.0)
-    changed.topics["/train/state"].iloc[5, 1] += 1e-9
-    forecast = spotted()
-    layers = {"dry": replace(forecast.layers["dry"], spots=())}
-    maps = (condition_of(), forecast, replace(forecast, layers=layers))
-    for number, (each, condition) in enumerate(
-        ((trip, None), (changed, None), *((trip, each) for each in maps))
-    ):
-        path = tmp_path / f"{number}.rrd"
-        write_replay([each], path, condition_map=condition)
-        ids.add(RrdReader(path).recordings()[0].recording_id)
-    assert len(ids) == 5
-
-
 @pytest.mark.parametrize(
     ("name", "problem"),
     [("replay.mcap", "end it in .rrd"), ("no/such/folder.rrd", "create its folder first")],
