@@ -22,7 +22,7 @@ from trainlog.formats.csv_tables import read_forecast
 from trainlog.formats.declared import built
 from trainlog.formats.files import atomic_write, write_bytes
 from trainlog.formats.railml import Element
-from trainlog.formats.railway import line_of, line_of_plan, read_parameters, read_trajectory
+from trainlog.formats.railway import line_of, read_parameters, read_trajectory
 from trainlog.formats.sfera import (
     SferaJourney,
     documents_in,
@@ -130,15 +130,13 @@ def advised(
     InputError
         If the advice is for another line.
     """
-    line = journey.line
+    own, line = advice.line, journey.line
+    if own.name != line.name or abs(own.length - line.length) > 1.0:
+        raise InputError(
+            f"the trajectory is planned on line '{own.name}', the journey's is '{line.name}'",
+            remedy="plan on the line that 'trainlog import' makes of the journey",
+        )
     for section in advice.sections:
-        own = line_of_plan(section)
-        if section.line != line.name or own is None or abs(own.length - line.length) > 1.0:
-            raise InputError(
-                f"the trajectory is planned on line '{section.line}', the journey's is"
-                f" '{line.name}'",
-                remedy="plan on the line that 'trainlog import' makes of the journey",
-            )
         _check_limits(section, own, line)
     found = list[Advised]()
     for each in _divided(advice, line):
@@ -436,7 +434,7 @@ _Written = tuple[Element, dict[str, object]]
 
 def _with_advice(sources: Sequence[Path], own: SferaJourney, options: SferaOptions) -> _Written:
     rows = advised(
-        journey_advice([read_trajectory(each) for each in sources], own.line),
+        journey_advice([read_trajectory(each) for each in sources]),
         own,
         changes_apart=options.changes_apart,
         passed=options.passed or 0.0,

@@ -68,7 +68,6 @@ def test_no_row_leads_over_a_limit(name: str, train: str, reserve: float, tmp_pa
     write_journey_advice(journey_advice([plan], line), tmp_path / "advice.csv")
     rows = rows_of(tmp_path / "advice.csv")
     limits = limits_of(plan, line)
-    assert limits is not None
     for configuration in plan.configurations:
         places, speeds, time = driven(rows, line, driver, configuration)
         permitted = np.minimum(limits(places), driver.max_speed)
@@ -120,6 +119,3 @@ def test_speeds_are_whole_rounded_down_and_below_each_limit_of_the_row() -> None
         assert np.all(most <= limits + 1e-3) or point.phase > Phase.COASTING
     words = [row.words for row in found.rows]
     assert "brake to 91 km/h by km 5.000" in words
-    # Without the line the speeds that are planned take the place of the limits.
-    nameless = [row.words for row in journey_advice([replace(plan, provenance={})]).rows]
-    assert any(each.startswith("brake to 91 km/h by km 5.0") for each in nameless)

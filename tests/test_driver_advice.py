@@ -243,10 +243,7 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
     cells = [list(each) for each in zip(*table.words, strict=True)]
     assert cells[0] == ["Wil", "Uzwil", "Flawil", "Gossau SG"]
     assert all((cells[2][1], cells[3][1]))
-    # Without the line the places are kilometres.
-    nameless = journey_advice(unaware)
-    assert not nameless.named
-    assert all(row.station == row.place == "" for row in nameless.rows)
+    refused(InputError, r"does not hold its line .*--line", journey_advice, unaware)
     # A file keeps when its section departs.
     write_trajectory(sections[1], tmp_path / "plan.json")
     kept = read_trajectory(tmp_path / "plan.json").provenance["journey"]["departure"]
@@ -256,7 +253,7 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
 def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file(
     sections: tuple[Trajectory, ...], line: Line, tmp_path: Path, shell: Shell
 ) -> None:
-    """Of a line that is not among the samples; a file of an earlier version asks for it."""
+    """Of a line that is not among the samples."""
     named = replace(line.reversed(), name="elsewhere")
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     problem = TrajectoryProblem(
@@ -273,10 +270,6 @@ def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file
         rows = list(csv.DictReader(file))
     assert (rows[0]["station"], rows[-1]["station"]) == ("Wil", "Uzwil")
     assert all(row["permitted_kmh"] for row in rows if row["event"] == "changes")
-    early = {name: value for name, value in plan.provenance.items() if name != "line"}
-    write_trajectory(replace(plan, provenance=early), tmp_path / "plan.json")
-    assert shell(*words)[0] == 0
-    assert "do not hold line &#x27;elsewhere&#x27;" in (tmp_path / "advice.html").read_text("utf-8")
 
 
 def test_the_table_of_another_command_is_not_overwritten(

@@ -269,7 +269,7 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
         sections.append(
             Section("Certificate", [*certificate_words(trajectory), *trajectory_table(trajectory)])
         )
-    if "phases" in trajectory.certificate:
+    if "phases" in trajectory.certificate and course is not None:
         found = journey_advice([trajectory], course)
         sections.append(Section("Advice to the driver", [driver_table(found)]))
     return sections
@@ -410,7 +410,7 @@ def write_driver_advice(
     last = max(sections, key=lambda each: float(each.positions[-1]))
     course = line_of_trajectory(last, line)
     found = journey_advice(sections, course, start=start, dwell=dwell)
-    whole = Page(_title(found), _subtitle(found), _parts(found, course, files))
+    whole = Page(_title(found), _subtitle(found), _parts(found, files))
     whole.write(page)
     write_journey_advice(found, table)
     return found
@@ -441,14 +441,10 @@ def _subtitle(found: JourneyAdvice) -> str:
     lasts = clock((last.timetable or last.time) - first.time)
     times = f"departs {found.time(first.time)}, arrives {found.time(last.timetable)}, {lasts}"
     since = "" if found.start is not None else "; times count from the departure"
-    return f"{found.train} on {found.line}: {times}{since}"
+    return f"{found.train} on {found.line.name}: {times}{since}"
 
 
-def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> list[Section]:
-    doubts: list[Part] = []
-    if line is None:
-        words = f"The plans do not hold line '{found.line}': give it, for limits and stations."
-        doubts = [Warned(words)]
+def _parts(found: JourneyAdvice, files: Sequence[Path]) -> list[Section]:
     counts = {len(each.configurations) for each in found.sections}
     if counts == {1}:
         words = "Planned for one configuration of the train: a trip that differs may be late."
@@ -458,9 +454,9 @@ def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> li
             " observed ones; the others arrive earlier on the same advice."
         )
     return [
-        Section("Stations", [*doubts, stations_table(found)]),
+        Section("Stations", [stations_table(found)]),
         Section("Advice", [driver_table(found), " ".join([words, *found.sentences()])]),
-        Section("Speed", [_chart(found, line)]),
+        Section("Speed", [_chart(found)]),
         Section(
             "Made of",
             [
@@ -480,8 +476,8 @@ def _command(found: JourneyAdvice, files: Sequence[Path]) -> str:
     return f"trainlog advice {names}{start} -o advice.html"
 
 
-def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
-    curves = []
+def _chart(found: JourneyAdvice) -> Chart:
+    curves, line = [], found.line
     for section, departure in zip(found.sections, found.departures.tolist(), strict=True):
         row = section.latest
         km, speed = section.positions / 1e3, KMH * section.speeds[row]
@@ -492,9 +488,9 @@ def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
         }
         curves.append(Curve("planned speed", km, speed, BLUE, hover=hover))
     ends = np.array([found.rows[0].position, found.rows[-1].position])
-    limits = [] if line is None else [limit_curve(line, float(ends[0]), float(ends[1]))]
+    limits = limit_curve(line, float(ends[0]), float(ends[1]))
     return Chart(
         "km in the direction of travel",
-        [Panel("km/h", [*limits, *curves], 1.2, from_zero=True)],
+        [Panel("km/h", [limits, *curves], 1.2, from_zero=True)],
         line=line,
     )

@@ -70,7 +70,7 @@ class AdviceRow:
     speed, until : float [m/s]
         There, and where the next change is.
     permitted : float or None [m/s]
-        There; None without the line.
+        There, where something is to be done.
     instruction : Instruction or None
     to_km : float
         The operator's kilometre of the next change.
@@ -111,15 +111,14 @@ class JourneyAdvice(Presented):
 
     Attributes
     ----------
-    line, train : str
+    line : Line
+        As travelled.
     rows : tuple of AdviceRow
     sections : tuple of Trajectory
     departures : (m,) array [s]
         Of the sections, since the first one.
     start : float or None [s]
         Time of day of the first departure; None where it is not known.
-    named : bool
-        Whether the line, and with it the names of the stations, is known.
 
     Examples
     --------
@@ -136,13 +135,11 @@ class JourneyAdvice(Presented):
     ('St.Gallen', '07:12:00', 'at Gossau SG')
     """
 
-    line: str
-    train: str
+    line: Line
     rows: tuple[AdviceRow, ...]
     sections: tuple[Trajectory, ...]
     departures: FloatArray
     start: float | None = None
-    named: bool = True
 
     def time(self, seconds: float | None) -> str:
         """A time of the journey [s] in the clock of the timetable; since departure without one."""
@@ -155,9 +152,14 @@ class JourneyAdvice(Presented):
         return f"{hours:02d}:{minutes:02d}:{rest:02d}"
 
     @property
+    def train(self) -> str:
+        """Name of the train."""
+        return self.sections[0].train
+
+    @property
     def title(self) -> str:
         """Train and line."""
-        return f"Advice for {self.train} on {self.line}"
+        return f"Advice for {self.train} on {self.line.name}"
 
     def tables(self) -> list[WordTable]:
         """The journey as a driver reads it."""
@@ -184,7 +186,7 @@ class JourneyAdvice(Presented):
             for row, speed in zip(self.rows, advised_speeds(self.rows), strict=True)
         ]
         return {
-            "line": self.line,
+            "line": self.line.name,
             "train": self.train,
             "departure_s": self.start,
             "limits_kept_over_m": min(each.protected_length for each in self.sections),
@@ -257,8 +259,7 @@ def journey_advice(
         From stop to stop, in any order; a single one is a journey, too. Those that
         ``trainlog plan --stops`` wrote know when they depart.
     line : Line, optional
-        As travelled; default: the one that the sections were planned on. Files of earlier versions
-        do not hold it: limits and the names of stations are left out.
+        As travelled; default: the one that the sections were planned on.
     start : float [s], optional
         Time of day of the first departure (`time_of_day`).
     dwell : float [s]
@@ -267,8 +268,8 @@ def journey_advice(
     Raises
     ------
     InputError
-        If the sections are not of one line, train and direction, do not follow each other, or do
-        not come from `optimise`.
+        If the sections are not of one line, train and direction, do not follow each other, do not
+        come from `optimise`, or do not hold their line and none is given.
 
     Examples
     --------
@@ -281,16 +282,18 @@ def journey_advice(
     ordered = sorted(sections, key=lambda each: float(each.positions[0]))
     _check_sections(ordered)
     line = line_of_plan(ordered[-1]) if line is None else line
+    if line is None:
+        raise InputError(
+            f"the trajectory does not hold its line '{ordered[-1].line}', and none is given",
+            remedy="give the line's file with --line",
+        )
     departures = _departures(ordered, dwell)
     rows = [
         row
         for section, departure in zip(ordered, departures.tolist(), strict=True)
         for row in _rows(section, departure, line)
     ]
-    first = ordered[0]
-    return JourneyAdvice(
-        first.line, first.train, tuple(rows), tuple(ordered), departures, start, line is not None
-    )
+    return JourneyAdvice(line, tuple(rows), tuple(ordered), departures, start)
 
 
 def _check_sections(sections: Sequence[Trajectory]) -> None:
@@ -326,7 +329,7 @@ def _departures(sections: Sequence[Trajectory], dwell: float) -> FloatArray:
     return np.concatenate(([0.0], np.cumsum(lasts)))
 
 
-def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[AdviceRow]:
+def _rows(section: Trajectory, departure: float, line: Line) -> Iterator[AdviceRow]:
     """Of one section: its departure, changes and stations in order, its arrival."""
     row = section.latest
     times, places, speeds = section.times[row], section.positions, section.speeds[row]
@@ -338,8 +341,8 @@ def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[
              each, limits)
         for each in instructions(section, limits)
     ]  # fmt: skip
-    ends = () if line is None else [station_at(line, place) for place in (first, last)]
-    for station in () if line is None else line.stations:
+    ends = [station_at(line, place) for place in (first, last)]
+    for station in line.stations:
         if station.name not in ends and first + JOINS < station.position < last - JOINS:
             at, speed = (
                 float(np.interp(station.position, places, each)) for each in (times, speeds)
@@ -353,9 +356,9 @@ def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[
     )
 
 
-def limits_of(section: Trajectory, line: Line | None) -> StepProfile | None:
-    """The line's limits [m/s], as the section was planned for them; None without the line."""
-    return None if line is None else line.limits_over(section.protected_length)
+def limits_of(section: Trajectory, line: Line) -> StepProfile:
+    """The line's limits [m/s], as the section was planned for them."""
+    return line.limits_over(section.protected_length)
 
 
 def _row(
@@ -364,12 +367,12 @@ def _row(
     time: float,
     timetable: float | None,
     speeds: tuple[float, float],
-    line: Line | None,
+    line: Line,
     instruction: Instruction | None = None,
     limits: StepProfile | None = None,
 ) -> AdviceRow:
     km = float(in_km(line, position))
-    station = "" if line is None or event == "changes" else station_at(line, position)
+    station = "" if event == "changes" else station_at(line, position)
     place = near(line, [position], _AT_STATION)[0]
     permitted = None if limits is None else float(limits(position))
     words, to = "" if event == "passes" else str(event), km

@@ -336,7 +336,7 @@ def _km(line: Line | None, position: float) -> str:
 
 
 def instructions(
-    trajectory: Trajectory, limits: StepProfile | None = None, row: int | None = None
+    trajectory: Trajectory, limits: StepProfile, row: int | None = None
 ) -> tuple[Instruction, ...]:
     """What a driver is to do from place to place, as a trajectory's certificate has it.
 
@@ -345,8 +345,8 @@ def instructions(
     Parameters
     ----------
     trajectory : Trajectory
-    limits : StepProfile, optional [m/s]
-        Of the line, in the direction of travel; without them, the highest speeds planned.
+    limits : StepProfile [m/s]
+        Of the line, in the direction of travel.
     row : int, optional
         Configuration whose speeds and times are stated; the one that arrives last without it.
 
@@ -370,7 +370,7 @@ def instructions(
 class _Plan:
     """The phases and speeds of one configuration, and where any of them brakes."""
 
-    def __init__(self, trajectory: Trajectory, limits: StepProfile | None, row: int) -> None:
+    def __init__(self, trajectory: Trajectory, limits: StepProfile, row: int) -> None:
         self.trajectory, self.limits = trajectory, limits
         self.places, self.times = trajectory.positions, trajectory.times[row]
         self.speeds, self.highest = trajectory.speeds[row], trajectory.speeds.max(axis=0)
@@ -380,7 +380,7 @@ class _Plan:
         top = float(trajectory.speeds.max())
         fast = np.minimum(trajectory.speeds[:, 1:], trajectory.speeds[:, :-1]) > top - NOTICED
         held = (every == Phase.CRUISING) | (every == Phase.PARTIAL_BRAKING)
-        if limits is not None and np.any(fast & held):
+        if np.any(fast & held):
             # A speed that is held below the limits is the train's own top speed.
             self.limits = StepProfile(limits.positions, np.minimum(limits.values, top))
         inertia = np.array([each.inertia for each in trajectory.configurations])[:, None]
@@ -437,7 +437,8 @@ class _Plan:
         beside = np.abs(self.speeds - self.whole[:, None])
         worst = np.maximum(beside[:, 1:], beside[:, :-1])
         mean = 0.5 * (beside[:, 1:] + beside[:, :-1])
-        possible = (worst <= HELD) & (self.whole[:, None] <= self._most() + _WHOLE / KMH)
+        most = self._limit(self.places[:-1], self.places[1:] + 1e-3)
+        possible = (worst <= HELD) & (self.whole[:, None] <= most + _WHOLE / KMH)
         # Where the plan coasts, a driver who holds a speed would drive.
         idle = np.where(phases == Phase.COASTING, others + _IDLE * seconds, 0.0)
         # What a brake takes off a speed that is held is worth a row from what is noticed on.
@@ -445,17 +446,9 @@ class _Plan:
         idle += np.where(self.applied, _CHANGE / NOTICED * fall, 0.0)
         return np.vstack([*rows, np.where(possible, _DRIFT * mean * seconds + idle, np.inf)])
 
-    def _most(self) -> FloatArray:
-        """The highest speed to hold in each cell [m/s]."""
-        if self.limits is None:
-            return self._limit(self.places[:-1], self.places[1:])
-        return self._limit(self.places[:-1], self.places[1:] + 1e-3)
-
     def _limit(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Lowest limit between places [m/s]; without limits the highest speed planned."""
-        edges, values = self.places, np.maximum(self.highest, np.append(self.highest[1:], 0.0))
-        if self.limits is not None:
-            edges, values = self.limits.positions, self.limits.values
+        """Lowest limit between places [m/s]."""
+        edges, values = self.limits.positions, self.limits.values
         first = np.maximum(np.searchsorted(edges, start + 1e-6, side="right") - 1, 0)
         last = np.maximum(np.searchsorted(edges, end - 1e-6), first + 1)
         spans = zip(first.tolist(), last.tolist(), strict=True)
@@ -515,8 +508,6 @@ class _Plan:
     def _by(self, start: int, end: int, target: float) -> float:
         """Where a limit asks first for the speed that a brake leads to; else where it ends [m]."""
         first, last = self.places[[start, end]].tolist()
-        if self.limits is None:
-            return float(last)
         edges = self.limits.positions
         asks = (self.limits.values < target + NOTICED) & (edges > first) & (edges < last)
         return float(edges[asks].min(initial=last))
@@ -526,13 +517,11 @@ class _Plan:
         if row.hold:
             return
         drives = row.phase <= Phase.CRUISING
-        edges = np.zeros(0) if self.limits is None else self.limits.positions
+        edges = self.limits.positions
         inside = edges[(edges > row.position + 1e-3) & (edges < row.end - 1e-3)].tolist()
         # A speed that falls does not reach the limit under which the row begins.
         before = 0.0 if row.phase is Phase.COASTING else np.inf
         for first, last in pairwise([row.position, *inside, row.end]):
-            if self.limits is None:
-                break
             limit = float(self.limits(first + 1e-3))
             near = self.highest_between(first, last) > limit - _NEAR
             cells = slice(*np.searchsorted(self.places, [first, last]))
@@ -547,9 +536,7 @@ class _Plan:
             before = limit
         if row.phase is Phase.COASTING:
             past = np.array([row.end + _AHEAD * row.until])
-            soon = (
-                np.inf if self.limits is None else float(self._limit(np.array([row.end]), past)[0])
-            )
+            soon = float(self._limit(np.array([row.end]), past)[0])
             brakes = after is not None and after.phase > Phase.COASTING
             if (
                 row.fastest

@@ -130,7 +130,7 @@ class PlannedRun(Presented):
         return list(dict.fromkeys(found))
 
 
-def write_profile(found: JourneyAdvice, line: Line | None, path: Path) -> None:
+def write_profile(found: JourneyAdvice, path: Path) -> None:
     """Write speed, efforts and energy over the kilometres as CSV, whole or not at all.
 
     Kilometres are the operator's; time and energy at the wheels count from the departure. Each row
@@ -144,8 +144,8 @@ def write_profile(found: JourneyAdvice, line: Line | None, path: Path) -> None:
         used = float(energy[-1])
         braking = each.braking_effort[row, each.cell_of(places)]
         columns = {
-            "section": section_name(each, line),
-            "km": in_km(line, places),
+            "section": section_name(each, found.line),
+            "km": in_km(found.line, places),
             "time [s]": (departs + each.times[row]).round(2),
             "speed [km/h]": (KMH * each.speeds[row]).round(2),
             "tractive effort [kN]": (each.tractive_effort_at(places) / 1e3).round(3),

@@ -588,12 +588,11 @@ def _is_planned(source: Path) -> bool:
 def _export_profile(sources: list[Path], output: Path) -> None:
     """Write trajectories of a journey as one table over the kilometres."""
     from analysis.trajectory.table import write_profile
-    from trainlog.formats.railway import line_of_plan
 
     found = analysis.journey_advice(
         [trainlog.read_trajectory(each) for each in sections_in(sources)]
     )
-    write_profile(found, line_of_plan(found.sections[-1]), destination(output, ".csv"))
+    write_profile(found, destination(output, ".csv"))
     wrote(output)
 
 

@@ -251,7 +251,7 @@ def plan(
         planned = PlannedRun(problem, found)
         show(planned)
         if output.suffix == ".csv":
-            write_profile(planned.advice, problem.line, output)
+            write_profile(planned.advice, output)
             wrote(output)
         else:
             for number, section in enumerate(planned.sections, 1):
