@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from refusals import refused
@@ -11,7 +9,6 @@ from refusals import refused
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Trajectory
 from trainlog.resampling import (
     TimeDistance,
@@ -19,11 +16,8 @@ from trainlog.resampling import (
     grid_over,
     on_grid,
     planned_time_distance,
-    time_distance_of,
 )
 from trainlog.units import NANOSECONDS
-
-SAMPLE = Path(__file__).parents[1] / "sample_logs" / "stopping.mcap"
 
 
 def curve(seconds: np.ndarray, position: np.ndarray) -> TimeDistance:
@@ -45,20 +39,6 @@ def test_places_passed_in_a_gap_of_the_recording_are_unknown() -> None:
     assert (np.isnan(passed.time) == unknown).all()
     # It stood through the second gap, so that nothing is missing there.
     assert passed.time[-1] == 133.0
-
-
-def test_thirty_seconds_more_at_a_station_are_lost_there_and_kept() -> None:
-    trip = read_log(SAMPLE)
-    known = time_distance_of(trip)
-    standing = int(np.flatnonzero((known.position > 100.0) & (np.gradient(known.position) == 0))[0])
-    place, time = known.position[standing], known.time.copy()
-    time[standing + 1 :] += 30 * NANOSECONDS
-    grid = grid_over([known])
-    behind = difference(
-        on_grid(TimeDistance(known.start, time, known.position), grid), on_grid(known, grid)
-    )
-    assert behind.time[grid < place - 1.0] == pytest.approx(0.0, abs=1e-9)
-    assert behind.time[grid > place + 1.0] == pytest.approx(30.0, abs=1e-6)
 
 
 def test_stops_a_few_metres_apart_make_no_spike_of_lateness() -> None:

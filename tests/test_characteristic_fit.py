@@ -121,6 +121,11 @@ class TestRefused:
         with pytest.raises(NotIdentifiableError, match=r"still rises at the largest creepage"):
             fit_adhesion_characteristic(points, speed=10.0)
 
+    def test_of_a_file_with_its_name(self, tmp_path: Path) -> None:
+        path = written(tmp_path, "creepage [%];adhesion\n0.1;0.1\n0.2;0.15\n")
+        with pytest.raises(NotIdentifiableError, match=r"curve\.csv: 2 points do not determine"):
+            fit_adhesion_characteristic(path)
+
     def test_points_beyond_the_maximum_alone(self) -> None:
         assert "below the maximum" in self.refusal(self.slips > 0.04)
 

@@ -257,20 +257,6 @@ def test_the_command_writes_result_and_picture(
     assert output.with_suffix(".png").is_file()
 
 
-def test_the_command_tells_in_one_line_why_not(tmp_path: Path) -> None:
-    trip = sample_trip("nonstop.mcap").between("2024-10-07T06:00:00Z", "2024-10-07T06:01:00Z")
-    log = tmp_path / "short.mcap"
-    write_log(trip, log)
-    with pytest.raises(NotIdentifiableError, match="coasting") as refusal:
-        run(["fit", "coasting", str(log), "-o", str(tmp_path / "r.json")])
-    assert len(str(refusal.value).splitlines()) == 1
-    assert refusal.value.file == log
-    assert not (tmp_path / "r.json").exists()
-    write_log(replace(trip, metadata={**trip.metadata, "trip": "again"}), tmp_path / "again.mcap")
-    with pytest.raises(NotIdentifiableError, match=r"\(logs again.mcap, short.mcap\)"):
-        coast_down([log, tmp_path / "again.mcap"])
-
-
 # ------------------------------------------------------------------------------ gradient unknown
 
 

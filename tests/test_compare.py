@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from analysis.comparison.groups import compare_groups, punctuality, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.mcap import write_log
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_CONTROLS, TRAIN_SLIP_PROTECTION, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 
@@ -75,18 +72,6 @@ def test_savings_pair_the_same_configuration_only() -> None:
     assert pair.traction == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
 
 
-def test_a_log_costs_what_its_trip_costs(tmp_path: Path) -> None:
-    whole = simulated(stop=True)
-    write_log(whole, tmp_path / "trip.mcap")
-    expected, found = trip_cost(whole), trip_cost(tmp_path / "trip.mcap")
-    assert expected.stops == 1
-    assert (found.name, found.direction) == (expected.name, expected.direction)
-    last = expected.slips, expected.late, expected.notes
-    assert (found.slips, found.late, found.notes) == last
-    for name in expected.__slots__[2:-3]:
-        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9), name
-
-
 def test_slip_protection_that_is_not_recorded_is_not_zero() -> None:
     """A flag counts where there is one, else events; without both, how often is not known."""
     silent = followed("departure from A", "arrival at B", late=0.1)
@@ -115,19 +100,6 @@ def followed(*messages: str, late: float) -> Trip:
         .with_topic(frame_of(EVENTS, time, events))
         .with_topic(frame_of(REFERENCE, np.arange(6) * 1_000_000_000, lateness))
     )
-
-
-def simulated(**options: bool) -> Trip:
-    """A trip whose controls are on another clock than its state, with samples unknown."""
-    whole = trip(**options)  # type: ignore[arg-type]
-    whole = whole.between(None, whole.start + pd.Timedelta(seconds=400))
-    controls = whole["/train/controls"].iloc[3:-8:3]
-    controls = controls.set_axis(controls.index + pd.Timedelta(milliseconds=33), axis=0)
-    controls.attrs = whole["/train/controls"].attrs
-    state = whole["/train/state"].copy()
-    state.iloc[2000:2010, :] = np.nan
-    state.iloc[-3:, 0] = 0.1
-    return whole.with_topic(controls).with_topic(state)
 
 
 def test_nothing_comparable_is_reported() -> None:

@@ -15,10 +15,8 @@ from refusals import refused
 import trainlog
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import evidence_of_log, own_line
-from analysis.adhesion.slip import slip
 from analysis.comparison.driven import driven_trip
 from analysis.fleet.analyses import ANALYSES, analyses_named
-from analysis.network.edges import EdgeOfLine, Stretch, edges_of, on_edge
 from analysis.resistance.fit import fit_trip
 from analysis.view import TOPICS, TripView, parts_of, view_of, views_of
 from trainlog.errors import InputError
@@ -145,21 +143,3 @@ def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(long_log: Path) 
             pd.testing.assert_frame_equal(together, whole[topic])
         assert len(parts) == len(parts_of(long_log, held, rows))
         assert max(sum(map(len, part.topics.values())) for part in parts) < 1.5 * rows
-
-
-def test_slip_on_a_route_counts_on_its_edges_by_their_chainage() -> None:
-    trip = view_of(LOGS[1])
-    line, seen_slip = trip.own_line, slip(trip)
-    middle = 12_000.0
-    edges = (
-        EdgeOfLine("first", 20_000.0, (Stretch(0.0, middle, 18_000.0, 6_000.0),)),
-        EdgeOfLine("second", 30_000.0, (Stretch(middle, np.inf, 100.0, 100.0 + line.length),)),
-    )
-    assert edges_of(line)[0].name == line.name
-    seen = [on_edge(seen_slip, edge) for edge in edges]
-    assert sum(each.time.size for each in seen) == np.count_nonzero(seen_slip.position >= 0.0)
-    assert sum(len(each.events) for each in seen) == len(seen_slip.events)
-    assert seen[0].position.max() <= 18_000.0
-    assert seen[0].position.min() == pytest.approx(6_000.0, abs=5.0)
-    assert np.all(np.diff(seen[0].position[np.isfinite(seen[0].position)]) <= 1.0)
-    assert seen[1].position[0] == pytest.approx(100.0, abs=5.0)

@@ -238,14 +238,6 @@ def test_trips_whose_logs_are_gone_are_counted_apart(
 # ---------------------------------------------------------------------------------------- maps
 
 
-def test_the_map_is_that_of_the_logs(
-    undisturbed: dict[str, bytes], fleet_logs: Path, tmp_path: Path
-) -> None:
-    (name,) = (name for name in undisturbed if name.endswith(".map"))
-    update_map(fleet_logs, tmp_path / name)
-    assert maps_in(tmp_path) == {name: undisturbed[name]}
-
-
 @pytest.mark.usefixtures("analysed_once")
 @pytest.mark.parametrize("kept", [pytest.param(maps.KEPT, marks=pytest.mark.long), 1])
 def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(

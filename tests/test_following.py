@@ -467,6 +467,17 @@ def test_the_train_is_found_while_it_runs() -> None:
     assert observer.estimate.drag == pytest.approx(0.07, abs=0.05)
 
 
+def test_wheels_that_slip_do_not_make_the_train_heavy() -> None:
+    can, _ = known()
+    observer = Observer(can)
+    for _ in range(40):
+        observer.update(0.6 - 0.06, 0.6, 0.06, 0.0, 0.5)
+    before = observer.estimate
+    observer.update(0.0, 0.6, 0.06, 0.0, 0.5)
+    assert observer.estimate.gain == pytest.approx(before.gain, abs=1e-9)
+    assert observer.estimate.drift < before.drift
+
+
 # ---- bad input ------------------------------------------------------------------------------
 
 

@@ -16,11 +16,9 @@ from analysis.adhesion.condition_map import LEVELS, empty_map
 from analysis.verification.scores import (
     brier_score,
     brier_sums,
-    climatology,
     crps,
     observed_shares,
     onset_score,
-    persistence,
     pit_sums,
     used_score,
 )
@@ -130,18 +128,6 @@ def test_demand_leaves_out_the_day_and_spreads_what_slipped_over_higher_demands(
     # Whether a trip slips on a day does not change the demand by which it is scored.
     changed = Demand([evidence(1, {0: 0.05, 1: 0.05}, {}), *days[1:]], LEVELS)
     np.testing.assert_array_equal(shares, changed.without(1, np.array([0, 1, 2])))
-
-
-def test_persistence_is_what_a_bin_showed_last() -> None:
-    known = DailyEvidence.total(
-        [evidence(1, {0: 0.06, 1: 0.06}, {2: 8}), evidence(2, {0: 0.09}, {1: 10, 2: 6})]
-    )
-    found = persistence(TRACK, "wet", known)
-    assert found.quantile(0.5)[0] == pytest.approx(0.09, rel=0.03)
-    usual = climatology(TRACK, "wet")
-    assert found.below(0.08)[1] < 0.05 < usual.below(0.08)[1]
-    assert found.below(0.08)[2] < usual.below(0.08)[2]
-    assert found.below(0.1)[3] == pytest.approx(usual.below(0.1)[3], abs=0.03)
 
 
 # --------------------------------------------------- rails that the forecasters do not know

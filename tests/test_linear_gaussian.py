@@ -83,21 +83,6 @@ def test_the_smoother_is_the_regression_over_all_samples() -> None:
     np.testing.assert_allclose(found.covariances[:, 0, 0], spread, atol=1e-5)
 
 
-def test_series_of_one_model_are_filtered_each_for_itself() -> None:
-    transition, noise, observation, _, measured, variances = drawn(5)
-    shift = np.random.default_rng(1).standard_normal((len(measured), 2, 3))
-    both = np.stack([measured, measured[::-1]], axis=1)
-    spread = np.stack([variances, variances[::-1]], axis=1)
-    start, wide = np.zeros((2, 3)), np.stack([np.eye(3), 2.0 * np.eye(3)])
-    model = LinearGaussian(transition, noise, observation, shift=shift)
-    together = model.smooth(both, spread, start, wide)
-    for s in range(2):
-        alone = LinearGaussian(transition, noise, observation, shift=shift[:, s : s + 1])
-        found = alone.smooth(both[:, s], spread[:, s], start[s], wide[s])
-        np.testing.assert_array_equal(together.means[:, s], found.means)
-        np.testing.assert_array_equal(together.covariances[:, s], found.covariances)
-
-
 @pytest.mark.parametrize(("limit", "deviations", "kept"), [(5.0, 0.0, False), (5.0, 8.0, True)])
 def test_a_gate_leaves_out_what_is_too_far_off(limit: float, deviations: float, kept: bool) -> None:
     """The further of a distance and of standard deviations of the prediction decides."""

@@ -326,14 +326,6 @@ class TestCommand:
         assert (status, "1 refused," in shown) == (1, True)
         assert "cut.mcap: trip 'without' has no topic /train/axles" in complaint
 
-    def test_nothing_usable_is_an_error(self, tmp_path: Path) -> None:
-        bad = tmp_path / "bad.mcap"
-        bad.write_bytes(b"anything at all")
-        status, _, complaint = self.run("map", "update", bad, bad, "--map", tmp_path / "a.map")
-        assert status == 2
-        assert complaint.count("bad.mcap") == 2
-        assert not (tmp_path / "a.map").exists()
-
     def test_info_lists_what_a_map_holds(self, path: Path) -> None:
         before = path.read_bytes()
         status, shown, _ = self.run("show", path, sample("CH_StGallen_Wil.map"))

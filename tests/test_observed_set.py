@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from analysis.resistance import combine, parameter_set, summarised
@@ -98,3 +99,15 @@ def test_the_set_says_where_each_configuration_comes_from() -> None:
     older = json.loads(data)
     del older["cover"]
     assert thing_from_bytes(ParameterSet, json.dumps(older).encode()).cover == {}
+
+
+def test_trips_of_one_name_become_configurations_of_two_names() -> None:
+    fits, _ = drawn(4, 0.05, (150.0, 60.0, 100.0), seed=8)
+    one, other = (
+        summarised(fits, digests={fit.trip: f"{k}{number:063x}" for number, fit in enumerate(fits)})
+        for k in (1, 2)
+    )
+    shifted = other.assign(mass=other["mass"] + 5e3)
+    names = [c.name for c in parameter_set(pd.concat([one, shifted])).configurations]
+    assert len(set(names)) == 8
+    assert "trip-000 10000000" in names

@@ -194,36 +194,6 @@ def test_unrecorded_brakes_are_masked_by_their_demand_or_by_deceleration() -> No
     assert not by_deceleration.usable[harder].any()
 
 
-def test_gaps_slip_and_friction_braking_are_masked() -> None:
-    made = trip(noise=0.02)
-    state, controls = made["/train/state"], made["/train/controls"]
-    cut = np.r_[0:3000, 3100 : len(state)]
-    gappy = replace(
-        made, topics={"/train/state": state.iloc[cut], "/train/controls": controls.iloc[cut]}
-    )
-    for frame in gappy.topics.values():
-        assert "units" in frame.attrs
-    masked = prepare(view_of(gappy))
-    assert masked.masked["gap"] > 0.0
-    assert not masked.usable[3000:3010].any()
-    windows = build_windows(masked)
-    before, after = masked.time[2999], masked.time[3000]
-    assert not np.any((windows.start < after) & (windows.end > before))
-    friction = np.zeros(len(controls))
-    friction[5000:5100] = 20e3
-    braked = prepare(view_of(changed(made, "/train/controls", pneumatic_braking_effort=friction)))
-    assert not braked.usable[4990:5110].any()
-    assert braked.usable[5130]
-    wheels = np.tile(state["speed"].to_numpy()[:, None], (1, 4))
-    wheels[7000:7100, 2] += 6.0
-    wheels[:, 0] = np.nan  # of wheels that are all recorded the momentum is known
-    axles = frame_of(TRAIN_AXLES, state.index, {"wheel_speed": wheels})
-    slipping = prepare(view_of(made.with_topic(axles)))
-    assert slipping.masked["slip"] == pytest.approx(10.0, abs=1.0)
-    assert not slipping.usable[6995:7105].any()
-    assert slipping.usable[7130]
-
-
 def unit(name: str, mass: float, effort: float, power: float, drag: RunningResistance) -> Train:
     """A train like the sample's, of another size."""
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from analysis.resistance import (
     combine,
     fit_trip,
     parameter_set,
-    summarised,
 )
 from analysis.resistance.curve import nearest_physical
 from analysis.resistance.fit import History
@@ -154,39 +152,6 @@ def test_band_of_the_common_curve_covers() -> None:
         low, high = combine(fits).band(SPEED)
         inside.append(np.all((low < RESISTANCE(SPEED)) & (RESISTANCE(SPEED) < high)))
     assert np.mean(inside) >= 0.92
-
-
-def test_parameter_set_is_physical_and_complete() -> None:
-    fits, _ = drawn(6, 0.05, (700.0, 300.0, 400.0), seed=6)
-    standing = TripRefusedError("standstill", "standing all the time")
-    summaries = summarised(fits, {"trip-900": standing}, trains={"trip-900": "unit"})
-    parameters = parameter_set(summaries)
-    assert [c.name for c in parameters.configurations] == [f.trip for f in fits]
-    for configuration, one in zip(parameters.configurations, fits, strict=True):
-        assert np.all(beta_of(configuration.resistance) >= 0.0)
-        assert configuration.rotating_mass == 12e3
-        assert configuration.mass == pytest.approx(one.mass, rel=0.02)
-        assert configuration.max_power == TRAIN.max_traction_power
-    assert parameters.details[-1] == {
-        "trip": "trip-900",
-        "sha256": "",
-        "accepted": False,
-        "refused": "standstill",
-        "reason": "standing all the time",
-    }
-    assert parameters.cover["refused"] == {"standstill": 1}
-    assert parameters.cover["level"] <= 6 / 7
-    assert parameters.details[0]["max_power"] == "train file"
-    seen = [
-        replace(fits[0], max_power=2.3e6, max_power_std=2e3),
-        replace(fits[1], max_power=2.5e6, max_power_std=2e3),
-        *fits[2:],
-    ]
-    powers_given = [c.max_power for c in parameter_set(seen).configurations]
-    assert powers_given[:2] == [2.3e6, 2.5e6]
-    assert set(powers_given[2:]) <= {2.3e6, 2.5e6}
-    assert parameters.speed_range == (3.0, 34.0)
-    assert json.loads(json.dumps(parameters.details)) == parameters.details
 
 
 @settings(max_examples=50)

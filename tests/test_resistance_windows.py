@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from analysis.resistance.regression import (
     BRAKE_SCALE_STD,
     DELAY_STD,
     LEAST_FORCE,
-    _best_stretch,
     condition_number,
     fit_windows,
 )
@@ -235,32 +233,6 @@ def test_a_force_that_surveys_err_by_is_no_stretch() -> None:
     for force, count in ((0.7 * LEAST_FORCE, 0), (1.6 * LEAST_FORCE, 1)):
         dragged = replace(windows, y=windows.y - force * windows.duration * inside)
         assert len(fit_windows(dragged, 130e3, 20e3, search=True).stretches) == count
-
-
-def test_the_best_stretch_is_that_of_all_fitted_one_by_one() -> None:
-    """The square of the estimate of its force over its deviation, with all parameters free."""
-    windows = build_windows(recording(noise=0.02, seed=6, duration=400.0))
-    windows = replace(windows, y=windows.y + 0.004 * np.sin(windows.start / 30.0))
-    mass, parts = 130e3, NoiseParts.of(windows, 130e3)
-    regressors = np.column_stack([windows.x, windows.y])
-    prior = np.diag([1.0, 1.0, 10.0, 100.0, 0.0])[:4]
-    prior[0] = np.array([mass, 0.0, 0.0, 0.0, 1.0]) / 0.2
-    likelihood = Likelihood(parts, regressors, prior)
-    edges = np.array([0, 40, 90, 130, 200, 260, windows.count])
-    score, first, last = _best_stretch(windows, likelihood, NOISE, edges)
-    found = {}
-    for one, other in combinations(edges.tolist(), 2):
-        number = np.arange(windows.count)
-        own = -windows.duration * ((number >= one) & (number < other))
-        white = parts.whiten(NOISE, np.column_stack([regressors[:, :-1], own, windows.y]))
-        rows = np.vstack([white, np.insert(prior, 4, 0.0, axis=1)])
-        scale = np.linalg.norm(rows[:, :-1], axis=0)
-        inverse = np.linalg.inv((rows[:, :-1] / scale).T @ (rows[:, :-1] / scale))
-        estimate = inverse @ (rows[:, :-1] / scale).T @ rows[:, -1]
-        found[one, other] = estimate[4] ** 2 / inverse[4, 4]
-    best = max(found, key=lambda each: found[each])
-    assert (first, last) == best
-    assert score == pytest.approx(found[best], rel=1e-6)
 
 
 def test_errors_that_stay_for_kilometres_widen_the_covariance() -> None:

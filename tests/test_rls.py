@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -243,21 +238,3 @@ def test_bad_samples_are_refused_and_change_nothing() -> None:
     for nowhere in ([3], [-1], [0, 7]):
         refused(InputError, "cannot reset", estimator.reset, nowhere)
     assert estimator.state() == before
-
-
-@pytest.mark.long
-def test_sizes_that_other_processes_compiled_are_not_taken_for_each_other(tmp_path: Path) -> None:
-    """Each size is compiled by itself and kept on disk; a third process loads them all."""
-    program = """
-import sys
-import numpy as np
-from estimators.rls import RecursiveLeastSquares
-for size in map(int, sys.argv[1:]):
-    rows = np.random.default_rng(size).standard_normal((50, size))
-    estimator = RecursiveLeastSquares(np.full(size, 1e3))
-    estimator.update(rows, rows @ np.arange(1.0, size + 1.0))
-    np.testing.assert_allclose(estimator.result().estimate, np.arange(1.0, size + 1.0), rtol=1e-4)
-"""
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    for sizes in (["2"], ["3"], ["3", "2"], ["2", "3"]):
-        subprocess.run([sys.executable, "-c", program, *sizes], env=environment, check=True)

@@ -89,14 +89,15 @@ def test_onsets_measure_the_maximum_adhesion(trips: list[Seen]) -> None:
 def test_creep_curves_find_the_maximum_and_whether_it_was_passed(trips: list[Seen]) -> None:
     errors, scaled, falls = [], [], []
     for each in trips[2:3]:
-        events = each.found.events.join(each.found.creep_curves())
+        some = replace(each.found, events=each.found.events.iloc[::2].reset_index(drop=True))
+        events = some.events.join(some.creep_curves())
         events = events[events["measured"] & events["maximum"].notna()]
         truth = each.scenario.maximum_adhesion(events["position"].to_numpy())
         errors.append(events["maximum"].to_numpy() - truth)
         scaled.append(errors[-1] / events["maximum_std"].to_numpy())
         falls.append(events["slope"].to_numpy() < 0.0)
     error, z = np.concatenate(errors), np.concatenate(scaled)
-    assert error.size > 50
+    assert error.size > 30
     assert np.median(np.abs(error)) < 0.003
     assert abs(np.median(error)) < 0.0015
     assert np.mean(np.abs(z) < 1.96) > 0.88

@@ -11,13 +11,10 @@ from refusals import refused
 from simulated_line import level_line, steps
 
 from analysis.studies.in_train_forces import simulation as study
-from analysis.studies.in_train_forces.run import consist_trip
 from trainlog.cli.main import run as command
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.declared import thing_from_bytes
 from trainlog.formats.railway import read_consist, write_consist, write_line
 from trainlog.formats.samples import names, sample
-from trainlog.mcap import read_log, write_log
 from trainlog.railway.train import Consist
 from trainlog.simulation.consist import ConsistPlant
 
@@ -77,18 +74,6 @@ def test_the_couplers_carry_what_accelerates_the_vehicles_behind_them(
     acceleration = np.gradient(run.speeds[:, -1], run.time)[calm]
     needed = coach.inertia * acceleration + coach.resistance(run.speeds[calm, -1])
     np.testing.assert_allclose(run.forces[calm, -1], needed, atol=0.05 * needed.max())
-
-
-def test_a_run_becomes_a_log(run: study.ConsistRun, tmp_path: Path) -> None:
-    write_log(consist_trip(run), tmp_path / "run.mcap")
-    again = read_log(tmp_path / "run.mcap")
-    np.testing.assert_array_equal(again["/train/couplers"]["force_2"], run.forces[:, 1])
-    np.testing.assert_array_equal(again["/train/vehicles"]["speed_3"], run.speeds[:, 2])
-    assert (
-        thing_from_bytes(Consist, again.attachments["consist.json"]).couplers
-        == run.consist.couplers
-    )
-    assert "emergency braking" in set(again["/events"]["message"])
 
 
 def test_the_command_runs_a_file(tmp_path: Path) -> None:

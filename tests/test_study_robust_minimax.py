@@ -18,8 +18,8 @@ from trainlog.cli.terminal import console
 from trainlog.formats.railway import read_trajectory
 from trainlog.railway import Trajectory
 
-CELLS = 250
-"""Half of the study's, which the long tests have."""
+CELLS = 160
+"""A third of the study's, which the long tests have."""
 LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations()
 
 

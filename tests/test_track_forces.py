@@ -11,6 +11,7 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
+from analysis.control.follow import following_scenarios
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import TripRefusedError, track_slope
@@ -247,3 +248,13 @@ def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives() -> None:
         reached.append(z)
     assert np.sqrt(2.0 * highest) <= 9.0 + 1e-5
     np.testing.assert_allclose(reached, 0.5 * found.speeds[0] ** 2, atol=2e-3)
+
+
+def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with() -> None:
+    strip = replace(FLIRT, mass_model="homogeneous_strip")
+    found = optimise(TrajectoryProblem.nominal(WIL, strip, end=6e3), OptimiserOptions(cells=60))
+    found.check_forces(WIL, strip)
+    with pytest.raises(InputError, match=r"mass_model 'homogeneous_strip', train .* 'mass_point'"):
+        following_scenarios(found, WIL, FLIRT)
+    with pytest.raises(InputError, match=r"curve_resistance 'proportional', line .* 'roeckl'"):
+        following_scenarios(found, replace(WIL, curve_resistance="roeckl"), strip)

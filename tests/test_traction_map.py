@@ -355,33 +355,6 @@ class TestTripsThatDisagree:
         assert len(again.notes) == len(wrong)
 
     @pytest.mark.usefixtures("unestimated")
-    @pytest.mark.parametrize("slipping", [{4, 9}])
-    def test_trips_that_used_more_where_a_few_met_spots_are_not_set_aside(
-        self, slipping: set[int]
-    ) -> None:
-        """A dry rail of which few trips ask much, and one or two meet leaves."""
-        generator = np.random.default_rng(8)
-        trips = []
-        for number in range(16):
-            slips = np.zeros(WAY_BINS, dtype=np.bool_)
-            for start in (30, 110, 190) if number in slipping else ():
-                slips[start : start + 12] = True
-            weight = fixed(np.where(slips, 1.0 / (0.12**2 + 0.03**2), 0.0))
-            found = np.log(0.1) + 0.2 * generator.standard_normal(WAY_BINS)
-            used = np.zeros((WAY_BINS, LEVELS.size))
-            asked = (0.18, 0.3) if number in (1, 3, 7, 10, 12) else (0.04, 0.12)
-            level = np.searchsorted(LEVELS, generator.uniform(*asked, WAY_BINS)) - 1
-            used[np.flatnonzero(~slips), level[~slips]] = 1.0
-            daily = DailyEvidence.of_bins(DAY + number, slips, weight, fixed(weight * found), used)
-            trips.append(
-                Evidence(
-                    WAY.name, WAY.length, BIN, "dry", f"trip-{number}", f"{number:064x}", daily
-                )
-            )
-        track, _ = update(empty_map(WAY), trips)
-        assert not any(notes_of(track).values())
-
-    @pytest.mark.usefixtures("unestimated")
     def test_a_change_of_the_whole_line_is_no_wrong_label(self) -> None:
         rail = Rail(2)
         trips = [rail.trip(number, 1.0 if number < 9 else 0.7) for number in range(14)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.ttobench import read_track, read_train as read_published_train
 from trainlog.railway import Line, Train, Tunnel
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import TRAIN_ATTACHMENT, Trip, nanoseconds
+from trainlog.trip import TRAIN_ATTACHMENT, Trip
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -103,24 +102,3 @@ def test_tunnels_of_three_lines_and_trains() -> None:
     assert len(curves) >= 18
     assert np.mean(curves) >= 0.9
     assert np.mean(tunnels) >= 0.9
-
-
-def test_a_stretch_of_a_reverse_trip_is_named_by_the_chainage_of_the_line() -> None:
-    """A brake that drags for a part of the way, on a trip against the line's direction."""
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    drawn = draw_scenarios(line, train, 8, seed=5)
-    trip = next(
-        made
-        for made in map(simulate, (each for each in drawn if each.direction == "reverse"))
-        if fit_trip(made).notes == ()
-    )
-    controls = trip["/train/controls"]
-    state = trip["/train/state"]
-    position = np.interp(nanoseconds(controls), nanoseconds(state), state["position"])
-    on = (position > 4_000.0) & (position < 8_000.0)
-    more = controls.assign(tractive_effort=controls["tractive_effort"] + 4e3 * on)
-    more.attrs = controls.attrs
-    (note,) = fit_trip(trip.with_topic(more)).notes
-    first, last = (float(each) for each in re.findall(r"km ([\d.]+) to ([\d.]+)", note)[0])
-    assert abs(first - (line.length / 1e3 - 4.0)) < 1.5
-    assert abs(last - (line.length / 1e3 - 8.0)) < 1.5

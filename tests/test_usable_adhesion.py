@@ -80,22 +80,6 @@ def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -
         usable_adhesion(replace(made(), settings={}), "wet", assumed=0.05)
 
 
-def test_a_trajectory_counts_on_what_was_seen_demonstrated_or_assumed() -> None:
-    track = made({3: 0.07}, {(8, 3): 1.0})
-    line = replace(level_line(track.length), name=track.line)
-    run = TrajectoryProblem(
-        line, flirt(), observed(flirt(), 1.0), end=1_000.0, condition_map=track, sigmas=1.0
-    )
-    cells = np.linspace(0.0, 1_000.0, BINS + 1)
-    assert np.flatnonzero(np.isfinite(run.adhesion(cells))).tolist() == [3]
-    stated = replace(run, assumed_adhesion=0.05)
-    counted = usable_adhesion(track, "wet", assumed=0.05)
-    assert np.array_equal(stated.adhesion(cells), counted.values)
-    assert np.array_equal(stated.adhesion_at(track.centres), counted.values)
-    backwards = replace(stated, direction="reverse")
-    assert np.array_equal(backwards.adhesion(cells), counted.values[::-1])
-
-
 def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place() -> None:
     track = made({3: 0.07, 9: 0.1})
     generator = np.random.default_rng(1)

@@ -10,21 +10,15 @@ import pytest
 
 import analysis.adhesion.slip as slip_module
 import analysis.resistance.coasting_detection as motion_module
-import analysis.resistance.passport as passports
 from analysis import view as module
 from analysis.adhesion.condition_map import adhesion_map
-from analysis.adhesion.slip import slip
-from analysis.comparison.driven import driven_trip
 from analysis.estimates import estimate_log
 from analysis.resistance.coast_down import coast_down
-from analysis.resistance.fit import fit_trip
-from analysis.resistance.passport import passport
 from tests.refusals import refused
 from trainlog.errors import LogError
 from trainlog.formats.samples import folder
 from trainlog.mcap import LogWriter, read_log, write_log
 from trainlog.mcap.reader import rows_of_log
-from trainlog.railway.passport import Quantity
 from trainlog.topics import GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -47,28 +41,6 @@ def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> P
         writer.add(trip)
         writer.add(Trip(later, trip.metadata, trip.provenance, trip.attachments))
     return path
-
-
-def test_what_analyses_share_is_computed_once(
-    nonstop: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[str] = []
-    search = passports._Motion.quantities
-
-    def counted(self: passports._Motion) -> tuple[Quantity, Quantity, Quantity]:
-        asked.append("delay")
-        return search(self)
-
-    monkeypatch.setattr(passports._Motion, "quantities", counted)
-    view = module.view_of(nonstop)
-    known, found = passport(view), slip(view)
-    assert fit_trip(view).passport is known
-    assert slip(view) is found
-    assert driven_trip(view) is driven_trip(view)
-    assert asked == ["delay"]
-    # A trip at hand may change: nothing is kept of it.
-    fit_trip(view.trip)
-    assert asked == ["delay", "delay"]
 
 
 def test_maps_and_coasting_take_all_parts_of_a_long_log(
