@@ -13,6 +13,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from refusals import refused
 from resistance_trips import (
+    LINE,
     RESISTANCE,
     TRAIN,
     changed,
@@ -26,18 +27,20 @@ from analysis.estimates import with_estimates
 from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.curve import band_factor, curve_std
+from analysis.resistance.fit import mass_prior
 from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.windows import build_windows
 from analysis.view import view_of
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.railway import (
+    line_to_bytes,
     read_line,
     read_train,
     train_to_bytes,
 )
 from trainlog.formats.samples import sample
-from trainlog.railway import EffortCurve, RunningResistance, Train
+from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
 from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.resistance import basis
 from trainlog.simulation import draw_scenarios, simulate
@@ -474,3 +477,44 @@ def test_efforts_that_rest_for_a_minute_are_a_gap() -> None:
     plain, fit = fit_trip(made), fit_trip(made.with_topic(found))
     assert 175.0 < fit.masked["gap"] - plain.masked["gap"] < 195.0
     np.testing.assert_allclose(fit.resistance(speed), RESISTANCE(speed), rtol=0.03)
+
+
+def test_gradients_and_tunnels_are_taken_off() -> None:
+    """The same motion under a slope and in tunnels, with the efforts that it then takes."""
+    made = trip(noise=0.02)
+    position = made["/train/state"]["position"].to_numpy()
+    speed = made["/train/state"]["speed"].to_numpy()
+    train = replace(TRAIN, tunnel_resistance=((40.0, 7.0),))
+    line = replace(
+        LINE,
+        gradients=StepProfile(np.arange(0.0, 80e3, 800.0), np.tile([4e-3, -4e-3], 50)),
+        tunnels=(Tunnel(5_000.0, 4_000.0, 40.0),),
+    )
+    extra = 130e3 * line.track_acceleration(position) + np.where(
+        (position > 5_000.0) & (position < 9_000.0), 7.0 * speed**2, 0.0
+    )
+    controls = made["/train/controls"]
+    net = controls["tractive_effort"] - controls["dynamic_braking_effort"] + extra
+    hilly = changed(
+        made,
+        "/train/controls",
+        tractive_effort=net.clip(lower=0.0),
+        dynamic_braking_effort=(-net).clip(lower=0.0),
+    )
+    hilly = replace(
+        hilly,
+        attachments={"line.json": line_to_bytes(line), "train.json": train_to_bytes(train)},
+    )
+    fit = fit_trip(hilly)
+    assert in_band(fit, RESISTANCE)
+    assert curve_error(fit, RESISTANCE) < 0.05
+
+
+def test_mass_prior_is_weak() -> None:
+    mass, std = mass_prior(TRAIN)
+    assert (mass, std) == (130e3, 20e3)
+    mass, std = mass_prior(replace(TRAIN, max_load=0.0))
+    assert std == pytest.approx(0.15 * TRAIN.mass)
+    for true in (105e3, 170e3):
+        fit = fit_trip(with_exact_efforts(trip(mass=true, noise=0.02)))
+        assert fit.mass == pytest.approx(true, rel=5e-3)
