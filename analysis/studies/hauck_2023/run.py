@@ -247,19 +247,6 @@ def days_table(days: Days) -> WordTable:
     return word_table(f"Bad rail, {trips} with the map of all logs before it", days.days, of)
 
 
-def counted_on(days: Days) -> str:
-    """What the days with a map assumed where it has no estimate, in words."""
-    assumed = [
-        f"day {day.number}: {float(day.known.values[day.known.assumed].max()):.3f}"
-        for day in days.days
-        if day.known is not None and day.known.assumed.any()
-    ]
-    return (
-        "assumed where the map has no estimate, from the middle one of the places where it has: "
-        + ", ".join(assumed)
-    )
-
-
 def _bins(day: Day) -> str:
     known = day.known
     if known is None:
@@ -295,7 +282,7 @@ def study_charts(setup: Setup, outcomes: Sequence[Outcome]) -> dict[str, list[Ch
         Of the scenarios, in their order.
     """
     good, bad, late, _ = (each.informed for each in outcomes)
-    charts = {
+    return {
         "figure-02-map.png": [_map(setup)],
         "figure-03-speed.png": [_speed(good)],
         "figure-04-errors.png": [_errors(good)],
@@ -303,11 +290,6 @@ def study_charts(setup: Setup, outcomes: Sequence[Outcome]) -> dict[str, list[Ch
         "figure-06-constraints-bad.png": [_constraints(bad, "Fig. 6  Constraints, bad track")],
         "figure-07-delay.png": _delay(late, outcomes[2]),
     }
-    blind = outcomes[1].blind
-    if blind is not None:
-        runs = {"with the map": bad, "without the map": blind}
-        charts["with-and-without-map.png"] = [Chart("km", list(map(_slips, runs, runs.values())))]
-    return charts
 
 
 def _map(setup: Setup) -> Chart:
@@ -391,24 +373,6 @@ def _delay(run: Run, outcome: Outcome) -> list[Chart]:
     ]
 
 
-def _slips(name: str, run: Run) -> Panel:
-    """Largest slip along the line: stable creep as grey lines, beyond the peak as red dots."""
-    slip = np.abs(run.slip_speed)
-    stable, beyond = (
-        _largest(run, np.max(slip, axis=1, initial=-np.inf, where=where))
-        for where in (~run.slipping, run.slipping)
-    )
-    return Panel(
-        "largest slip [m/s]",
-        [
-            Curve("stable creep", *stable, GREY, width=0.5),
-            Curve("beyond the peak", *beyond, RED, "points", width=1.6),
-        ],
-        title=f"Bad track, {name}: {run.slip_events} times an axle skids or slides,"
-        f" {run.skid_energy / 1e6:.2f} MJ beyond the peak",
-    )
-
-
 def _largest(run: Run, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The largest value in each piece of the line, over km; NaN where there is none."""
     count = int(np.ceil(float(run.position.max()) / BIN))
@@ -417,89 +381,6 @@ def _largest(run: Run, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     np.maximum.at(found, index, np.where(np.isfinite(values), values, -np.inf))
     centres = (np.arange(count, dtype=np.float64) + 0.5) * BIN
     return centres / 1e3, np.where(np.isfinite(found), found, np.nan)
-
-
-PIECE = 500.0
-"""Over which slips are counted [m]."""
-
-MARGIN = 0.5
-"""On either side of the line [km]."""
-
-
-def days_charts(days: Days) -> list[Chart]:
-    """The first and the last of the days above each other along the line.
-
-    Parameters
-    ----------
-    days : Days
-        Of one day alone its slips and its lateness are drawn.
-    """
-    shown = (days.days[0],) if len(days.days) == 1 else (days.days[0], days.days[-1])
-    panels = [_rail(shown[-1])] if len(shown) > 1 else []
-    return [
-        Chart(
-            "km", [*panels, _begun(shown), _lateness(days, shown)],
-            places=[(stop.position / 1e3, stop.station) for stop in days.stops],
-            span=(-MARGIN, days.stops[-1].position / 1e3 + MARGIN),
-        )
-    ]  # fmt: skip
-
-
-def _rail(day: Day) -> Panel:
-    """The rail as it was, and what the day's controllers counted on."""
-    track, known = day.track, day.known
-    if track is None or known is None:
-        raise InputError(
-            "the last day was driven without a map", remedy="give it the map of the first"
-        )
-    km = track.centres / 1e3
-    curves = [Curve("the rail as it is", km, day.rail(track.centres), GREY, width=0.7)]
-    curves += [
-        Curve(f"{label}, {np.count_nonzero(where)} bins", km[where], known.values[where], colour,
-              "points", width=width, mark=mark)
-        for where, colour, mark, width, label in (
-            (known.assumed, ORANGE, "_", 2.0, "assumed"),
-            (known.demonstrated, GREEN, "o", 1.5, "used without slip"),
-            (known.seen, BLUE, "o", 2.0, "seen: slip has shown the maximum"),
-        )
-        if where.any()
-    ]  # fmt: skip
-    title = f"What day {day.number} counts on, from the logs of the days before"
-    return Panel("maximum adhesion", curves, 1.3, title, limits=(0.03, 0.145))
-
-
-def _begun(shown: Sequence[Day]) -> Panel:
-    """How often axles began to slip along the line: the first day up, the last one down."""
-    bars = []
-    for day, sign, colour in zip(shown, (1.0, -1.0), (RED, BLUE), strict=False):
-        edges = PIECE * np.arange(int(np.ceil(day.runs[0].line.length / PIECE)) + 1)
-        counts = np.zeros(edges.size - 1)
-        for each in day.runs:
-            begun = np.diff(each.slipping.astype(np.int8), axis=0, prepend=0) > 0
-            counts += np.histogram(each.position, edges, weights=begun.sum(axis=1))[0]
-        words = f"day {day.number}: {day.slip_events} times"
-        km = (edges[:-1] + 0.5 * PIECE) / 1e3
-        label = f"{words}, {day.skid_energy / 1e6:.2f} MJ beyond the peak"
-        bars.append(Curve(label, km, sign * counts, colour, "bars", width=PIECE / 1e3))
-    first, last = shown[0], shown[-1]
-    title = f"Axles that begin to skid or slide, {len(first.runs)} trips a day" + (
-        f": day {first.number} upwards, day {last.number} downwards" if len(shown) > 1 else ""
-    )
-    return Panel(f"axles, in {PIECE:.0f} m", bars, title=title, rules=ZERO)
-
-
-def _lateness(days: Days, shown: Sequence[Day]) -> Panel:
-    """The latest of the trips at every stop."""
-    km = np.array([stop.position for stop in days.stops[1:]]) / 1e3
-    width = 0.006 * (days.stops[-1].position - days.stops[0].position) / 1e3
-    late = [days.late(day) for day in shown]
-    bars = [
-        Curve(f"day {day.number}: latest {each.max():.1f} s, mean {each.mean():.1f} s",
-              km + side * width, each.max(axis=0), colour, "bars", width=0.95 * width)
-        for day, each, side, colour in zip(shown, late, (-0.5, 0.5), (RED, BLUE), strict=False)
-    ]  # fmt: skip
-    title = "Late at the stops, the latest of the trips; below 0: early"
-    return Panel("s", bars, title=title, rules=ZERO)
 
 
 TRIPS = 3
@@ -560,7 +441,6 @@ def _drive_days(
     """Days in a row, until one has no map to be driven by."""
     rails = [known.rails["bad"]] * options.days
     following = day_by_day(known.plan, rails, masses, report.folder, options.seed)
-    driven: Days | None = None
     for number in report.track(range(1, options.days + 1), "driving days"):
         try:
             driven = next(following)
@@ -569,8 +449,3 @@ def _drive_days(
             break
         report.keep(*driven.logs)
         report.show(days_table(driven))
-    if driven is None:
-        return
-    if len(driven.days) > 1:
-        report.show(counted_on(driven))
-    report.draw({"two-days.png": days_charts(driven)})
