@@ -140,21 +140,6 @@ class TestObserver:
         score = (found.force / AXLE_LOAD - plant.adhesion) * AXLE_LOAD / found.std
         assert np.mean(np.abs(score) < 1.96) > 0.95
 
-    @settings(max_examples=25)
-    @given(st.integers(0, 2**31), st.integers(0, 60))
-    def test_blocks_do_not_matter(self, seed: int, cut: int) -> None:
-        rng = np.random.default_rng(seed)
-        time = np.cumsum(rng.uniform(0.01, 0.3, 60))
-        speed = np.where(rng.uniform(size=(60, 2)) < 0.1, np.nan, rng.normal(10.0, 1.0, (60, 2)))
-        effort = np.where(rng.uniform(size=(60, 2)) < 0.1, np.nan, rng.normal(2e4, 5e3, (60, 2)))
-        whole = AdhesionObserver(2, ROTATING_MASS, 0.05, FORCE_RATE)
-        parts = AdhesionObserver(2, ROTATING_MASS, 0.05, FORCE_RATE)
-        expected = whole.update(time, speed, effort)
-        first = parts.update(time[:cut], speed[:cut], effort[:cut])
-        second = parts.update(time[cut:], speed[cut:], effort[cut:])
-        np.testing.assert_array_equal(np.concatenate((first.force, second.force)), expected.force)
-        np.testing.assert_array_equal(np.concatenate((first.std, second.std)), expected.std)
-
     def test_a_missing_wheel_speed_makes_it_invalid_until_it_returns(self) -> None:
         plant = run(rail(5, 0.4, bins=40))
         observer = AdhesionObserver(AXLES, ROTATING_MASS, 0.03, FORCE_RATE)

@@ -98,19 +98,6 @@ def test_a_gate_leaves_out_what_is_too_far_off(limit: float, deviations: float, 
     assert np.array_equal(found.means, without.means) != kept
 
 
-def test_blocks_go_on_where_the_last_one_ended() -> None:
-    transition, noise, observation, shift, measured, variances = drawn(9)
-    whole = LinearGaussian(transition, noise, observation, shift=shift)
-    expected = whole.filter(measured, variances, np.zeros(3), np.eye(3))
-    mean, covariance = np.zeros(3), np.eye(3)
-    for part in (slice(0, 7), slice(7, 8), slice(8, None)):
-        model = LinearGaussian(transition[part], noise[part], observation[part], shift=shift[part])
-        found = model.filter(measured[part], variances[part], mean, covariance)
-        mean, covariance = found.means[-1], found.covariances[-1]
-    np.testing.assert_array_equal(mean, expected.means[-1])
-    np.testing.assert_array_equal(covariance, expected.covariances[-1])
-
-
 def test_bands_hold_errors_that_last_and_only_with_them() -> None:
     """Errors are drawn for each trip: no averaging removes them."""
     time = np.arange(0.0, 200.0)

@@ -53,20 +53,6 @@ def test_equals_weighted_least_squares() -> None:
     assert_same(estimator.result(), *batch(rows, values, variance))
 
 
-def test_sample_by_sample_equals_block_and_record() -> None:
-    rows, values = davis_samples(50, seed=3)
-    block, single, recorded = (RecursiveLeastSquares(PRIOR, forgetting=0.98) for _ in range(3))
-    innovations = block.update(rows, values, 0.01)
-    one_by_one = [
-        single.update(row, value, 0.01)[0] for row, value in zip(rows, values, strict=True)
-    ]
-    estimate, covariance = recorded.record(rows, values, 0.01)
-    np.testing.assert_array_equal(innovations, one_by_one)
-    np.testing.assert_array_equal(single.result().estimate, block.result().estimate)
-    np.testing.assert_array_equal(estimate[-1], block.result().estimate)
-    np.testing.assert_allclose(covariance[-1], block.result().covariance, rtol=1e-12)
-
-
 def test_forgetting_weighs_samples_exponentially() -> None:
     """Amirhosseini et al. (2024), eqs. (19), (20): the sample k updates ago counts gamma^k."""
     gamma, count = 0.9, 400
