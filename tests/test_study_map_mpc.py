@@ -20,7 +20,7 @@ from analysis.studies.hauck_2023.run import (
     study_charts,
     tracking_table,
 )
-from analysis.studies.hauck_2023.scenarios import Days, day_by_day, least_lateness, replanned
+from analysis.studies.hauck_2023.scenarios import Day, day_by_day, least_lateness, replanned
 from analysis.studies.hauck_2023.simulation import trip_of
 from analysis.studies.report import StudyReport
 from trainlog.cli import terminal
@@ -63,15 +63,15 @@ def outcomes(known: study.Setup) -> dict[tuple[str, float], study.Outcome]:
 
 
 @pytest.fixture(scope="module")
-def days(known: study.Setup, tmp_path_factory: pytest.TempPathFactory) -> Days:
+def days(known: study.Setup, tmp_path_factory: pytest.TempPathFactory) -> list[Day]:
     folder = tmp_path_factory.mktemp("days")
     each = day_by_day(known.plan, [SLIPPERY, SLIPPERY], [70e3, 85e3], folder, seed=1)
     first = next(each)
     # It is yielded while the second is still to be driven.
-    assert [day.number for day in first.days] == [1]
-    assert sorted(folder.iterdir()) == sorted(first.logs)
+    assert [day.number for day in first] == [1]
+    assert sorted(folder.iterdir()) == sorted(first[0].logs)
     (both,) = each
-    assert both.days[0] is first.days[0]
+    assert both[0] is first[0]
     return both
 
 
@@ -156,15 +156,15 @@ def test_the_train_stands_within_the_tolerance_of_its_stops(
 
 
 def test_the_second_day_beats_the_first_in_slip_and_is_punctual(
-    days: Days,
+    days: list[Day],
 ) -> None:
-    first, second = days.days
+    first, second = days
     assert first.slip_events > 0
     assert second.slip_events == 0
     assert second.skid_energy == 0.0
     assert second.slip_energy < first.slip_energy
-    assert days.late(second).min() > -1.5
-    assert days.late(second).max() < 0.5
+    assert second.late.min() > -1.5
+    assert second.late.max() < 0.5
     assert second.track is not None
     assert len(second.track.trips) == 2
 
@@ -207,7 +207,7 @@ def test_a_mass_the_train_cannot_have_is_refused(known: study.Setup) -> None:
 def test_tables_and_pictures_are_made(
     known: study.Setup,
     outcomes: dict[tuple[str, float], study.Outcome],
-    days: Days,
+    days: list[Day],
     tmp_path: Path,
 ) -> None:
     four = [outcomes[name, PUBLISHED_TRAIN.light] for name in BY_NAME]

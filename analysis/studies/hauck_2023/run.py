@@ -27,7 +27,6 @@ from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.scenarios import (
     SCENARIOS,
     Day,
-    Days,
     Outcome,
     Setup,
     day_by_day,
@@ -221,12 +220,12 @@ def _departure_error(each: Outcome) -> str:
     return f"{abs(float(run.position_error[np.argmax(run.speed > 0.0)])):.1f}"
 
 
-def days_table(days: Days) -> WordTable:
+def days_table(days: Sequence[Day]) -> WordTable:
     """Each day beside the first: slip, punctuality, and the map that it was driven by.
 
     Parameters
     ----------
-    days : Days
+    days : sequence of Day
     """
     of: Columns[Day] = {
         "day": lambda day: day.number,
@@ -234,8 +233,8 @@ def days_table(days: Days) -> WordTable:
         "slip protection": lambda day: sum(each.protections for each in day.runs),
         "work beyond the peak MJ": lambda day: f"{day.skid_energy / 1e6:.2f}",
         "all work of creep MJ": lambda day: f"{day.slip_energy / 1e6:.1f}",
-        "latest s": lambda day: f"{days.late(day).max():.1f}",
-        "mean s": lambda day: f"{days.late(day).mean():.2f}",
+        "latest s": lambda day: f"{day.late.max():.1f}",
+        "mean s": lambda day: f"{day.late.mean():.2f}",
         "farthest from a stop m": lambda day: (
             f"{max(np.abs(each.stop_error).max() for each in day.runs):.2f}"
         ),
@@ -243,8 +242,8 @@ def days_table(days: Days) -> WordTable:
         "bins seen / demonstrated / assumed": _bins,
         "map's error % (bias, rms)": _map_errors,
     }
-    trips = f"{len(days.days[0].runs)} trips a day: the first without a map, each other one"
-    return word_table(f"Bad rail, {trips} with the map of all logs before it", days.days, of)
+    trips = f"{len(days[0].runs)} trips a day: the first without a map, each other one"
+    return word_table(f"Bad rail, {trips} with the map of all logs before it", days, of)
 
 
 def _bins(day: Day) -> str:
@@ -447,5 +446,5 @@ def _drive_days(
         except (InputError, InfeasibleError) as error:
             report.show(f"day {number} was not driven: {error}")
             break
-        report.keep(*driven.logs)
+        report.keep(*driven[-1].logs)
         report.show(days_table(driven))

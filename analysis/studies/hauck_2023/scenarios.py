@@ -384,6 +384,11 @@ class Day:
         return sum(each.slip_energy for each in self.runs)
 
     @property
+    def late(self) -> FloatArray:
+        """Arrivals after the timetable's [s]; (trips, stops but the first) array."""
+        return np.array([each.late for each in self.runs])
+
+    @property
     def worst(self) -> FloatArray:
         """Largest constraints of all trips; see `Run.worst`."""
         return np.asarray(np.max([each.worst for each in self.runs], axis=0))
@@ -395,30 +400,6 @@ class Day:
             return np.zeros(0)
         estimate = self.track.layer(LAYER).maximum_adhesion[self.known.seen]
         return np.asarray(estimate / self.rail(self.track.centres[self.known.seen]) - 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Days:
-    """Days in a row under one timetable.
-
-    Attributes
-    ----------
-    days : tuple of Day
-    stops : tuple of Stop
-        The timetable.
-    """
-
-    days: tuple[Day, ...]
-    stops: tuple[Stop, ...]
-
-    @property
-    def logs(self) -> tuple[Path, ...]:
-        """Of all days."""
-        return tuple(path for day in self.days for path in day.logs)
-
-    def late(self, day: Day) -> FloatArray:
-        """Arrivals after the timetable's [s]; (trips, stops but the first) array."""
-        return np.array([each.late for each in day.runs])
 
 
 def cautious_adhesion(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion:
@@ -487,7 +468,7 @@ def next_day(before: Day, plan: Plan, rail: StepProfile, folder: Path, seed: int
 
 def day_by_day(
     plan: Plan, rails: Sequence[StepProfile], masses: Sequence[float], folder: Path, seed: int,
-) -> Iterator[Days]:  # fmt: skip
+) -> Iterator[list[Day]]:  # fmt: skip
     """After each day the days so far; arguments as for `first_day` and `next_day`.
 
     Raises
@@ -495,12 +476,11 @@ def day_by_day(
     InputError
         Before a day whose map shows no maximum adhesion anywhere.
     """
-    stops = timetable_of(plan)
     days = [first_day(plan, rails[0], masses, folder, seed)]
-    yield Days(tuple(days), stops)
+    yield [*days]
     for rail in rails[1:]:
         days.append(next_day(days[-1], plan, rail, folder, seed))
-        yield Days(tuple(days), stops)
+        yield [*days]
 
 
 def timetable_of(plan: Plan) -> tuple[Stop, ...]:
