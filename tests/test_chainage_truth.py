@@ -157,6 +157,16 @@ def test_outages_get_rows_whose_band_is_widest_in_their_middle() -> None:
     assert std[150] > 5.0 * np.median(std)
 
 
+def test_a_trip_elsewhere_or_the_other_way_is_refused() -> None:
+    trip, _ = drive(winding(), Receiver(), 1)
+    away = replace(winding(), latitudes=winding().latitudes + 0.1)
+    refused(InputError, r"half of the \d+ fixes lie .* km or more .*; give", estimated, trip, away)
+    back, _ = drive(winding(), Receiver(), 2, reverse=True)
+    refused(InputError, r"from km \d.*'reverse'", estimated, back, winding())
+    silent = back.with_topic(back["/gnss/motion"].assign(speed=np.nan))
+    refused(InputError, "against the direction of travel", estimated, silent, winding())
+
+
 def test_a_branch_is_not_the_line() -> None:
     """Four of twelve kilometres together, then apart: the trip followed the other branch."""
     s = np.arange(0.0, 12_000.0, 5.0)

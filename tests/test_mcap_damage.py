@@ -13,9 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from mcap.data_stream import RecordBuilder
 from mcap.reader import SeekingReader
-from mcap.records import Chunk
 from mcap_trips import assert_same, trip_of
 from refusals import refused
 
@@ -79,12 +77,6 @@ def without_checksums(data: bytes) -> bytearray:
     struct.pack_into("<I", stripped, summary_start - 4, 0)
     struct.pack_into("<I", stripped, footer + 16, 0)
     return stripped
-
-
-def record(chunk: Chunk) -> bytes:
-    builder = RecordBuilder()
-    chunk.write(builder)
-    return builder.end()
 
 
 @pytest.mark.parametrize("claimed", [2**20, 2**29, 2**31, 2**62, 2**64 - 1])

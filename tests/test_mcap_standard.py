@@ -14,7 +14,7 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorS
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import SeekingReader, make_reader
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 from mcap_trips import START, assert_same, trip_of
 from refusals import refused
@@ -155,35 +155,6 @@ def write_elsewhere(
             for time, message in messages:
                 writer.add_message(channel, time, message.SerializeToString(), time)
         writer.finish()
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"compression": CompressionType.LZ4},
-        {"compression": CompressionType.NONE},
-        {"use_chunking": False},
-        {"index_types": IndexType.NONE},
-        {"use_statistics": False, "use_summary_offsets": False},
-        {"repeat_channels": False, "repeat_schemas": False, "index_types": IndexType.CHUNK},
-        {"enable_crcs": False, "enable_data_crcs": True},
-        {"chunk_size": 100},
-    ],
-    ids=str,
-)
-def test_reads_what_other_writers_make_of_our_topics(options: Any, tmp_path: Path) -> None:
-    state = message_class(TRAIN_STATE)
-    messages = [(START + i, state(position=float(i), speed=i / 7)) for i in range(50)]
-    write_elsewhere(tmp_path / "trip.mcap", [(TRAIN_STATE.name, messages)], **options)
-    back = read_log(tmp_path / "trip.mcap")
-    expected = frame_of(
-        TRAIN_STATE,
-        START + np.arange(50),
-        {"position": np.arange(50.0), "speed": np.arange(50) / 7},
-    )
-    pd.testing.assert_frame_equal(back[TRAIN_STATE.name], expected, check_freq=False)
-    assert back.metadata == {}
 
 
 def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path: Path) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import io
-import pickle
 from dataclasses import dataclass
 from typing import ClassVar
 
-import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
@@ -24,7 +22,6 @@ from trainlog.presentation import (
     Column,
     Ends,
     Presented,
-    Said,
     WordTable,
     new_table,
 )
@@ -103,21 +100,6 @@ def test_a_result_without_a_plot_names_what_to_use_instead() -> None:
     refused(InputError, "Bare has no plot; print it, or use its attributes", Bare().plot)
 
 
-def test_json_has_facts_tables_in_si_units_and_notes_and_fits_its_schema() -> None:
-    found = runs()
-    data = found.data()
-    assert data["longest_s"] == 3.5
-    assert data["runs"][0]["mass_kg"] is None
-    assert data["runs"][1] == {
-        **{"train": "train 1", "top_speed_m_s": 21.0, "mass_kg": 80e3, "mass_std_kg": 1e3},
-        **{"adhesion": 0.15, "adhesion_low": 0.1, "adhesion_high": 0.2},
-    }
-    assert data["notes"] == ["± is the 95 % band."]
-    jsonschema.validate(data, found.schema())
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate({**data, "longest_s": "3.5 s"}, found.schema())
-
-
 def test_csv_and_frame_hold_the_rows_in_si_units() -> None:
     found = runs()
     read = pd.read_csv(io.StringIO(found.to_csv()))
@@ -126,12 +108,6 @@ def test_csv_and_frame_hold_the_rows_in_si_units() -> None:
     assert found.to_frame().attrs["units"]["top_speed_m_s"] == "m/s"
     with pytest.raises(KeyError, match="no table 'days'; it has runs"):
         found.to_csv(name="days")
-
-
-def test_results_are_compared_by_value_and_pickled() -> None:
-    assert runs() == runs()
-    assert runs() != runs(3)
-    assert pickle.loads(pickle.dumps(runs())) == runs()
 
 
 def printed(table: WordTable, width: int) -> str:
@@ -165,10 +141,3 @@ def test_words_of_a_table_are_never_broken(width: int) -> None:
     headings = set(" ".join(CONDITION).split())
     assert headings <= named
     assert all(word in left or not word[0].isdigit() for word in shown if word != str(width))
-
-
-def test_what_is_shown_in_words_of_its_own_is_data_all_the_same() -> None:
-    table = new_table("", Column("time", SPEED, key="speed"), name="rows")
-    table.add_cells(Said(2.0, "slow"))
-    assert table.words == [["slow"]]
-    assert table.data == [{"speed_m_s": 2.0}]
