@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from satellite_trips import winding
 from scipy.integrate import cumulative_trapezoid
 from simulated_line import flirt, hilly_line
-from test_ingest_chainage import winding
 
 from trainlog.cli.options import pairs
 from trainlog.errors import InputError
@@ -27,7 +27,7 @@ from trainlog.ingest import (
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
-LINE, TRAIN = replace(hilly_line(), geometry=winding()), flirt()
+LINE, TRAIN = replace(hilly_line(), geometry=winding(11_000.0)), flirt()
 POSITION = "/train/state.position"
 COLUMNS = {
     POSITION: {"column": "s", "unit": "m"},
