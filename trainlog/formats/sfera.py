@@ -334,7 +334,7 @@ class Documents:
         for each in parsed_xml(data, file).every():
             if each.tag == "MessageHeader":
                 time = _time(each, "timestamp")
-                sent = int((pd.NaT if time is None else pd.Timestamp(time).as_unit("ns")).value)
+                sent = int(pd.NaT.value) if np.isnan(time) else round(1e3 * time) * 1_000_000
             elif each.tag == "B2G_StatusReport":
                 self.reports.append((sent, each))
             elif each.tag == "JourneyProfile" and journeys:
@@ -412,7 +412,7 @@ def _journey(
                 f"runs over segment '{each.text('SP_ID')}' twice in the same direction",
                 "name each segment once, in the order in which the train runs over them",
             )
-    times = _Times.of(element)
+    times = _running(element)
     runs = [_Run.of(each, documents, times, account) for each in references]
     placed, at = list[tuple[float, Line]](), 0.0
     choice = limits.among([run.track for run in runs], account)
@@ -420,7 +420,8 @@ def _journey(
         line = run.track.line(account, choice)
         placed.append((at, line.reversed() if run.reverse else line))
         run.begin, at = at, at + line.length
-    points = [] if times is None else [each for run in runs for each in run.timing_points(times)]
+    timed = runs if np.isfinite(times[0]) else []
+    points = [each for run in timed for each in run.timing_points(times[0])]
     stations = _stations(runs, account)
     ends = stations[:1] + stations[-1:]
     title = " - ".join(dict.fromkeys(each.name for each in ends)) or name
@@ -494,18 +495,18 @@ def _check_status(element: Element, name: str) -> None:
         raise element.error(f"states {name} '{stated}'", "give the version that is valid")
 
 
-def _time(element: Element, name: str) -> datetime.datetime | None:
-    """A time of day in UTC; None where there is none."""
-    text = element.text(name)
-    if not text:
-        return None
+def _time(element: Element | None, name: str) -> float:
+    """A time in seconds since 1970 UTC; NaN where there is none."""
+    text = "" if element is None else element.text(name)
+    if element is None or not text:
+        return np.nan
     try:
         found = datetime.datetime.fromisoformat(text)
     except ValueError:
         raise element.error(
             f"{name} '{text}' is no time", "write it as 2026-05-17T06:30:00Z"
         ) from None
-    return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)
+    return (found if found.tzinfo else found.replace(tzinfo=datetime.UTC)).timestamp()
 
 
 def _without_zone(text: str) -> bool:
@@ -521,37 +522,14 @@ def _duration(element: Element, name: str) -> float:
     raise element.error(f"{name} '{text}' is no duration", "write it as PT1M30S")
 
 
-@dataclass(frozen=True)
-class _Times:
-    """When the train runs: from its first to its last stated time.
-
-    Attributes
-    ----------
-    first, last : datetime
-    """
-
-    first: datetime.datetime
-    last: datetime.datetime
-
-    @staticmethod
-    def of(journey: Element) -> _Times | None:
-        """Of the times at the timing points of a journey; None without any."""
-        found = list[datetime.datetime]()
-        for each in journey.all("SegmentProfileReference", "TimingPointConstraints"):
-            leaves = each.first("StoppingPointDepartureDetails")
-            for element, name in ((each, "TP_latestArrivalTime"), (leaves, "departureTime")):
-                time = None if element is None else _time(element, name)
-                found += [] if time is None else [time]
-        return _Times(min(found), max(found)) if found else None
-
-    def seconds(self, time: datetime.datetime | None) -> float | None:
-        """Since the journey's first time [s]."""
-        return None if time is None else (time - self.first).total_seconds()
-
-    def overlap(self, element: Element) -> bool:
-        """Whether a constraint's time begins before the journey ends and ends behind its begin."""
-        start, end = _time(element, "startTime"), _time(element, "endTime")
-        return (start is None or start <= self.last) and (end is None or end >= self.first)
+def _running(journey: Element) -> tuple[float, float]:
+    """The first and the last time at a timing point [s since 1970 UTC]; NaN without any."""
+    found = list[float]()
+    for each in journey.all("SegmentProfileReference", "TimingPointConstraints"):
+        leaves = each.first("StoppingPointDepartureDetails")
+        found += [_time(each, "TP_latestArrivalTime"), _time(leaves, "departureTime")]
+    stated = [each for each in found if np.isfinite(each)] or [np.nan]
+    return min(stated), max(stated)
 
 
 @dataclass
@@ -579,7 +557,7 @@ class _Run:
 
     @staticmethod
     def of(
-        reference: Element, documents: Documents, times: _Times | None, account: Account
+        reference: Element, documents: Documents, times: tuple[float, float], account: Account
     ) -> _Run:
         """What a reference names, with the constraints that hold for this journey."""
         file, segment = documents.found(reference)
@@ -588,14 +566,15 @@ class _Run:
         run._restrict(times, account)
         return run
 
-    def _restrict(self, times: _Times | None, account: Account) -> None:
+    def _restrict(self, times: tuple[float, float], account: Account) -> None:
         """Take over the speed restrictions that hold while the train runs."""
+        first, last = times
         for each in self.reference.all("TemporaryConstraints"):
             kind = each.text("temporaryConstraintType")
             asked = each.first("AdditionalSpeedRestriction")
             if asked is None:
                 account.left_out[f"temporary constraints ({kind or 'of no kind'})"] += 1
-            elif times is not None and not times.overlap(each):
+            elif _time(each, "startTime") > last or _time(each, "endTime") < first:
                 account.left_out["speed restrictions at other times"] += 1
             else:
                 begin, end = self._restricted(each, account)
@@ -615,29 +594,24 @@ class _Run:
         """Position [m] along the journey of a location in the segment."""
         return self.begin + (self.track.length - location if self.reverse else location)
 
-    def timing_points(self, times: _Times) -> Iterator[TimingPoint]:
-        """When the train has to be where."""
+    def timing_points(self, first: float) -> Iterator[TimingPoint]:
+        """When the train has to be where, counted from a time [s since 1970 UTC]."""
         for each in self.reference.all("TimingPointConstraints"):
             point = self._point(each)
-            within = built(partial(_place, point, self.track.length), self.file)
-            place = self.at(within)
+            place = self.at(built(partial(_place, point, self.track.length), self.file))
             leaves = each.first("StoppingPointDepartureDetails")
-            arrives = times.seconds(_time(each, "TP_latestArrivalTime"))
-            window = _duration(each, "arrivalWindow")
-            # The window is what it may be earlier; without one no time is too early.
-            earliest = arrives - window if arrives is not None and window else None
+            arrives, window = _time(each, "TP_latestArrivalTime"), _duration(each, "arrivalWindow")
+            departs, least = _time(leaves, "departureTime"), _time(leaves, "earliestDepartureTime")
             stops = each.text("TP_StopSkipPass", "Passing_Point") == "Stopping_Point"
             stands = {"lowest_speed": 0.0, "highest_speed": 0.0} if stops else {}
-            if arrives is not None:
-                yield TimingPoint(place, earliest, arrives, **stands)
-            if leaves is None:
-                continue
-            departs = times.seconds(_time(leaves, "departureTime"))
-            least = times.seconds(_time(leaves, "earliestDepartureTime"))
-            least = departs if least is None else least
-            latest = departs if arrives is None else None
-            if departs is not None:
-                yield TimingPoint(place, least, latest, **stands)
+            if np.isfinite(arrives):
+                # The window is what it may be earlier; without one no time is too early.
+                earliest = arrives - window - first if window else None
+                yield TimingPoint(place, earliest, arrives - first, **stands)
+            if np.isfinite(departs):
+                latest = None if np.isfinite(arrives) else departs - first
+                leave = departs if np.isnan(least) else least
+                yield TimingPoint(place, leave - first, latest, **stands)
 
     def _point(self, constraints: Element) -> Element:
         """The timing point that constraints refer to."""
