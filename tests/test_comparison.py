@@ -466,3 +466,12 @@ def test_time_lost_by_slip_is_found_by_the_wheels_where_no_protection_is_recorde
         lost.append(float(losses["lost"][losses["cause"] == "slip"].sum()))
     assert lost[0] > 20.0
     assert lost[1] == pytest.approx(lost[0], rel=0.2)
+
+
+def test_without_efforts_the_energy_is_unknown() -> None:
+    none = replace(
+        stopping(), topics={k: v for k, v in stopping().topics.items() if k != "/train/controls"}
+    )
+    found = compare(none)
+    assert found.trip("trip-03").table["traction"].isna().all()
+    assert "no efforts are recorded" in found._repr_html_()

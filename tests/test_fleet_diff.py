@@ -334,3 +334,15 @@ def test_what_is_no_version_is_refused(place: Path, side: str, message: str, she
     status, _, complaint = shell("fleet", "diff", "now", side, "--catalogue", place)
     assert (status, complaint.count("\n")) == (2, 1)
     assert message in complaint
+
+
+def test_texts_that_differ_are_listed_but_no_estimate_moved() -> None:
+    table = made_up()
+    other = table.assign(
+        source=["assumed" if key == "00007" else "recorded" for key in table["key"]]
+    )
+    found = difference(table, other)
+    assert not found.beyond
+    assert found.words[["trip", "estimate", "second"]].to_numpy().tolist() == [
+        ["trip-7", "source", "assumed"]
+    ]

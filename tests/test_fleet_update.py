@@ -38,7 +38,7 @@ from analysis.fleet.update import (
     problems_table,
     update_fleet,
 )
-from trainlog.catalogue import open_catalogue
+from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import MapFile, read_map
@@ -500,3 +500,17 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
     assert any("cannot be written" in problem for _, problem, _ in refused)
     assert any("the database refuses" in problem for _, problem, _ in refused)
     assert all("free some space" in str(remedy) for _, _, remedy in refused)
+
+
+def test_a_fleet_is_asked_for_page_by_page(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.fleet.update.PAGE", 2)
+    asked = []
+    pending = Catalogue.pending
+
+    def noted(*given: object, **named: object) -> pd.DataFrame:
+        asked.append(pending(*given, **named))  # type: ignore[arg-type]
+        return asked[-1]
+
+    monkeypatch.setattr(Catalogue, "pending", noted)
+    assert updated(place, "checks", "passport", batch=1).trips == TRIPS
+    assert max(map(len, asked)) == 2

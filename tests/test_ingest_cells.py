@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 from hypothesis import given, settings, strategies as st
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text
+from refusals import refused
 
+from trainlog.errors import InputError
 from trainlog.ingest import Profile, ingest, repairs_of, report_of
 from trainlog.trip import Trip
 
@@ -107,3 +110,38 @@ def test_rows_that_end_at_their_last_value_are_whole(tmp_path: Path) -> None:
     assert report.count("truncated_rows") == 0
     assert report.count("empty") == 100
     assert trip["/imu"]["specific_force_x"].count() == 100
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "problem", "remedy"),
+    [
+        (
+            "t,v,s,a,b,,,",
+            "{row}",
+            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 5 columns, they have"
+            r" 3 cells",
+            r"the last name is 'b', .* remove the 2 names without a cell",
+        ),
+        (
+            "t,v,s,,",
+            "{row},7,8,9,6",
+            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 5 columns, they have"
+            r" 7 cells",
+            r"name the 2 columns that the header does not name",
+        ),
+        (
+            "t,v,s",
+            "{row};1",
+            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 3 columns, they have"
+            r" 5 cells",
+            r"decimal comma",
+        ),
+    ],
+)
+def test_the_message_names_the_cause(
+    tmp_path: Path, header: str, row: str, problem: str, remedy: str
+) -> None:
+    rows = [row.format(row=text) for text in plain_rows(60)]
+    if "comma" in remedy:
+        rows = [text.partition(",")[0] + ",12,5,1000,25" for text in plain_rows(60)]
+    refused(InputError, f"{problem}.*{remedy}", read, tmp_path, rows, header)

@@ -16,7 +16,7 @@ from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, report_of
-from trainlog.mcap import read_log, write_log
+from trainlog.mcap import DamageWarning, read_log, write_log
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 SECOND = 10**9
@@ -278,3 +278,14 @@ def test_the_talker_of_rosbag2_becomes_events():
     assert report_of(trip).not_used == {"/topic": 10}
     with pytest.raises(InputError, match="holds nothing that can be mapped by itself"):
         ingest(SHARED / "rosbag2_tests_resources_mcap_cdr_test_cdr_test_0.mcap")
+
+
+def test_a_damaged_file_gives_what_is_readable_and_says_so(tmp_path):
+    path = json_log(tmp_path / "odo.mcap", "/odo", [{"v": row % 7} for row in range(60_000)])
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    wanted = {"/train/state.speed": {"column": "/odo:v", "unit": "m/s"}}
+    with pytest.warns(DamageWarning):
+        trip = ingest(path, profile=profile(wanted))
+    assert 0 < len(trip["/train/state"]) < 60_000
+    assert "lost" in trip.metadata["damage"]

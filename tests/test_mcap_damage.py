@@ -7,13 +7,18 @@ import tempfile
 import tracemalloc
 import warnings
 import zlib
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings, strategies as st
+from mcap.data_stream import RecordBuilder
 from mcap.reader import SeekingReader
+from mcap.records import Chunk
 from mcap_trips import assert_same, trip_of
 from refusals import refused
 
@@ -187,3 +192,115 @@ def test_any_part_of_a_file_is_read_as_it_stands(parts: list[tuple[int, int]]) -
                 assert source.read(offset, length) == data[offset : offset + length]
                 assert source.read(offset, length % 99) == data[offset : offset + length % 99]
             assert source.checksum(7, 190_000) == zlib.crc32(data[7:190_000])
+
+
+TRIES = (30, pytest.param(500, marks=pytest.mark.long))
+"""How often bytes of a log are changed."""
+
+
+_T = TypeVar("_T")
+
+
+def outcome(read: Callable[[Path], _T], path: Path) -> _T | LogError:
+    """What reading gives: a result, or the one kind of error that it may raise, in one line."""
+    try:
+        return read(path)
+    except LogError as error:
+        found = error
+    assert found.file == path
+    assert found.remedy
+    assert str(found).isprintable()
+    return found
+
+
+@pytest.mark.parametrize("count", TRIES)
+def test_uncompressed_messages_with_broken_bytes(tmp_path: Path, count: int) -> None:
+    """Damage inside a chunk that is not compressed reaches the message parsers."""
+    _, data = small(tmp_path)
+    start, end, content = only_chunk(data)
+    plain = without_checksums(data)
+    chunk = record(Chunk("", content, 0, 0, 0, len(content)))
+    random = np.random.default_rng(5)
+    path = tmp_path / "flipped.mcap"
+    noticed = 0
+    for _ in range(count):
+        flipped = bytearray(chunk)
+        flipped[random.integers(len(chunk) - len(content), len(chunk))] = random.integers(256)
+        path.write_bytes(with_summary_moved(plain, start, end, bytes(flipped)))
+        found = outcome(read_with_account, path)
+        noticed += isinstance(found, LogError) or found[1] is not None
+    assert noticed > count // 10
+
+
+def only_chunk(data: bytes) -> tuple[int, int, bytes]:
+    """Start, end and decompressed content of the chunk of a log that has one."""
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    (index,) = summary.chunk_indexes
+    end = index.chunk_start_offset + index.chunk_length
+    content = zstandard.decompress(data[end - index.compressed_size : end])
+    return index.chunk_start_offset, end, content
+
+
+def record(chunk: Chunk) -> bytes:
+    builder = RecordBuilder()
+    chunk.write(builder)
+    return builder.end()
+
+
+def with_summary_moved(data: bytes, start: int, end: int, chunk: bytes) -> bytes:
+    """The file with another chunk in this place, its footer pointing right again."""
+    moved = bytearray(data[:start] + chunk + data[end:])
+    shift = len(chunk) - (end - start)
+    footer = len(moved) - 8 - 20
+    for at in (footer, footer + 8):
+        (offset,) = struct.unpack_from("<Q", moved, at)
+        struct.pack_into("<Q", moved, at, offset + shift)
+    return bytes(moved)
+
+
+def assert_part(part: Trip, trip: Trip) -> None:
+    """Every row that was read is one that was written."""
+    for name, frame in part.topics.items():
+        rows = trip[name].index.get_indexer(frame.index)
+        assert (rows >= 0).all()
+        assert_same(Trip({name: trip[name].iloc[rows]}), Trip({name: frame}))
+
+
+@pytest.mark.parametrize("count", TRIES)
+def test_flipped_bytes_are_noticed(trip: Trip, data: bytes, tmp_path: Path, count: int) -> None:
+    random = np.random.default_rng(3)
+    path = tmp_path / "flipped.mcap"
+    for _ in range(count):
+        flipped = bytearray(data)
+        flipped[random.integers(len(data))] ^= int(random.integers(1, 256))
+        path.write_bytes(flipped)
+        found = outcome(read_with_account, path)
+        if isinstance(found, LogError):
+            assert found.place
+        else:
+            part, account = found
+            assert account is not None
+            assert_part(part, trip)
+
+
+CLAIMED = (0xFFFFFFFF, 0x7FFFFFFF, 0x00FFFFFF, 0)
+
+
+@pytest.mark.parametrize("opcode", [0x03, 0x04, 0x06, 0x07, 0x09, 0x0B, 0x0C])
+def test_forged_record_lengths(opcode: int, tmp_path: Path) -> None:
+    """A length field of each kind of record claims more than there is."""
+    _, data = small(tmp_path)
+    at = 8
+    while data[at] != opcode:
+        (length,) = struct.unpack_from("<Q", data, at + 1)
+        at += 9 + length
+    (length,) = struct.unpack_from("<Q", data, at + 1)
+    plain = without_checksums(data)
+    for place in range(at + 1, at + 9 + min(length, 20) - 3):
+        # Within the record one claim at each place, in turn; at its own length all of them.
+        for claimed in CLAIMED if place < at + 9 else (CLAIMED[place % len(CLAIMED)],):
+            forged = bytearray(plain)
+            struct.pack_into("<I", forged, place, claimed)
+            (tmp_path / "forged.mcap").write_bytes(forged)
+            outcome(read_with_account, tmp_path / "forged.mcap")

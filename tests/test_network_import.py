@@ -16,10 +16,11 @@ from command import run
 from infrastructure_files import RAILML_2, RAILML_3, TUNNELS_2, TUNNELS_3
 from refusals import refused
 
+from analysis.network.edges import export_network
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.imports import import_file, networks_in
-from trainlog.formats.railway import read_line, read_network
+from trainlog.formats.imports import ImportOptions, import_file, networks_in
+from trainlog.formats.railway import read_line, read_network, write_network
 from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.network import Network, network_of_lines
@@ -584,3 +585,57 @@ def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> No
             None if limit is None else [limit]
         ] * 2
         assert any(note.endswith(words) for note in notes)
+
+
+def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:
+    network, _ = network_of_lines("one", [plain("a", ("A", 0.0), ("B", 1e3))])
+    refused(InputError, "has coordinates", export_network, network, tmp_path / "a.geojson")
+    write_network(network, tmp_path / "a.network.json")
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.network.json"]
+
+
+@needs_osrd
+def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_path: Path) -> None:
+    source = OSRD / "infras" / "overlapping_routes.json"
+    for name in ("assumed", "known"):
+        (tmp_path / name).mkdir()
+    (assumed,) = import_file(source, tmp_path / "assumed")
+    (known,) = import_file(source, tmp_path / "known", ImportOptions(gradients_known=True))
+    (words,) = [each for each in assumed.assumed if each.startswith("level where")]
+    assert known.assumed == [each for each in assumed.assumed if each != words]
+    before, after = read_network(assumed.path), read_network(known.path)
+    assert "gradients" in before.assumed
+    assert "gradients" not in after.assumed
+    route = (
+        after.route(*list(after.places)[:2]).line if len(after.places) > 1 else after.edges[0].line
+    )
+    assert not route.gradient(np.linspace(0.0, route.length, 50)).any()
+
+
+def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) -> None:
+    kind = {
+        "id": "odd",
+        "ports": ["A", "B1", "B2"],
+        "groups": {"one": [{"src": "B1", "dst": "B2"}], "two": [{"src": "A", "dst": "B1"}]},
+    }
+    switch = small()["switches"][0] | {"switch_type": "odd"}
+    (network,), *_ = read_small(tmp_path, switches=[switch], extended_switch_types=[kind])
+    assert network.route("b@0.4", "c@0.5").length == pytest.approx(900.0)
+    refused(InputError, "no route", network.route, "a@0.4", "c@0.5")
+
+
+def test_gradients_that_contradict_each_other_are_counted_and_the_later_holds(
+    tmp_path: Path,
+) -> None:
+    slopes = [
+        {"gradient": 5.0, "begin": 0.0, "end": 600.0},
+        {"gradient": -2.0, "begin": 500.0, "end": 1200.0},
+    ]
+    track = small()["track_sections"][0] | {"slopes": slopes}
+    (network,), left_out, assumed = read_small(
+        tmp_path, track_sections=[track, *small()["track_sections"][1:]]
+    )
+    line = network.edge("a").line
+    assert line.gradient([250.0, 550.0, 900.0]).tolist() == [0.005, -0.002, -0.002]
+    assert "tracks with gradients that contradict each other, the later taken: 1" in assumed
+    assert "gradients that reach beyond their track, cut off there: 1" in left_out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,8 @@ from typer.testing import CliRunner
 import trainlog
 from analysis import view
 from analysis.adhesion.condition_map import empty_map_of, update_map
+from analysis.adhesion.evidence import Evidence
+from analysis.network.edges import EdgeOfLine
 from analysis.network.maps import (
     LogOnEdges,
     NetworkMap,
@@ -27,7 +30,7 @@ from analysis.reports.fleet import condition_parts, known_maps
 from analysis.verification.scoring import score_network, score_network_on
 from trainlog.arrays import same_values
 from trainlog.cli.main import app
-from trainlog.errors import InputError
+from trainlog.errors import InputError, LogError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.railway import line_to_bytes, read_line
 from trainlog.formats.samples import sample
@@ -264,3 +267,27 @@ def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert "network cut" in run.output
     assert "west/old" in run.output
+
+
+def test_a_trip_refused_on_one_edge_is_scored_on_the_others(
+    maps: Path, logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = network_map(maps)
+    early = found.known_before(pd.Timestamp("2024-10-08T00:00Z"))
+    every = sorted(logs.glob("*.mcap"))[1:]
+    first = LogOnEdges(every[-1], found.network).edges[0].name
+    whole, edges = score_network_on(early, every)
+    evidence_on = LogOnEdges.evidence_on
+
+    def refusing(given: LogOnEdges, edge: EdgeOfLine, *rest: Any) -> Evidence:
+        if edge.name == first:
+            raise LogError(f"trip '{given.trip.name}' was not recorded on edge '{edge.name}'")
+        return evidence_on(given, edge, *rest)
+
+    monkeypatch.setattr(LogOnEdges, "evidence_on", refusing)
+    partial, rest = score_network_on(early, every)
+    assert set(rest) == set(edges) - {first}
+    for name, score in rest.items():
+        assert same_values(score.layers["all"].details(), edges[name].layers["all"].details())
+    assert len(partial.refused) == len(every) > len(whole.refused)
+    assert all(words.startswith(f"edge '{first}': ") for words in partial.refused)

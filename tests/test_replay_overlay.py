@@ -216,3 +216,15 @@ def test_the_command_states_with_what_trips_are_compared(
     with pytest.raises(InputError, match="no view 'drivnig'"):
         run([*command, "--view", "drivnig", "-o", str(tmp_path / "no.rrd")])
     assert not (tmp_path / "no.rrd").exists()
+
+
+def test_a_receiver_alone_is_thinned_too(tmp_path: Path) -> None:
+    whole = made_trip()
+    trip = replace(
+        whole,
+        topics={name: whole[name] for name in ("/gnss/motion", "/gnss/fix")},
+        attachments={},
+    )
+    path = tmp_path / "thin.rrd"
+    write_replay([trip], path, options=ReplayOptions(thinned=True))
+    assert {"/trips/up/speed/satellites", "/trips/up/place/path"} <= set(entities(path))

@@ -316,3 +316,25 @@ def test_a_wrong_momentum_of_wheels_that_slip_is_not_taken_for_noise_of_the_spee
     )
     assert taken > 4.0 * right
     assert stated_so == pytest.approx(right, rel=0.1)
+
+
+def test_merged_windows_are_the_sums_of_their_parts() -> None:
+    made = recording(duration=300.0)
+    usable = (made.time > 50.0) & ((made.time < 120.0) | (made.time > 127.0)) & (made.time < 150.0)
+    windows = build_windows(replace(made, usable=usable))
+    merged = windows.merged()
+    # Seven and three: none reaches over the gap, the last of each stretch is what is left.
+    assert merged.count == 7 + 3
+    assert np.all(merged.duration < 10.4)
+    for name in ("y", "x", "braking", "effort_change", "effort_square", "duration"):
+        np.testing.assert_allclose(
+            np.sum(getattr(merged, name), axis=0), np.sum(getattr(windows, name), axis=0)
+        )
+    assert np.isin(merged.end, windows.end).all()
+    assert windows.select(np.zeros(windows.count, dtype=bool)).merged().count == 0
+
+
+def test_exact_data_give_the_exact_answer() -> None:
+    fit = fit_windows(build_windows(recording()), 120e3, 20e3)
+    truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
+    np.testing.assert_allclose(fit.beta, truth, rtol=2e-3)

@@ -224,3 +224,30 @@ def test_bad_samples_are_refused_and_change_nothing() -> None:
     for nowhere in ([3], [-1], [0, 7]):
         refused(InputError, "cannot reset", estimator.reset, nowhere)
     assert estimator.state() == before
+
+
+def test_full_reset_returns_to_the_prior_uncertainty() -> None:
+    rows, values = davis_samples(100, seed=6)
+    estimator = RecursiveLeastSquares(PRIOR)
+    estimator.update(rows, values, 0.01)
+    learnt = estimator.result().estimate
+    estimator.reset()
+    result = estimator.result()
+    np.testing.assert_allclose(result.covariance, np.diag(PRIOR**2), rtol=1e-12)
+    np.testing.assert_array_equal(result.estimate, learnt)
+    assert (result.samples, result.resets, result.valid) == (0, 1, False)
+    estimator.reset(keep_estimate=False)
+    np.testing.assert_array_equal(estimator.result().estimate, np.zeros(3))
+
+
+def test_partial_reset_keeps_what_was_learnt_about_the_others() -> None:
+    rows, values = davis_samples(100, seed=7)
+    estimator = RecursiveLeastSquares(PRIOR)
+    estimator.update(rows, values, 0.01)
+    before = estimator.result()
+    estimator.reset([0], keep_estimate=False)
+    after = estimator.result()
+    np.testing.assert_allclose(after.covariance[1:, 1:], before.covariance[1:, 1:], rtol=1e-9)
+    np.testing.assert_allclose(after.covariance[0], [PRIOR[0] ** 2, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_array_equal(after.estimate, [0.0, *before.estimate[1:]])
+    assert after.resets == 1

@@ -417,3 +417,22 @@ def test_a_holding_brake_keeps_a_train_without_friction_brake_until_it_pulls(
     state = held.at(1_000.0)
     held.advance(state, 60e3, 0.0, 2_000)
     assert state.position > 1_010.0
+
+
+def test_rotating_mass_counts_once() -> None:
+    train = flirt(resistance=NO_DRAG, rotating_mass_factor=0.2)
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 5.0)
+    rows = columns(plant, plant.advance(state, 60e3, 0.0, 1_000, 10))
+    assert rows["acceleration"][-1] == pytest.approx(60e3 / (1.2 * train.mass), rel=2e-5)
+
+
+@pytest.mark.parametrize("effort", [20e3, pytest.param(40e3, marks=pytest.mark.long)])
+def test_constant_effort_reaches_equilibrium_speed(effort: float) -> None:
+    train = flirt(max_traction_power=50e6)
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 45.0)
+    plant.advance(state, effort, 0.0, 700_000, 700_000)
+    r = train.resistance
+    expected = (-r.r1 + np.sqrt(r.r1**2 - 4.0 * r.r2 * (r.r0 - effort))) / (2.0 * r.r2)
+    assert state.speed == pytest.approx(expected, rel=1e-9)
