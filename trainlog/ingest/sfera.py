@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.railml import Element
 from trainlog.formats.sfera import Documents, SferaJourney, is_sfera, journeys_of
@@ -89,7 +88,7 @@ def _recording(
     own: list[tuple[int, Element]], journey: SferaJourney, documents: Documents
 ) -> Recording:
     timed = sorted(((time, each.line, each) for time, each in own), key=itemgetter(0))
-    tables, margins = ReportRows(journey).take(timed)
+    tables = ReportRows(journey).take(timed)
     reports, others = [each for _, each in own], len(documents.reports) - len(own)
     unused = Counter(
         part.tag for report in reports for part in report.children if part.tag not in USED
@@ -105,8 +104,6 @@ def _recording(
         Finding("damaged_messages", documents.damaged, (), "", "reports that cannot be read"),
     ]
     metadata = {"line": journey.line.name, "journey": journey.name}
-    if np.isfinite(margins).any():
-        metadata["position_margin"] = f"{np.nanmedian(margins):.3g} m"
     if unused:
         metadata["not_used"] = ", ".join(f"{tag} ({count})" for tag, count in unused.items())
     return Recording(
@@ -128,21 +125,15 @@ class ReportRows:
         self.journey = journey
         self._last, self._slipping = 0.0, 0.0
 
-    def take(self, reports: Sequence[tuple[int, int, Element]]) -> tuple[list[Table], FloatArray]:
-        """The rows of the next reports, and their margins of position.
+    def take(self, reports: Sequence[tuple[int, int, Element]]) -> list[Table]:
+        """The rows of the next reports: motion; and events, if there are any.
 
         Parameters
         ----------
         reports : sequence of (time [ns], number of the row, report)
-
-        Returns
-        -------
-        tables : list of Table
-            Motion; and events, if there are any.
-        margins : (n,) array [m]
         """
         found = [self._values(each) for _, _, each in reports]
-        position, speed, margins, slips = np.array(found).reshape(-1, 4).T
+        position, speed, slips = np.array(found).reshape(-1, 3).T
         time, row = np.array([(at, number) for at, number, _ in reports], dtype=np.int64).T
         motion = {"/train/state.position": position, "/train/state.speed": speed}
         tables = [Table(time, row, motion)]
@@ -153,19 +144,13 @@ class ReportRows:
             said = np.full(words.size, "slip or slide reported", dtype=np.object_)
             texts = {"/events.message": said, "/events.name": words}
             tables.append(Table(time[begins], row[begins], {}, texts))
-        return tables, margins
+        return tables
 
-    def _values(self, report: Element) -> tuple[float, float, float, float]:
-        """Position [m], speed [m/s], margin [m], and whether wheels slip."""
-        where = report.first("PositionSpeed")
-        position = speed = margin = np.nan
+    def _values(self, report: Element) -> tuple[float, float, float]:
+        """Position [m], speed [m/s], and whether wheels slip."""
+        where, position, speed = report.first("PositionSpeed"), np.nan, np.nan
         if where is not None:
             position = self.journey.position(where, self._last)
             speed = where.number("speed", np.nan) / KMH
-            margin = max(
-                where.number(f"location_{sign}ErrorMargin", np.nan)
-                for sign in ("Positive", "Negative")
-            )
             self._last = position if np.isfinite(position) else self._last
-        slips = report.text("slipSlideReported") in ("true", "1")
-        return position, speed, margin, float(slips)
+        return position, speed, float(report.text("slipSlideReported") in ("true", "1"))

@@ -260,7 +260,7 @@ class Decoder:
                 which = "reports of other trains" if reports else "other messages"
                 decoded.others[which] += 1
         if kept and self._reports is not None:
-            tables, _ = self._reports.take(kept)
+            tables = self._reports.take(kept)
             decoded.tables |= dict(zip(("sfera", "sfera events"), tables, strict=False))
 
     def _telegrams(self, frames: list[Numbered], decoded: Decoded) -> None:
