@@ -22,7 +22,7 @@ from trainlog.errors import InfeasibleError
 from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
-from benchmark_random import random_problem
+from benchmark_random import problem_of_kind, random_problem
 from independent import driven, least_time
 
 
@@ -48,6 +48,12 @@ def test_one_that_all_but_stands_at_the_end_is_bounded() -> None:
     problem = random_problem(9)
     few = replace(problem, configurations=problem.configurations[:4])
     assert optimise(few, OptimiserOptions(200)).certificate["gap"] <= 1e-3
+
+
+def test_cells_of_a_kilometre_do_not_add_up_to_a_train_that_never_stops() -> None:
+    """Plan and audit part by 5e-5 m²/s² in a cell: by half a decimetre a second at the end."""
+    problem = problem_of_kind(9102)
+    answered(replace(problem, configurations=problem.configurations[1:]))
 
 
 @pytest.mark.parametrize(

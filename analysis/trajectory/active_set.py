@@ -19,7 +19,7 @@ from itertools import count
 
 import numpy as np
 
-from analysis.trajectory.audit import Audit, audit
+from analysis.trajectory.audit import END_TOLERANCE, STOPPING_TOLERANCE, Audit, audit
 from analysis.trajectory.convex import (
     Multipliers,
     NoSolutionError,
@@ -43,6 +43,7 @@ from analysis.trajectory.rollout import (
     cell_times,
     delays,
     energy_of,
+    integrate_cells,
     paced_run,
     realise,
     rollout,
@@ -529,6 +530,10 @@ _SPLITS, _LOST = 5, 0.3
 """How often cells are split that cost a run at a constant pace time; and what each may cost, over
 an even share of the time in hand."""
 
+_PARTED, _MOST_PARTS = 1e-7, 8
+"""Difference of ``z`` [m²/s²] at the end of a cell, of plan and audit, from which the cell is
+split; and the most parts."""
+
 _MORE = 1.5
 """Times the excess by which a limit becomes stricter."""
 
@@ -571,6 +576,9 @@ def searched(
             return replace(answer, problem=problem.tapered(answer.problem.taper)), found
         late = float(found.arrival.max()) - running_time
         split = split_where_slow(problem.positions, answer.plan.z)
+        parted = split_where_long(answer, found)
+        if _ends_elsewhere(found, problem.run) and parted.size <= MOST_CELLS:
+            split = np.union1d(split, parted)
         if split.size > problem.positions.size:
             problem = strict = discretise(problem.run, split)
         elif _is_little(found, problem.run, late / running_time):
@@ -605,6 +613,34 @@ def split_where_slow(positions: FloatArray, z: FloatArray) -> FloatArray:
         slow_first = z[a, k + 1] < z[a, k + 2]
         found.append(begin + share * (end - begin) if slow_first else end - share * (end - begin))
     return np.unique(np.concatenate(found))
+
+
+def split_where_long(answer: Answer, found: Audit) -> FloatArray:
+    """A grid with cells split so long that the plan leaves them otherwise than the audit does.
+
+    Integrated by the same steps in parts of the cell, an error falls with their fourth power.
+
+    Parameters
+    ----------
+    answer : Answer
+    found : Audit
+        Of this answer.
+    """
+    problem, z = answer.problem, 0.5 * found.speeds**2
+    reached = integrate_cells(problem, replace(answer.plan, z=z))[0]
+    # Where the audit stands it has nothing more to tell.
+    error = np.where(z[:, 1:] > 0.0, np.abs(reached - z[:, 1:]), 0.0).max(axis=0) / _PARTED
+    parts = np.clip(np.ceil(error**0.25), 1, _MOST_PARTS).astype(int)
+    shares = np.concatenate([np.arange(count) / count for count in parts.tolist()])
+    cell = np.repeat(np.arange(parts.size), parts)
+    split = problem.positions[cell] + shares * problem.step[cell]
+    return np.append(split, problem.positions[-1])
+
+
+def _ends_elsewhere(found: Audit, run: TrajectoryProblem) -> bool:
+    """Whether an audit stops short of the end, or is too fast there."""
+    fast = float(found.end_speed.max()) - run.final_speed
+    return fast > END_TOLERANCE or float(found.shortfall.max()) > STOPPING_TOLERANCE
 
 
 def _is_little(found: Audit, run: TrajectoryProblem, late: float) -> bool:
