@@ -172,9 +172,9 @@ def test_a_maps_forecast_in_a_file_scores_as_the_map(
     path, known = folder / "own.csv", str(folder / "earlier.map")
     words = ["map", "forecast", known, "--at", "2024-10-07", "--hours", "24", "-o", str(path)]
     assert run(words) == 0
-    told = scored(capsys, known, folder / "stopping.mcap")
-    assert told["notes"][0].startswith("1 day: too few for bands")
-    own = told["layers"]["all"]
+    stated = scored(capsys, known, folder / "stopping.mcap")
+    assert stated["notes"][0].startswith("1 day: too few for bands")
+    own = stated["layers"]["all"]
     file = scored(capsys, path, folder / "stopping.mcap")["layers"]["all"]
     assert file["onsets"] == own["onsets"]
     assert file["used"] == own["used"]
