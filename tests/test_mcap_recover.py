@@ -325,6 +325,17 @@ def test_other_programs_logs_are_recovered_with_profile_and_attachments(tmp_path
     assert len(official(tmp_path / "again.mcap")) == 60
 
 
+def test_messages_of_undeclared_channels_are_left_out_and_counted(tmp_path: Path) -> None:
+    one = specimen("zstd", foreign(CompressionType.ZSTD))
+    start, end = chunk_groups(one.data)[0]
+    # Without the first chunk and the summary nothing declares the channels.
+    data = one.data[:start] + one.data[end : one.data.index(b"jsonschema") - 40]
+    path = put(tmp_path, data)
+    account = account_of(path)
+    assert account.messages == 0
+    assert sum(loss.messages or 0 for loss in account.losses) >= 49
+
+
 def test_the_input_is_never_overwritten(whole: Specimen, tmp_path: Path) -> None:
     path = put(tmp_path, whole.data[:-10])
     (tmp_path / "link.mcap").symlink_to(path)
