@@ -14,6 +14,7 @@ from trajectory_cases import FLIRT, KMH, hilly_line, level_line, observed, steps
 
 from analysis.trajectory.convex import NoSolutionError, Unknowns, bounded
 from analysis.trajectory.discretisation import Plan, discretise
+from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.rollout import cell_times
@@ -22,6 +23,7 @@ from trainlog.errors import InfeasibleError
 from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
+from benchmark_certificate import question
 from benchmark_random import problem_of_kind, random_problem
 from independent import driven, least_time
 
@@ -54,6 +56,15 @@ def test_cells_of_a_kilometre_do_not_add_up_to_a_train_that_never_stops() -> Non
     """Plan and audit part by 5e-5 m²/s² in a cell: by half a decimetre a second at the end."""
     problem = problem_of_kind(9102)
     answered(replace(problem, configurations=problem.configurations[1:]))
+
+
+@pytest.mark.long
+def test_cells_are_laid_anew_while_the_energy_still_falls() -> None:
+    """Over 115 km it falls by a sixth, and last by .6 %, when the gap is just certified."""
+    problem = question(411)
+    least = float(fastest_run(problem).times.max())
+    found = optimise(replace(problem, running_time=(1.0 + problem.reserve) * least))
+    assert found.certificate["gap"] <= 1e-3
 
 
 @pytest.mark.parametrize(

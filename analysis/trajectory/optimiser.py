@@ -86,7 +86,7 @@ REFINEMENTS = 3
 
 RENEWALS, FINER_RENEWALS = 3, 2
 """How often cells are laid anew about the plan found; and how often more while the gap is too large
-to certify. Every other time they are twice as many."""
+to certify or the energy still falls. Every other time they are twice as many."""
 
 TOGETHER = 6_000
 """Cells of all configurations that count in the program of an expected energy, at first."""
@@ -317,10 +317,11 @@ def _renewed(
     finest = max(2 * cells, options.cells) if len(found.answer.active) > 1 else MOST_CELLS
     bound = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
     last, excess, taken = found, bound.excess, 0.5 * (worked() - begun)
+    lower = False
     for number in range(RENEWALS + FINER_RENEWALS):
         missing = found.energy - bound.value
         enough = options.tolerance * max(abs(bound.value), NEGLIGIBLE_ENERGY)
-        if number >= RENEWALS:
+        if number >= RENEWALS and not lower:
             enough = max(enough, tolerated(bound.value, fastest))
         now = worked()
         if missing <= enough or time_left() <= 0.0 or now - begun + taken > EFFORT:
