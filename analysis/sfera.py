@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,7 +42,9 @@ from trainlog.formats.sfera_messages import (
     with_resistance,
     xml_of,
 )
+from trainlog.ingest.sources import Publication
 from trainlog.mcap.reader import read_log
+from trainlog.progress import track
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.condition import AdhesionForecast
 from trainlog.topics import SLIP_PROTECTION, TRAIN_STATE
@@ -357,7 +360,10 @@ def _slips(trip: Trip, times: IntArray, every: int) -> BoolArray | None:
 
 @dataclass(frozen=True)
 class SferaOptions:
-    """How results become messages; the values of `advised`, `low_adhesion` and `reports_of`."""
+    """How results become messages; the values of `advised`, `low_adhesion` and `reports_of`.
+
+    Reports of a trip are published, too, to the topic of a broker, `pace` times as fast as it ran.
+    """
 
     line: Line | None = None
     layer: str = ""
@@ -365,6 +371,8 @@ class SferaOptions:
     changes_apart: float = CHANGES_APART
     passed: float | None = None
     every: float = 5.0
+    publish: str | None = None
+    pace: float = 1.0
 
 
 def write_sfera(
@@ -410,7 +418,7 @@ def write_sfera(
             file=first,
             remedy="give trajectories, a forecast (.csv), a parameter set or a trip (.mcap)",
         )
-    for name, of in (("passed", "trajectory"), ("layer", "forecast")):
+    for name, of in (("passed", "trajectory"), ("layer", "forecast"), ("publish", "trip")):
         if getattr(options, name) not in (None, "") and kind != of:
             raise InputError(
                 f"--{name} goes with a {of}, given is a {kind}", remedy=f"leave --{name} out"
@@ -492,13 +500,34 @@ def _write_reports(
     if line is None and LINE_ATTACHMENT in trip.attachments:
         line = line_of(trip)
     reports = reports_of(trip, own, line, options.every)
+    messages = [xml_of(status_report(each, own.segments, own.profile, SENDER)) for each in reports]
     with atomic_write(output) as path, ZipFile(path, "w", ZIP_DEFLATED) as archive:
         for name, data in documents_in(journey):
             if is_sfera(data):
                 archive.writestr(Path(name).name, data)
-        for number, each in enumerate(reports, 1):
-            message = status_report(each, own.segments, own.profile, SENDER)
-            archive.writestr(f"report-{number:05d}.xml", xml_of(message))
+        for number, message in enumerate(messages, 1):
+            archive.writestr(f"report-{number:05d}.xml", message)
     said: dict[str, object] = {"journey": own.name, "reports": len(reports)}
+    if options.publish is not None:
+        first = reports[0].time
+        waits = [(each.time - first).total_seconds() / options.pace for each in reports]
+        _publish(messages, waits, options.publish)
+        said["published"] = len(messages)
     day, runs = f"{reports[0].time:%Y-%m-%d}", own.name.rpartition(" ")[2]
     return said if day == runs else said | {"dated": f"{day}, the journey is of {runs}"}
+
+
+def _publish(messages: Sequence[bytes], waits: Sequence[float], address: str) -> None:
+    """Give each message to a broker, so long after the first [s]."""
+    broker, begun = Publication(address), time.monotonic()
+    try:
+        for wait, message in track(list(zip(waits, messages, strict=True)), "publishing", "report"):
+            time.sleep(max(begun + wait - time.monotonic(), 0.0))
+            broker.publish(message)
+    finally:
+        left = broker.close()
+    if left:
+        raise InputError(
+            f"the broker of {address} did not take {left} of {len(messages)} reports",
+            remedy="start it, and publish again; the archive holds them all",
+        )

@@ -20,7 +20,9 @@ from killed import PATIENCE
 from refusals import refused
 
 import trainlog
+from analysis.sfera import SferaOptions, write_sfera
 from trainlog.errors import InputError
+from trainlog.formats.samples import sample
 from trainlog.formats.sfera import read_sfera
 from trainlog.formats.sfera_messages import Report, status_report, xml_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
@@ -188,6 +190,32 @@ def test_status_reports_of_sfera_are_recorded_as_they_come(
     assert (events.name == "slip protection").sum() == 1
     assert events.message.str.contains("malformed line 101").sum() == 1
     assert trip.metadata["line"] == journey.line.name
+
+
+def test_a_trip_is_published_as_it_ran_and_recorded_again(
+    broker: Broker, tmp_path: Path, shell: Shell
+) -> None:
+    topic = f"127.0.0.1:{broker.port}/trains/17"
+    with Subscription(topic):
+        pass
+    options = SferaOptions(every=10.0, publish=topic, pace=400.0)
+    began = time.monotonic()
+    said = write_sfera([sample("nonstop.mcap")], JOURNEY, tmp_path / "reports.zip", options)
+    lasted = time.monotonic() - began
+    words = ["record", topic, "--from", "mqtt", "--line", str(JOURNEY), "--idle", "1s"]
+    assert shell(*words, "-o", str(tmp_path / "a.mcap"))[0] == 0
+    state = trainlog.read(tmp_path / "a.mcap")["/train/state"]
+    assert len(state) == said["published"] == said["reports"]
+    own = trainlog.read(sample("nonstop.mcap"))["/train/state"]
+    run = (own.index[-1] - own.index[0]).total_seconds()
+    assert lasted > 0.9 * run / 400.0
+    assert state.position.iloc[-1] == pytest.approx(own.position.dropna().iloc[-1], abs=300.0)
+
+
+def test_only_trips_are_published(tmp_path: Path) -> None:
+    options = SferaOptions(publish="localhost/a")
+    refused(InputError, "--publish goes with a trip", write_sfera, [tmp_path / "forecast.csv"], JOURNEY,
+            tmp_path / "a.xml", options)  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -428,6 +428,7 @@ def sfera(
     changes_apart: Annotated[float, TIME.between(0.0, 600.0)] = 10.0,
     passed: Annotated[float | None, DISTANCE.between(0.0)] = None,
     every: Annotated[float, TIME.between(1.0, 600.0)] = 5.0,
+    publish: str | None = None,
 ) -> None:
     """Write advice, rail condition, resistance or reports into a journey of SFERA 4.00.
 
@@ -467,6 +468,9 @@ def sfera(
         How far the train has come on its journey.
     every : TIME
         Between two reports.
+    publish : ADDRESS
+        Of a trip: HOST[:PORT]/TOPIC of an MQTT broker, to which each report is sent, too, as long
+        after the first as in the trip; with the extra mqtt.
     """
     from analysis.sfera import SferaOptions, write_sfera
 
@@ -475,7 +479,7 @@ def sfera(
     ]
     options = SferaOptions(
         None if line is None else trainlog.read_line(line), layer or "", probability, changes_apart,
-        passed, every,
+        passed, every, publish,
     )  # fmt: skip
     with task("writing for SFERA"):
         found = write_sfera(files, journey, output, options)

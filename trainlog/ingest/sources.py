@@ -202,18 +202,115 @@ class Datagrams(Source):
         self._socket.close()
 
 
-class Subscription(Source):
-    """Messages of a topic from an MQTT broker, by the package paho-mqtt (extra ``mqtt``).
+class BrokerSession:
+    """A session at an MQTT broker, by the package paho-mqtt (extra ``mqtt``).
 
-    The broker keeps what is published with quality of service 1 or 2 while this program, or the
-    connection, is away: the session has the topic's name and outlives both.
+    The broker keeps the session while this program, or the connection, is away.
 
     Parameters
     ----------
     address : str
-        ``HOST[:PORT]/TOPIC``, such as ``localhost/trains/+/reports``; or as an address of
-        ``mqtt://`` or ``mqtts://``, with ``USER@``. A password is that of the variable
-        MQTT_PASSWORD.
+        ``HOST[:PORT]/TOPIC``, such as ``localhost/trains/17``; or as an address of ``mqtt://`` or
+        ``mqtts://``, with ``USER@``. A password is that of the variable MQTT_PASSWORD.
+    role : str
+        What is done there; with the topic it names the session.
+
+    Raises
+    ------
+    InputError
+        If it is no address, or the broker does not answer or refuses.
+    """
+
+    def __init__(self, address: str, role: str) -> None:
+        mqtt = load("paho.mqtt.client")
+        parts = urlsplit(address if "://" in address else f"mqtt://{address}")
+        self.topic, host = unquote(parts.path.lstrip("/")), parts.hostname
+        if parts.scheme not in ("mqtt", "mqtts") or not self.topic or not host:
+            raise InputError(
+                f"'{address}' is no topic of a broker",
+                remedy="write HOST[:PORT]/TOPIC, such as localhost/trains/17",
+            )
+        secure = parts.scheme == "mqtts"
+        self.port = parts.port or (8883 if secure else 1883)
+        self.host = host
+        session = f"{role} {socket.gethostname()} {self.topic}".strip()
+        session = hashlib.sha256(session.encode()).hexdigest()
+        self.client = mqtt.Client(
+            mqtt.CallbackAPIVersion.VERSION2, f"trainlog-{session[:12]}", clean_session=False
+        )
+        if parts.username:
+            password = os.environ.get("MQTT_PASSWORD")
+            self.client.username_pw_set(unquote(parts.username), password)
+        if secure:
+            self.client.tls_set()
+        self.client.reconnect_delay_set(1, 10)
+        self.client.on_connect = self._connected
+        self._answer: Queue[str] = Queue()
+
+    def start(self, what: str) -> None:
+        """Connect, and wait for the answer; `what` cannot be done without."""
+        problem = ""
+        try:
+            self.client.connect(self.host, self.port)
+            self.client.loop_start()
+            problem = self._answer.get(timeout=ANSWER)
+        except (OSError, Empty) as error:
+            problem = "no answer" if isinstance(error, Empty) else error.strerror or str(error)
+        if problem:
+            self.client.loop_stop()
+            raise InputError(
+                f"the broker {self.host}:{self.port} cannot be {what}: {problem.lower()}",
+                remedy="start it, or correct its address, the user, or MQTT_PASSWORD",
+            )
+
+    def connected(self) -> None:
+        """What is to be done with each new connection."""
+
+    def _connected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _more: Any) -> None:
+        if not reason.is_failure:
+            self.connected()
+        self._answer.put(str(reason) if reason.is_failure else "")
+
+    def stop(self) -> None:
+        """End the connection; the broker keeps the session."""
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+class Publication(BrokerSession):
+    """Messages given to an MQTT broker, each once it is taken (quality of service 1).
+
+    See `BrokerSession`. While the broker is away messages wait, and go out when it is there again.
+    """
+
+    def __init__(self, address: str) -> None:
+        super().__init__(address, "publish")
+        self._given, self._taken = 0, 0
+        self.client.on_publish = self._published
+        self.start("published to")
+
+    def _published(self, *_: Any) -> None:
+        self._taken += 1
+
+    def publish(self, message: bytes) -> None:
+        """Give it a message."""
+        self._given += 1
+        self.client.publish(self.topic, message, qos=1)
+
+    def close(self, patience: float = ANSWER) -> int:
+        """End, after at most `patience` [s]; how many messages the broker has not taken."""
+        ends = time.monotonic() + patience
+        while self._taken < self._given and time.monotonic() < ends:
+            time.sleep(0.02)
+        self.stop()
+        return self._given - self._taken
+
+
+class Subscription(Source, BrokerSession):
+    """Messages of a topic from an MQTT broker; see `BrokerSession`.
+
+    The broker keeps what is published with quality of service 1 or 2 while this program, or the
+    connection, is away. The topic may have wildcards: ``localhost/trains/+/reports``.
 
     Raises
     ------
@@ -225,53 +322,18 @@ class Subscription(Source):
     late = 3600.0
 
     def __init__(self, address: str) -> None:
-        mqtt = load("paho.mqtt.client")
-        parts = urlsplit(address if "://" in address else f"mqtt://{address}")
-        self._topic, host = unquote(parts.path.lstrip("/")), parts.hostname
-        if parts.scheme not in ("mqtt", "mqtts") or not self._topic or not host:
-            raise InputError(
-                f"'{address}' is no topic of a broker",
-                remedy="write HOST[:PORT]/TOPIC, such as localhost/trains/17",
-            )
-        secure = parts.scheme == "mqtts"
-        port = parts.port or (8883 if secure else 1883)
-        super().__init__(f"MQTT {host}:{port}/{self._topic}")
-        session = hashlib.sha256(f"{socket.gethostname()} {self._topic}".encode()).hexdigest()
-        self._client = mqtt.Client(
-            mqtt.CallbackAPIVersion.VERSION2, f"trainlog-{session[:12]}", clean_session=False
-        )
-        if parts.username:
-            password = os.environ.get("MQTT_PASSWORD")
-            self._client.username_pw_set(unquote(parts.username), password)
-        if secure:
-            self._client.tls_set()
-        self._client.reconnect_delay_set(1, 10)
+        BrokerSession.__init__(self, address, "")
+        Source.__init__(self, f"MQTT {self.host}:{self.port}/{self.topic}")
         self._messages: Queue[bytes] = Queue(WAITING_MESSAGES)
         self._recent: deque[bytes] = deque(maxlen=WAITING_MESSAGES)
         self._since = -AGAIN
-        self._answer: Queue[str] = Queue()
-        self._client.on_connect = self._connected
-        self._client.on_message = self._arrived
-        problem = ""
-        try:
-            self._client.connect(host, port)
-            self._client.loop_start()
-            problem = self._answer.get(timeout=ANSWER)
-        except (OSError, Empty) as error:
-            problem = "no answer" if isinstance(error, Empty) else error.strerror or str(error)
-        if problem:
-            self._client.loop_stop()
-            raise InputError(
-                f"the broker {host}:{port} cannot be subscribed to: {problem.lower()}",
-                remedy="start it, or correct its address, the user, or MQTT_PASSWORD",
-            )
+        self.client.on_message = self._arrived
+        self.start("subscribed to")
 
-    def _connected(self, client: Any, _data: Any, _flags: Any, reason: Any, _more: Any) -> None:
+    def connected(self) -> None:
         """Subscribe; again with each new connection, if the broker has forgotten the session."""
-        if not reason.is_failure:
-            self._since = time.monotonic()
-            client.subscribe(self._topic, qos=1)
-        self._answer.put(str(reason) if reason.is_failure else "")
+        self._since = time.monotonic()
+        self.client.subscribe(self.topic, qos=1)
 
     def _arrived(self, _client: Any, _data: Any, message: Any) -> None:
         """Take a message; after a connection was lost not those that came before."""
@@ -291,8 +353,7 @@ class Subscription(Source):
 
     def __exit__(self, *error: object) -> None:
         self._stopping = True
-        self._client.disconnect()
-        self._client.loop_stop()
+        self.stop()
         self._thread.join(2.0)
 
 
