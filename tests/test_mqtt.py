@@ -214,8 +214,8 @@ def test_a_trip_is_published_as_it_ran_and_recorded_again(
 
 def test_only_trips_are_published(tmp_path: Path) -> None:
     options = SferaOptions(publish="localhost/a")
-    refused(InputError, "--publish goes with a trip", write_sfera, [tmp_path / "forecast.csv"], JOURNEY,
-            tmp_path / "a.xml", options)  # fmt: skip
+    given = [tmp_path / "forecast.csv"], JOURNEY, tmp_path / "a.xml", options
+    refused(InputError, "--publish goes with a trip", write_sfera, *given)
 
 
 @pytest.mark.parametrize(
