@@ -76,3 +76,14 @@ def test_a_ratio_has_the_spread_of_both() -> None:
         ratio, std = found.over("b", "a")
         ratios.append(ratio)
     assert std == pytest.approx(np.std(ratios), rel=0.15)
+
+
+@pytest.mark.parametrize("rounds", [None, 1, 2, 3])
+def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds: int | None) -> None:
+    """Rows one by one, where only the worst of all is left out in a round."""
+    values = np.zeros(20)
+    values[[3, 8, 11, 17]] = 1e3, 2e3, 3e3, 4e3
+    cut = Cut(5.0, apart=41) if rounds is None else Cut(5.0, apart=41, rounds=rounds)
+    found = regress(values, [Free("mean", np.ones(20), 1e-3)], cut)
+    assert np.count_nonzero(~found.kept) == (4 if rounds is None else rounds) - 1
+    assert found.kept[3]

@@ -94,3 +94,13 @@ def test_refusals_say_why_in_a_word_and_show_where() -> None:
             assert timeline.masks[reason].mean() > 0.9
     caught = refused(TripRefusedError, "", fit_trip, trip(noise=1.0, seed=1), speeds=(0.5, 44.0))
     assert caught.reason == "excitation"
+
+
+def test_correlations_are_those_of_neighbours_as_far_as_there_are_any() -> None:
+    value = np.array([3.0, -1.0, 2.0, -2.0, 3.0])
+    about = value - 1.0
+    power = 4.0 + 4.0 + 1.0 + 9.0 + 4.0
+    pairs = [-4.0 - 2.0 - 3.0 - 6.0, 2.0 + 6.0 + 2.0, -6.0 - 4.0, 4.0]
+    assert about @ about == power
+    np.testing.assert_allclose(residuals(value).correlation(), np.array(pairs) / power)
+    assert residuals(np.arange(99.0)).correlation().size == 10

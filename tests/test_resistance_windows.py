@@ -338,3 +338,21 @@ def test_exact_data_give_the_exact_answer() -> None:
     fit = fit_windows(build_windows(recording()), 120e3, 20e3)
     truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
     np.testing.assert_allclose(fit.beta, truth, rtol=2e-3)
+
+
+def test_points_lie_on_the_curve_where_brakes_are_recorded_too_large() -> None:
+    """Those that were used, and none of the two outliers, which stand by themselves."""
+    made = recording()
+    braking = np.maximum(-made.effort, 0.0)
+    wrong = replace(made, effort=made.effort - 0.05 * braking, braking=1.05 * braking)
+    windows = build_windows(wrong)
+    spoilt = windows.y.copy()
+    spoilt[[100, 400]] += np.array([0.5, -0.8])
+    windows = replace(windows, y=spoilt)
+    found = fit_windows(windows, 120e3, 20e3)
+    points = found.points(windows, found.beta[-1])
+    speed, value, used = points.speed, points.value, points.used
+    assert used.sum() == speed.size - np.count_nonzero(~found.kept)
+    assert np.count_nonzero(~found.kept) >= 2
+    np.testing.assert_allclose(value[used], RESISTANCE(speed[used]), atol=0.02 * RESISTANCE(30.0))
+    assert np.ptp(value[~used]) > 10.0 * RESISTANCE(30.0)
