@@ -79,6 +79,7 @@ def nobody_left(group: int) -> bool:
     return False
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(
     tmp_path: Path,
 ) -> None:

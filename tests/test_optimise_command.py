@@ -355,7 +355,9 @@ def test_a_grid_of_more_cells_than_asked_for_is_stated(
     assert any(note.startswith(stated) for note in notes) == (found > 1.5 * cells)
 
 
-@pytest.mark.parametrize("stops", ["Gossau SG,Flawil", "Gossau SG,Flawil,Uzwil"])
+@pytest.mark.parametrize(
+    "stops", ["Gossau SG,Flawil", pytest.param("Gossau SG,Flawil,Uzwil", marks=pytest.mark.long)]
+)
 def test_the_plan_of_a_journey_is_followed_section_by_section(
     stops: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

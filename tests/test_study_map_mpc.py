@@ -257,6 +257,7 @@ def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
     assert table.heads[-1] == "78.2 t"
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("unpainted")
 def test_where_no_map_can_be_made_the_days_driven_are_reported(
     prepared: study.Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -143,6 +143,7 @@ def test_who_coasts_too_long_comes_to_a_stand_and_is_located() -> None:
     assert driven.times[1, -1] == np.inf
 
 
+@pytest.mark.long
 def test_a_wider_set_ends_faster_under_one_brake() -> None:
     slow, fast = (
         study.lowest_common_end_speed(LEVEL, study.evenly_spread(share), cells=30)

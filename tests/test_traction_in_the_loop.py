@@ -289,6 +289,7 @@ def test_trips_are_driven_with_either_control_and_state_it() -> None:
     refused(InputError, "another", with_traction, [other], "cooperative", known_map())
 
 
+@pytest.mark.long
 def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
     line = level_line(length=1_500.0, limit=15.0)
     write_line(line, tmp_path / "short.line.json")

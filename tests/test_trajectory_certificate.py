@@ -185,6 +185,7 @@ def test_a_negative_tolerance_is_refused() -> None:
         OptimiserOptions(tolerance=-1e-3)
 
 
+@pytest.mark.long
 def test_resistance_counts_where_time_is_worth_next_to_nothing() -> None:
     """Down to Wil in three times the least time: the bound keeps the speeds' linear resistance."""
     line = read_line(sample("CH_StGallen_Wil.line.json"))

@@ -177,7 +177,8 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
         assert sum(parts) > plan.certificate["energy"]
 
 
-@pytest.mark.parametrize("objective", [pytest.param("wheel", marks=pytest.mark.long), "line"])
+@pytest.mark.long
+@pytest.mark.parametrize("objective", ["wheel", "line"])
 def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str) -> None:
     # Another test may have asked without renewals.
     plan, configurations = with_stops.__wrapped__(objective), ASKED[2]

@@ -14,6 +14,7 @@ from trainlog.errors import InputError
 OPTIONS = {"reserve": 0.1, "cells": 80}
 
 
+@pytest.mark.long
 def test_all_that_count_are_in_the_program_of_the_expected_energy() -> None:
     """Short of time and of the dynamic brake's power, on a level line."""
     configurations = drawn(FLIRT, 24, seed=2)
@@ -40,6 +41,7 @@ def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None
     assert certificate["audit"]["passed"]
 
 
+@pytest.mark.long
 def test_a_gentle_brake_takes_no_more_than_the_few_that_decide_at_the_line() -> None:
     configurations = drawn(FLIRT, 30, seed=2)
     many = optimised(hilly_line(), FLIRT, configurations, objective="line", **OPTIONS)  # type: ignore[arg-type]
