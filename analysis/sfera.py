@@ -501,6 +501,7 @@ def _write_reports(
         line = line_of(trip)
     reports = reports_of(trip, own, line, options.every)
     messages = [xml_of(status_report(each, own.segments, own.profile, SENDER)) for each in reports]
+    broker = None if options.publish is None else Publication(options.publish)
     with atomic_write(output) as path, ZipFile(path, "w", ZIP_DEFLATED) as archive:
         for name, data in documents_in(journey):
             if is_sfera(data):
@@ -508,18 +509,18 @@ def _write_reports(
         for number, message in enumerate(messages, 1):
             archive.writestr(f"report-{number:05d}.xml", message)
     said: dict[str, object] = {"journey": own.name, "reports": len(reports)}
-    if options.publish is not None:
+    if broker is not None:
         first = reports[0].time
         waits = [(each.time - first).total_seconds() / options.pace for each in reports]
-        _publish(messages, waits, options.publish)
+        _publish(messages, waits, broker)
         said["published"] = len(messages)
     day, runs = f"{reports[0].time:%Y-%m-%d}", own.name.rpartition(" ")[2]
     return said if day == runs else said | {"dated": f"{day}, the journey is of {runs}"}
 
 
-def _publish(messages: Sequence[bytes], waits: Sequence[float], address: str) -> None:
+def _publish(messages: Sequence[bytes], waits: Sequence[float], broker: Publication) -> None:
     """Give each message to a broker, so long after the first [s]."""
-    broker, begun = Publication(address), time.monotonic()
+    begun = time.monotonic()
     try:
         for wait, message in track(list(zip(waits, messages, strict=True)), "publishing", "report"):
             time.sleep(max(begun + wait - time.monotonic(), 0.0))
@@ -527,7 +528,8 @@ def _publish(messages: Sequence[bytes], waits: Sequence[float], address: str) ->
     finally:
         left = broker.close()
     if left:
+        where = f"{broker.host}:{broker.port}"
         raise InputError(
-            f"the broker of {address} did not take {left} of {len(messages)} reports",
+            f"the broker {where} did not take {left} of {len(messages)} reports",
             remedy="start it, and publish again; the archive holds them all",
         )

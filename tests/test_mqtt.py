@@ -218,6 +218,16 @@ def test_only_trips_are_published(tmp_path: Path) -> None:
     refused(InputError, "--publish goes with a trip", write_sfera, *given)
 
 
+def test_what_cannot_be_published_writes_nothing(tmp_path: Path) -> None:
+    for address, said in (
+        ("localhost/trains/+", "has a wildcard"),
+        ("127.0.0.1:1/a", "the broker 127.0.0.1:1 cannot be published to: connection refused"),
+    ):
+        given = [sample("nonstop.mcap")], JOURNEY, tmp_path / "a.zip", SferaOptions(publish=address)
+        refused(InputError, said, write_sfera, *given)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("address", "said"),
     [

@@ -261,7 +261,7 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
     if course is None:
         parts.append(
             Warned(f"The file does not hold line '{trajectory.line}': without --line its limits,"
-                   " gradients and stations are not shown.")
+                   " gradients and stations, and the advice, are not shown.")
         )  # fmt: skip
     if course is not None and course.assumed:
         parts.append(Warned(f"Assumed of the line: {course.summary()['assumed']}."))

@@ -576,9 +576,9 @@ def searched(
             return replace(answer, problem=problem.tapered(answer.problem.taper)), found
         late = float(found.arrival.max()) - running_time
         split = split_where_slow(problem.positions, answer.plan.z)
-        parted = split_where_long(answer, found)
-        if _ends_elsewhere(found, problem.run) and parted.size <= MOST_CELLS:
-            split = np.union1d(split, parted)
+        if _ends_elsewhere(found, problem.run):
+            parted = split_where_long(answer, found)
+            split = np.union1d(split, parted) if parted.size <= MOST_CELLS else split
         if split.size > problem.positions.size:
             problem = strict = discretise(problem.run, split)
         elif _is_little(found, problem.run, late / running_time):

@@ -285,6 +285,11 @@ class Publication(BrokerSession):
 
     def __init__(self, address: str) -> None:
         super().__init__(address, "publish")
+        if any(each in self.topic for each in "+#"):
+            raise InputError(
+                f"'{self.topic}' is no topic that can be published to: it has a wildcard",
+                remedy="name one topic, without + and #",
+            )
         self._given, self._taken = 0, 0
         self.client.on_publish = self._published
         self.start("published to")
