@@ -22,6 +22,7 @@ from trajectory_cases import (
 )
 
 from analysis.trajectory.audit import Audit, _in_table, _table, audit
+from analysis.trajectory.discretisation import inside
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.errors import TrainlogError
@@ -261,6 +262,15 @@ def test_audit_of_a_run_of_constant_efforts_is_known_in_closed_form() -> None:
     regained = SMOOTH.efficiency_regeneration * BRAKING * 1_000.0
     bought = TRACTION * 500.0 / SMOOTH.efficiency_traction
     assert found.line_energy[0] == pytest.approx(bought - regained)
+
+
+def test_a_cell_of_millimetres_far_along_the_line_has_the_gradient_of_its_own_side() -> None:
+    change = 93_036.8
+    line = replace(level_line(100_000.0), gradients=steps((0.0, 0.02), (change, -0.01)))
+    positions = np.array([93_000.0, change - 0.004, change, change + 0.002, 93_100.0])
+    found = line.track_acceleration(inside(positions, 16))
+    assert np.ptp(found, axis=1).tolist() == [0.0] * 4
+    assert found[1, 0] > 0.0 > found[2, 0]
 
 
 def test_a_train_whose_effort_just_balances_its_resistance_does_not_start() -> None:

@@ -451,8 +451,10 @@ def inside(positions: FloatArray, parts: int) -> FloatArray:
 
     The outermost lie slightly inside the cell, on its own side of whatever changes at a node.
     """
-    shares = np.clip(np.linspace(0.0, 1.0, parts + 1), 1e-9, 1.0 - 1e-9)
-    return np.asarray(positions[:-1, None] + np.diff(positions)[:, None] * shares)
+    step, shares = np.diff(positions)[:, None], np.linspace(0.0, 1.0, parts + 1)
+    # In a cell of millimetres a part of its length is less than the rounding of a position.
+    edge = np.minimum(np.maximum(1e-9, 4.0 * np.spacing(positions[1:, None]) / step), 0.5)
+    return np.asarray(positions[:-1, None] + step * np.clip(shares, edge, 1.0 - edge))
 
 
 def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem:
