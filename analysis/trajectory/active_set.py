@@ -370,7 +370,9 @@ def _optimum(
         safe = descend(problem, start(), running_time, tolerances)
         if safe is not None:
             return safe
-        why = partial(time_explained, problem, relaxation, running_time, str(status))
+        why: Callable[[], InfeasibleError] = partial(
+            time_explained, problem, relaxation, running_time, str(status)
+        )
         if problem.common:
             why = partial(brakes_explained, problem, speeds, running_time)
         raise NotFoundError(why) from None

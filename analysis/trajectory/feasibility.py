@@ -209,6 +209,13 @@ LATE = 5e-5
 """Lateness that counts [s]."""
 
 
+class UnprovenError(InfeasibleError):
+    """No trajectory was found, and none was proven impossible.
+
+    Every other refusal is a proof: by the fastest runs, or by the relaxation on the plan's cells.
+    """
+
+
 def time_explained(
     problem: DiscreteProblem, relaxation: Relaxation, running_time: float, status: str
 ) -> InfeasibleError:
@@ -216,7 +223,9 @@ def time_explained(
     names = names_of(problem)
     try:
         time = relaxation.least_time()
-    except NoSolutionError:
+    except NoSolutionError as other:
+        if str(other) != "infeasible":
+            return unsettled(problem, running_time, f"the relaxation is {other}")
         return InfeasibleError(
             f"no common run of {names}: the relaxation is {status}",
             remedy="allow more time, or plan for fewer configurations",
@@ -231,18 +240,18 @@ def time_explained(
     )
 
 
-def still_late(problem: DiscreteProblem, running_time: float, late: float) -> InfeasibleError:
+def still_late(problem: DiscreteProblem, running_time: float, late: float) -> UnprovenError:
     """Why nothing was found where the programs settle on a plan that is late by some seconds."""
-    return InfeasibleError(
+    return UnprovenError(
         f"{running_time:.2f} s are not enough for {names_of(problem)} under one common traction on"
         f" {problem.shape[1]} cells: {seconds(late)} are missing",
         remedy=f"allow {seconds(1.1 * late)} more, or more cells",
     )
 
 
-def unsettled(problem: DiscreteProblem, running_time: float, reason: str) -> InfeasibleError:
-    """Why nothing was found where the programs do not settle; that nothing exists is not proven."""
-    return InfeasibleError(
+def unsettled(problem: DiscreteProblem, running_time: float, reason: str) -> UnprovenError:
+    """Why nothing was found where the programs do not settle."""
+    return UnprovenError(
         f"no trajectory of {names_of(problem)} was found for {running_time:.1f} s on"
         f" {problem.shape[1]} cells, and none was proven impossible: {reason}",
         remedy="try more cells, or another running time",
@@ -252,10 +261,26 @@ def unsettled(problem: DiscreteProblem, running_time: float, reason: str) -> Inf
 def brakes_explained(
     problem: DiscreteProblem, speeds: FloatArray, running_time: float
 ) -> InfeasibleError:
-    """Why one braking effort does not bring them all to the required speed at the end."""
+    """Why one braking effort does not bring them all to the required speed at the end.
+
+    The relaxation holds every trajectory on these cells: where it has none, there is none.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
+    running_time : float [s]
+    """
     names = names_of(problem)
-    lowest = lowest_end_speed(problem, speeds, running_time)
-    if lowest is None and _is_never_common(problem, speeds):
+    least, status = _relaxed_time(Relaxation(problem, speeds, np.zeros_like(speeds)))
+    if status == "" and least <= running_time:
+        return unsettled(problem, running_time, "one braking effort for all leaves little choice")
+    if status not in ("", "infeasible"):
+        return unsettled(problem, running_time, f"the relaxation is {status}")
+    free = Relaxation(replace(problem, final=float(problem.ceiling[-1])), speeds)
+    time, status = _relaxed_time(free)
+    if status == "infeasible":
         return InfeasibleError(
             f"with one braking effort for all, {names} cannot run together, whatever the time and"
             " their speed at the end: where one has to brake another comes to a stand (a convex"
@@ -263,36 +288,36 @@ def brakes_explained(
             remedy="let each configuration brake for itself (recourse), or plan for configurations"
             " that differ less, or for a shorter section",
         )
-    if lowest is None:
+    if time > running_time:
         return InfeasibleError(
-            f"with one braking effort for all, {names} cannot keep {running_time:.1f} s whatever"
-            " their speed at the end",
-            remedy="allow more time, or let each configuration brake for itself (recourse)",
+            f"with one braking effort for all, {names} need at least {time:.1f} s, whatever their"
+            f" speed at the end; the timetable gives {running_time:.1f} s,"
+            f" {seconds(time - running_time)} are missing",
+            remedy=f"allow at least {np.ceil(time):.0f} s, or let each configuration brake for"
+            " itself (recourse)",
         )
+    words = f"with one braking effort for all, {names} cannot all end at"
+    words += f" {KMH * problem.run.final_speed:.1f} km/h in {running_time:.1f} s"
+    lowest = lowest_end_speed(problem, speeds, running_time)
+    if lowest is not None:
+        words += f"; the lowest speed found is {KMH * lowest:.1f} km/h"
     return InfeasibleError(
-        f"with one braking effort for all, {names} cannot all end below {KMH * lowest:.1f} km/h in"
-        f" {running_time:.1f} s; required are {KMH * problem.run.final_speed:.1f} km/h",
-        remedy="let each configuration brake for itself (recourse), or end faster",
+        words, remedy="let each configuration brake for itself (recourse), or end faster"
     )
 
 
-def _is_never_common(problem: DiscreteProblem, speeds: FloatArray) -> bool:
-    """Whether no common efforts take all to the end, at any time and speed there: proven.
-
-    The relaxation holds every trajectory on these cells; where it is infeasible there is none.
-    """
-    trial = replace(problem, final=float(problem.ceiling[-1]))
+def _relaxed_time(relaxation: Relaxation) -> tuple[float, str]:
+    """The least time [s] of a relaxation; or infinity, and the solver's status."""
     try:
-        Relaxation(trial, speeds).least_time()
+        return relaxation.least_time(), ""
     except NoSolutionError as status:
-        return str(status) == "infeasible"
-    return False
+        return np.inf, str(status)
 
 
 def lowest_end_speed(
     problem: DiscreteProblem, speeds: FloatArray, running_time: float
 ) -> float | None:
-    """The lowest speed [m/s] at the end that all configurations can keep, to 0.05 m/s.
+    """The lowest speed [m/s] at the end that a plan was found for, to 0.05 m/s.
 
     With common braking the one that runs most easily decides how hard all brake, and the others
     must not come to a stand before the end.
@@ -308,7 +333,7 @@ def lowest_end_speed(
     Returns
     -------
     float or None
-        None if the running time cannot be kept at any speed.
+        None if no speed was found that keeps the running time.
     """
 
     def reached(speed: float) -> bool:

@@ -41,7 +41,7 @@ from analysis.trajectory.envelope import (
     least_paced_time,
     paced_envelope,
 )
-from analysis.trajectory.feasibility import check_time
+from analysis.trajectory.feasibility import UnprovenError, check_time
 from analysis.trajectory.problem import (
     DEFAULT_OPTIONS,
     MOST_CELLS,
@@ -129,7 +129,8 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
     -----
     Cunillera et al. (2022), eq. (1) to (10). The lower bound holds for the problem cut into these
     cells. With common braking, configurations that differ by a few per cent in resistance cannot
-    all stop at one place; the error states the lowest end speed they can all reach.
+    all stop at one place; the error states the lowest end speed found. A refusal is a proof, unless
+    it is an `analysis.trajectory.feasibility.UnprovenError`.
 
     Examples
     --------
@@ -396,8 +397,11 @@ def _audited(
         safe = _paced(run, running_time, count)
         if safe is not None:
             return safe
-        late = worked() - begun > EFFORT
-        if late or (problem.common and isinstance(failures[-1], InfeasibleError)):
+        if problem.common and isinstance(failures[-1], NotFoundError):
+            failures[-1] = failures[-1].why()
+            if not isinstance(failures[-1], UnprovenError):
+                raise failures[-1]
+        if worked() - begun > EFFORT:
             break
     raise failures[0].why() if isinstance(failures[0], NotFoundError) else failures[0]
 

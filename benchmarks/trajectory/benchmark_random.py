@@ -16,10 +16,10 @@ them, drawn with a fixed seed, or all (0), or those of some numbers (`--only`).
 
 Every answer is driven by scipy's DOP853 (`independent`): late by 1e-3 s, over a limit by 1e-6 m/s
 or wrong in energy by 1e-3 counts as wrong. A refusal is right where the independent fastest run
-fails too, and wrong where one configuration alone is refused that could run; of several it stays
-open. Certified is an answer whose gap is at most 0.2 per cent. The limit is processor time,
-which other programs on the machine disturb less. For the state of another checkout: the same
-command with PYTHONPATH there.
+fails too, and wrong where one configuration alone is refused that could run; of several it is
+proven by the relaxation, or stays open. Certified is an answer whose gap is at most 0.2 per cent.
+The limit is processor time, which other programs on the machine disturb less. For the state of
+another checkout: the same command with PYTHONPATH there.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ import numpy as np
 from independent import CannotRunError, driven, least_time
 
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.feasibility import UnprovenError
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-from trainlog.errors import TrainlogError
+from trainlog.errors import InfeasibleError, TrainlogError
 from trainlog.formats.files import atomic_write
 from trainlog.formats.imports import with_curves
 from trainlog.formats.ttobench import read_track, read_train
@@ -64,8 +65,8 @@ from trainlog.units import KMH
 SEED = 14_0_2
 RESERVES = (0.0, 0.01, 0.03, 0.07, 0.15, 0.3, 0.6, 1.0, 2.0)
 OUTCOMES = (
-    "certified", "uncertified", "refused rightly", "refused, open", "refused wrongly", "wrong",
-    "crashed", "over time",
+    "certified", "uncertified", "refused rightly", "refused, proven", "refused, open",
+    "refused wrongly", "wrong", "crashed", "over time",
 )  # fmt: skip
 LEAST_TIME_TOLERANCE = 2e-4
 """Of the least time, relative, against the independent one."""
@@ -295,11 +296,12 @@ def judged(problem: TrajectoryProblem, limit: float) -> Iterator[dict[str, Any]]
     """What the optimiser answers, and what the independent integrator makes of it; in two parts."""
     begin = time.process_time()
     resource.setrlimit(resource.RLIMIT_CPU, (int(begin + limit) + 1, resource.RLIM_INFINITY))
-    refusal, found = "", None
+    refusal, found, proven = "", None, False
     try:
         found = optimise(problem, OptimiserOptions())
     except TrainlogError as refused:
         refusal = str(refused)
+        proven = isinstance(refused, InfeasibleError) and not isinstance(refused, UnprovenError)
     resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     yield {"outcome": "answered", "seconds": time.process_time() - begin}
     try:
@@ -308,8 +310,10 @@ def judged(problem: TrajectoryProblem, limit: float) -> Iterator[dict[str, Any]]
         yield {"outcome": "wrong" if found else "refused rightly", "words": f"{cannot}; {refusal}"}
         return
     if found is None:
-        alone = len(problem.configurations) == 1
-        yield {"outcome": "refused wrongly" if alone else "refused, open", "words": refusal}
+        outcome = "refused, proven" if proven else "refused, open"
+        if len(problem.configurations) == 1:
+            outcome = "refused wrongly"
+        yield {"outcome": outcome, "words": refusal}
         return
     certificate = found.certificate
     faults = driven(problem, found).faults(problem, found)
