@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
@@ -15,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from analysis.reports.summary import content_of
-from analysis.trajectory.advice import JourneyAdvice, journey_advice
-from analysis.trajectory.instructions import Phase, rounded_down
+from analysis.trajectory.advice import JourneyAdvice, journey_advice, limits_of
+from analysis.trajectory.instructions import Phase, limits_between
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.csv_tables import read_forecast
@@ -185,21 +184,16 @@ _SHORT = 1.0
 def _divided(advice: JourneyAdvice, line: Line) -> Iterator[Advised]:
     """The stretches of an advice, each with a speed that no limit in it is below."""
     for section, departure in zip(advice.sections, advice.departures.tolist(), strict=True):
-        limits = line.limits_over(section.protected_length)
-        times = section.times[section.latest]
+        limits, times = limits_of(section, line), section.times[section.latest]
         begin, end = float(section.positions[0]), float(section.positions[-1])
         for row in advice.rows:
             own = row.instruction
             if own is None or not begin - _SHORT <= own.position < end - _SHORT:
                 continue
-            inner = limits.positions[
-                (limits.positions > own.position) & (limits.positions < own.end)
-            ]
-            for first, last in pairwise([own.position, *inner.tolist(), own.end]):
-                most = float(rounded_down(float(limits(first))))
-                time = departure + float(np.interp(first, section.positions, times))
-                speed = round(KMH * min(own.stated_target, most))
-                yield Advised(first, last, time, own.phase, own.hold, speed)
+            for each in limits_between(limits, own.position, own.end):
+                time = departure + float(np.interp(each.start, section.positions, times))
+                speed = round(KMH * min(own.stated_target, each.speed))
+                yield Advised(each.start, each.end, time, own.phase, own.hold, speed)
 
 
 def advice_constraints(found: Iterable[Advised]) -> list[Constraint]:

@@ -97,7 +97,7 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
                 found.append(f"{words}: {KMH * gained:.0f} km/h by traction are left out")
         if "to a stand" in words and last > ROUNDING:
             found.append(f"{words}: ends at {KMH * last:.0f} km/h")
-        if abs(begin - row.speed) > 1e-6 or abs(last - row.until) > 1e-6:
+        if abs(begin - row.speed) > 1e-6 or abs(last - row.instruction.until) > 1e-6:
             found.append(f"{words}: other speeds at its ends")
     found += unnamed_brakes(plan, changes, ends)
     for row, speed in zip(rows, advised_speeds(rows), strict=True):
@@ -107,7 +107,7 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
             )
     idle = coasts & ~brakes
     for before, after in pairwise(changes):
-        if before.until != after.speed:
+        if before.instruction.until != after.speed:
             found.append(f"{after.words} begins at another speed than the row before ends at")
         beside = int(np.searchsorted(places, after.position - 1e-6))
         for row, cell, other in ((before, beside - 1, after), (after, beside, before)):

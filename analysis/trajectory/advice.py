@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from analysis.trajectory.instructions import Instruction, Phase, instructions
+from analysis.trajectory.instructions import Instruction, instructions
 from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
@@ -29,8 +29,9 @@ from trainlog.formats.railway import line_of_plan
 from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.line import in_km, near, station_at
+from trainlog.simulation.recording import reference_frame
 from trainlog.topics import REFERENCE, TRAIN_STATE
-from trainlog.trip import Trip, frame_of
+from trainlog.trip import Trip
 from trainlog.units import KMH
 
 OPENING = "event,km,station,place,time,"
@@ -67,8 +68,8 @@ class AdviceRow:
         Since the first departure, as planned for the configuration that arrives last.
     timetable : float or None [s]
         When the timetable has it; None where it says nothing.
-    speed, until : float [m/s]
-        There, and where the next change is.
+    speed : float [m/s]
+        There.
     permitted : float or None [m/s]
         There, where something is to be done.
     instruction : Instruction or None
@@ -86,21 +87,10 @@ class AdviceRow:
     time: float
     timetable: float | None
     speed: float
-    until: float
-    permitted: float | None = None
-    instruction: Instruction | None = None
-    to_km: float = np.nan
-    words: str = ""
-
-    @property
-    def sentence(self) -> str:
-        """The words with their place: ``"coast from km 1.230, 1.2 km before A, to km 2.000"``."""
-        where = f"km {self.km:.3f}" + (f", {self.place}" if self.place else "")
-        if self.instruction is None:
-            return f"{self.event} {self.station or where}"
-        if self.instruction.phase is Phase.COASTING:
-            return f"coast from {where}, {self.words.removeprefix('coast ')}"
-        return f"{self.words} from {where}"
+    permitted: float | None
+    instruction: Instruction | None
+    to_km: float
+    words: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,8 +170,10 @@ class JourneyAdvice(Presented):
                 "speed_m_s": speed,
                 "permitted_m_s": row.permitted,
                 "advice": row.words,
-                "target_m_s": None if row.instruction is None else row.instruction.stated_target,
-                "to_km": None if row.instruction is None else row.to_km,
+                "target_m_s": row.instruction and row.instruction.stated_target,
+                "to_km": row.instruction and row.to_km,
+                "lowest_m_s": row.instruction and row.instruction.lowest,
+                "highest_m_s": row.instruction and row.instruction.highest,
             }
             for row, speed in zip(self.rows, advised_speeds(self.rows), strict=True)
         ]
@@ -331,29 +323,33 @@ def _departures(sections: Sequence[Trajectory], dwell: float) -> FloatArray:
 
 def _rows(section: Trajectory, departure: float, line: Line) -> Iterator[AdviceRow]:
     """Of one section: its departure, changes and stations in order, its arrival."""
-    row = section.latest
-    times, places, speeds = section.times[row], section.positions, section.speeds[row]
-    first, last = float(places[0]), float(places[-1])
-    limits = limits_of(section, line)
-    yield _row("departs", first, departure, departure, (float(speeds[0]), 0.0), line)
-    found = [
-        _row("changes", each.position, departure + each.time, None, (each.speed, each.until), line,
-             each, limits)
-        for each in instructions(section, limits)
-    ]  # fmt: skip
+    limits, (first, last) = limits_of(section, line), section.positions[[0, -1]].tolist()
     ends = [station_at(line, place) for place in (first, last)]
-    for station in line.stations:
-        if station.name not in ends and first + JOINS < station.position < last - JOINS:
-            at, speed = (
-                float(np.interp(station.position, places, each)) for each in (times, speeds)
-            )
-            named = _row("passes", station.position, departure + at, None, (speed, speed), line)
-            found.append(replace(named, station=station.name))
-    yield from sorted(found, key=lambda each: each.position)
-    arrival = departure + section.running_time
-    yield _row(
-        "arrives", last, departure + float(times[-1]), arrival, (float(speeds[-1]), 0.0), line
-    )
+    rows: list[tuple[Event, float, str, Instruction | None]] = [
+        ("changes", each.position, "", each) for each in instructions(section, limits)
+    ]
+    rows += [
+        ("passes", each.position, each.name, None)
+        for each in line.stations
+        if each.name not in ends and first + JOINS < each.position < last - JOINS
+    ]
+    rows.sort(key=lambda each: each[1])
+    rows = [("departs", first, ends[0], None), *rows, ("arrives", last, ends[1], None)]
+    timetable = {"departs": departure, "arrives": departure + section.running_time}
+    for event, position, station, own in rows:
+        time, speed = (
+            float(np.interp(position, section.positions, each[section.latest]))
+            for each in (section.times, section.speeds)
+        )
+        km = float(in_km(line, position))
+        yield AdviceRow(
+            event, position, km, station, near(line, [position], _AT_STATION)[0],
+            departure + time, timetable.get(event), speed,
+            permitted=None if own is None else float(limits(position)),
+            instruction=own,
+            to_km=km if own is None else float(in_km(line, own.end)),
+            words=event * (event != "passes") if own is None else own.words(line),
+        )  # fmt: skip
 
 
 def limits_of(section: Trajectory, line: Line) -> StepProfile:
@@ -361,57 +357,29 @@ def limits_of(section: Trajectory, line: Line) -> StepProfile:
     return line.limits_over(section.protected_length)
 
 
-def _row(
-    event: Event,
-    position: float,
-    time: float,
-    timetable: float | None,
-    speeds: tuple[float, float],
-    line: Line,
-    instruction: Instruction | None = None,
-    limits: StepProfile | None = None,
-) -> AdviceRow:
-    km = float(in_km(line, position))
-    station = "" if event == "changes" else station_at(line, position)
-    place = near(line, [position], _AT_STATION)[0]
-    permitted = None if limits is None else float(limits(position))
-    words, to = "" if event == "passes" else str(event), km
-    if instruction is not None:
-        words, to = instruction.words(line), float(in_km(line, instruction.end))
-    return AdviceRow(
-        event, position, km, station, place, time, timetable, *speeds, permitted, instruction, to,
-        words,
-    )  # fmt: skip
+_CSV = {
+    "event": ("event", "{}"), "km": ("at_km", "{:.3f}"), "station": ("station", "{}"),
+    "place": ("place", "{}"), "time": ("clock", "{}"), "seconds": ("time_s", "{:.1f}"),
+    "timetable": ("timetable", "{}"), "speed_kmh": ("speed_m_s", "{:.0f}"),
+    "permitted_kmh": ("permitted_m_s", "{:.1f}"), "advice": ("advice", "{}"),
+    "target_kmh": ("target_m_s", "{:.0f}"), "to_km": ("to_km", "{:.3f}"),
+    "lowest_kmh": ("lowest_m_s", "{:.1f}"), "highest_kmh": ("highest_m_s", "{:.1f}"),
+}  # fmt: skip
+"""Columns of the advice as CSV: of which data, in which form."""
 
 
 def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
     """Write the advice as CSV, whole or not at all."""
 
-    def fields(row: AdviceRow, speed: float) -> dict[str, str]:
-        own = {
-            "event": row.event,
-            "km": f"{row.km:.3f}",
-            "station": row.station,
-            "place": row.place,
-            "time": found.time(row.time),
-            "seconds": f"{row.time:.1f}",
-            "timetable": found.time(row.timetable),
-            "speed_kmh": f"{KMH * speed:.0f}",
-            "permitted_kmh": "" if row.permitted is None else f"{KMH * row.permitted:.1f}",
-            "advice": row.words,
-        }
-        if row.instruction is None:
-            return own
-        return own | {
-            "target_kmh": f"{KMH * row.instruction.stated_target:.0f}",
-            "to_km": f"{row.to_km:.3f}",
-            "lowest_kmh": f"{KMH * row.instruction.lowest:.1f}",
-            "highest_kmh": f"{KMH * row.instruction.highest:.1f}",
-        }
+    def words(row: dict[str, Any], name: str, form: str) -> str:
+        value: Any = found.time(row["timetable_s"]) if name == "timetable" else row[name]
+        return "" if value is None else form.format(KMH * value if "_m_s" in name else value)
 
-    speeds = advised_speeds(found.rows)
-    table = pd.DataFrame([fields(*each) for each in zip(found.rows, speeds, strict=True)])
-    write_bytes(path, csv_bytes(table))
+    rows = [
+        {heading: words(row, *of) for heading, of in _CSV.items()}
+        for row in found.facts()["advice"]
+    ]
+    write_bytes(path, csv_bytes(pd.DataFrame(rows)))
 
 
 def stations_table(found: JourneyAdvice) -> WordTable:
@@ -524,18 +492,8 @@ def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> T
     seconds = (index - index[0]).total_seconds().to_numpy()
     moved = np.flatnonzero(position > position[0] + 1.0)
     departed = float(seconds[max(int(moved[0]) - 1, 0)]) if moved.size else 0.0
-    planned = np.interp(position, trajectory.positions, trajectory.times[chosen])
-    cell = trajectory.cell_of(position)
-    frame = frame_of(
-        REFERENCE,
-        index,
-        {
-            "speed": trajectory.speed_at(chosen, position),
-            "tractive_effort": trajectory.tractive_effort_at(position),
-            "braking_effort": trajectory.braking_effort[chosen, cell],
-            "lateness": seconds - departed + float(planned[0]) - planned,
-        },
-    )
+    since = float(np.interp(position[0], trajectory.positions, trajectory.times[chosen]))
+    frame = reference_frame(trajectory, chosen, index, position, seconds - departed + since)
     return trip.with_topic(frame).with_step(
         "advise",
         software=f"trainlog {__version__}",

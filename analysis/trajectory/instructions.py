@@ -8,7 +8,6 @@ configurations drives or brakes; a speed to hold begins and ends where the plan 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import pairwise
@@ -170,6 +169,9 @@ _NEAR = 8.0 / KMH
 _WHOLE = 1e-2
 """What a whole number of km/h may lack for rounding errors."""
 
+_TINY = 1e-3
+"""Shorter pieces [m] are none."""
+
 _PHASES = (Phase.MAXIMUM_TRACTION, Phase.CRUISING, Phase.COASTING, Phase.MAXIMUM_BRAKING)
 """What a row may ask for; speeds to hold are numbered after them."""
 
@@ -219,8 +221,6 @@ class Instruction:
         Speed to hold, to reach or to brake to; in whole km/h, rounded down.
     lowest, highest : float [m/s]
         Planned between the ends.
-    fastest : float [m/s]
-        Where it ends, of all configurations.
     by : float [m]
         Where the target is to be reached.
     course : tuple of float [m/s]
@@ -239,7 +239,6 @@ class Instruction:
     target: float
     lowest: float
     highest: float
-    fastest: float
     by: float
     course: tuple[float, ...] = ()
     caps: tuple[Cap, ...] = ()
@@ -316,6 +315,23 @@ class Instruction:
                 place += f" to km {_km(line, cap.end)}"
             words.append(f"{KMH * cap.speed:.0f} km/h{place}")
         return f"; at most {', '.join(words)}" if words else ""
+
+
+def _with_cap(caps: list[Cap], cap: Cap, slack: float = 0.0) -> list[Cap]:
+    """Speeds not to exceed with one more, unless the one before, no higher, holds for it, too."""
+    if caps and caps[-1].speed <= cap.speed + slack and caps[-1].end >= cap.start:
+        return [*caps[:-1], replace(caps[-1], end=cap.end)]
+    return [*caps, cap]
+
+
+def limits_between(limits: StepProfile, first: float, last: float) -> list[Cap]:
+    """The limits from one place [m] to another, piece by piece in whole km/h."""
+    edges = limits.positions
+    inside = edges[(edges > first + _TINY) & (edges < last - _TINY)].tolist()
+    return [
+        Cap(rounded_down(float(limits(begin + _TINY))), begin, end)
+        for begin, end in pairwise([first, *inside, last])
+    ]
 
 
 def _course(speeds: list[float]) -> tuple[float, ...]:
@@ -491,19 +507,10 @@ class _Plan:
             _rounded(target, most),
             float(inside.min()),
             float(inside.max()),
-            fastest,
             self._by(start, end, target) if phase > Phase.COASTING else float(self.places[end]),
             _course(inside.tolist()),
         )
-        caps = list[Cap]()
-        for cap in self._caps(found, after):
-            # A speed at one place within what is noticed of the one up to there is said by that.
-            brakes = after is not None and after.phase > Phase.COASTING
-            most = cap.speed + (0.0 if brakes or cap.start < cap.end else NOTICED + _WHOLE / KMH)
-            if caps and caps[-1].speed <= most and caps[-1].end >= cap.start and not drives:
-                cap = replace(caps.pop(), end=cap.end)
-            caps.append(cap)
-        return replace(found, caps=tuple(caps))
+        return replace(found, caps=tuple(self._caps(found, after, fastest)))
 
     def _by(self, start: int, end: int, target: float) -> float:
         """Where a limit asks first for the speed that a brake leads to; else where it ends [m]."""
@@ -512,44 +519,38 @@ class _Plan:
         asks = (self.limits.values < target + NOTICED) & (edges > first) & (edges < last)
         return float(edges[asks].min(initial=last))
 
-    def _caps(self, row: Instruction, after: Instruction | None) -> Iterator[Cap]:
-        """Speeds that a configuration may come near on the way, other than the target."""
+    def _caps(self, row: Instruction, after: Instruction | None, fastest: float) -> list[Cap]:
+        """Speeds that a configuration may come near on the way, other than the target.
+
+        At its end the fastest of them has the speed `fastest` [m/s].
+        """
         if row.hold:
-            return
-        drives = row.phase <= Phase.CRUISING
-        edges = self.limits.positions
-        inside = edges[(edges > row.position + 1e-3) & (edges < row.end - 1e-3)].tolist()
-        # A speed that falls does not reach the limit under which the row begins.
-        before = 0.0 if row.phase is Phase.COASTING else np.inf
-        for first, last in pairwise([row.position, *inside, row.end]):
-            limit = float(self.limits(first + 1e-3))
-            near = self.highest_between(first, last) > limit - _NEAR
-            cells = slice(*np.searchsorted(self.places, [first, last]))
-            speeds = self.trajectory.speeds[:, cells]
-            rises = np.any(speeds.max(axis=1) > speeds[:, 0] + 0.1 * NOTICED)
-            if row.phase > Phase.COASTING and first == row.position:
-                pass
-            elif drives and near and limit < row.target - _WHOLE / KMH:
-                yield Cap(rounded_down(limit), row.position, last)
-            elif near and not drives and (rises or before > limit) and first < row.by:
-                yield Cap(rounded_down(limit), first, last)
-            before = limit
-        if row.phase is Phase.COASTING:
+            return []
+        drives, coasts = row.phase <= Phase.CRUISING, row.phase is Phase.COASTING
+        found, before = list[Cap](), 0.0 if coasts else np.inf
+        for piece in limits_between(self.limits, row.position, row.end):
+            first, last = np.searchsorted(self.places, [piece.start, piece.end])
+            speeds = self.trajectory.speeds[:, first : last + 1]
+            near = speeds.max() > piece.speed - _NEAR
+            rises = np.any(speeds[:, :-1].max(axis=1) > speeds[:, 0] + 0.1 * NOTICED)
+            begins = piece.start == row.position and not coasts
+            if drives and near and piece.speed < row.target - _WHOLE:
+                found.append(replace(piece, start=row.position))
+            elif (
+                near
+                and not (drives or begins)
+                and piece.start < row.by
+                and (rises or before > piece.speed)
+            ):
+                found = _with_cap(found, piece)
+            before = piece.speed
+        if coasts:
             past = np.array([row.end + _AHEAD * row.until])
             soon = float(self._limit(np.array([row.end]), past)[0])
             brakes = after is not None and after.phase > Phase.COASTING
-            if (
-                row.fastest
-                > (row.until if brakes else min(row.until, soon - 2.0 * NOTICED)) + NOTICED
-            ):
-                yield Cap(
-                    rounded_down(row.fastest if brakes else min(row.fastest, soon)),
-                    row.end,
-                    row.end,
-                )
-
-    def highest_between(self, first: float, last: float) -> float:
-        """Highest speed of all configurations between two places [m/s]."""
-        inside = (self.places >= first) & (self.places <= last)
-        ends = np.interp([first, last], self.places, self.highest)
-        return float(np.append(self.highest[inside], ends).max())
+            least = row.until if brakes else min(row.until, soon - 2.0 * NOTICED)
+            if fastest > least + NOTICED:
+                end = Cap(rounded_down(fastest if brakes else min(fastest, soon)), row.end, row.end)
+                # Within what is noticed of the speed up to there, it is said by that.
+                found = _with_cap(found, end, 0.0 if brakes else NOTICED + _WHOLE / KMH)
+        return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from trainlog import __version__
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InfeasibleError
 from trainlog.formats.files import sha256
+from trainlog.railway import Trajectory
 from trainlog.simulation import sensors as measuring
 from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
 from trainlog.simulation.scenario import LARGEST_LOAD, Scenario
@@ -368,21 +370,35 @@ def reference(
     trajectory = scenario.trajectory
     if trajectory is None:
         return None
-    row, position = trajectory.latest, columns["position"]
-    cell = trajectory.cell_of(position)
     last_moving = np.flatnonzero(columns["speed"] > 0.0)[-1]
     under_way = np.clip(run.seconds, DEPARTURE, run.seconds[last_moving]) - DEPARTURE
-    return frame_of(
-        REFERENCE,
-        time,
-        {
-            "speed": trajectory.speed_at(row, position),
-            "tractive_effort": trajectory.tractive_effort_at(position),
-            "braking_effort": trajectory.braking_effort[row, cell],
-            "lateness": under_way
-            - np.interp(position, trajectory.positions, trajectory.times[row]),
-        },
-    )
+    return reference_frame(trajectory, trajectory.latest, time, columns["position"], under_way)
+
+
+def reference_frame(
+    trajectory: Trajectory, row: int, time: Any, position: FloatArray, elapsed: FloatArray
+) -> pd.DataFrame:
+    """The ``/reference`` topic of a trip: what a trajectory asks for where the train is.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    row : int
+        Configuration.
+    time : (n,) array or index
+        Of the rows.
+    position : (n,) array [m]
+    elapsed : (n,) array [s]
+        Since the departure by the trajectory.
+    """
+    planned = np.interp(position, trajectory.positions, trajectory.times[row])
+    columns = {
+        "speed": trajectory.speed_at(row, position),
+        "tractive_effort": trajectory.tractive_effort_at(position),
+        "braking_effort": trajectory.braking_effort[row, trajectory.cell_of(position)],
+        "lateness": elapsed - planned,
+    }
+    return frame_of(REFERENCE, time, columns)
 
 
 def truth(columns: dict[str, FloatArray], time: IntArray) -> pd.DataFrame:
