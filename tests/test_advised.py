@@ -11,10 +11,10 @@ from trajectory_cases import FLIRT, FREIGHT, drawn, hilly_line, observed, optimi
 
 from analysis.comparison.compare import compare
 from analysis.control.advised import EXACT, AdvisedDriver, Attention, obeyed_trip
+from analysis.control.follow import outcome
 from trainlog.arrays import FloatArray
 from trainlog.railway import Train, Trajectory
 from trainlog.simulation import drive, trajectory_scenarios
-from trainlog.simulation.drivers import DEPARTURE
 from trainlog.units import JOULES_PER_KWH, KMH
 
 LINE = hilly_line()
@@ -28,23 +28,8 @@ def plan_of(train: Train, reserve: float = 0.1) -> Trajectory:
 def driven(plan: Trajectory, train: Train, attention: Attention, seed: int = 1) -> FloatArray:
     """Lateness [s], energy over planned, over the limit [m/s], off the stop [m], of each."""
     follows = partial(AdvisedDriver, plan, LINE, train, attention=attention, seed=seed)
-    rows = []
-    for scenario in trajectory_scenarios(plan, LINE, train, plan.chosen("all"), follows):
-        run = drive(scenario)
-        found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
-        speed, position = found["speed"], found["position"]
-        arrival = run.seconds[np.flatnonzero(speed > 0.0)[-1]] + 0.1 - DEPARTURE
-        energy = np.sum(found["tractive_effort"] * speed) * 0.1
-        limit = LINE.speed_limit(np.minimum(position, LINE.length))
-        rows.append(
-            (
-                arrival - plan.running_time,
-                energy / plan.certificate["wheel_energy"][scenario.row] - 1.0,
-                np.max(speed - limit),
-                position[-1] - plan.positions[-1],
-            )
-        )
-    return np.array(rows)
+    scenarios = trajectory_scenarios(plan, LINE, train, plan.chosen("all"), follows)
+    return np.array([outcome(each, drive(each))[:4] for each in scenarios])
 
 
 @pytest.mark.parametrize(("train", "reserve"), [(FLIRT, 0.1), (FREIGHT, 0.3)])

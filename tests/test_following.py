@@ -330,7 +330,7 @@ def test_a_wrong_wheel_is_found_out_by_satellites_and_balises() -> None:
 
 
 def test_a_negative_margin_is_refused() -> None:
-    refused(InputError, r"margin of speed -0\.1 is negative", Margin, speed=-0.1)
+    refused(InputError, r"speed: -0\.1 is negative", Margin, speed=-0.1)
 
 
 # ---- the prediction -------------------------------------------------------------------------
@@ -508,7 +508,7 @@ def test_a_map_of_another_line_and_a_layer_it_has_not_are_refused() -> None:
 
 
 def test_a_tuning_that_is_not_positive_is_refused() -> None:
-    refused(InputError, "following: step 0", Tuning, step=0.0)
+    refused(InputError, "step: 0", Tuning, step=0.0)
 
 
 def test_a_train_with_curves_follows_within_them() -> None:

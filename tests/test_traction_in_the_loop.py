@@ -14,7 +14,6 @@ from simulated_line import level_line
 from typer.testing import CliRunner
 
 from analysis.adhesion.condition_map import adhesion_map
-from analysis.control.multi_motor import runge_kutta
 from analysis.control.rail_estimate import MAXIMA, RailEstimator, map_prior
 from analysis.control.traction import (
     TUNING,
@@ -24,6 +23,7 @@ from analysis.control.traction import (
     drive_model,
     with_traction,
 )
+from analysis.studies.zhao_2025.simulation import runge_kutta
 from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map, write_map

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory.instructions import Phase, phases_by_switching, phases_of
+from analysis.studies.cunillera_2022.model import phases_by_switching
+from analysis.trajectory.instructions import Phase, phases_of
 from trainlog.railway import RunningResistance, Train, Trajectory
 from trainlog.units import JOULES_PER_KWH
 

@@ -1178,6 +1178,7 @@ class Foreign(Declared):
 
 Name = Annotated[str, Text(least=1)]
 Positive = Annotated[float, Number(must=POSITIVE)]
+PositiveFinite = Annotated[float, Number(must=POSITIVE_FINITE)]
 NotNegative = Annotated[float, Number(must=NOT_NEGATIVE)]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from analysis.control.follow import ARRIVING, STOPPING_TOLERANCE, run_of
 from analysis.trajectory.advice import limits_of
 from analysis.trajectory.instructions import Instruction, Phase, instructions
-from trainlog.errors import InputError
+from trainlog.declaration import NotNegative, Positive, check
 from trainlog.railway import Configuration, Line, Train, Trajectory
 from trainlog.railway.motion import braking_curve
 from trainlog.simulation import simulate, trajectory_scenarios
@@ -27,6 +27,7 @@ from trainlog.simulation.drivers import (
     GRID,
     PERIOD,
     Demand,
+    Lever,
     Observation,
     StoppingBrake,
     full_traction,
@@ -70,26 +71,16 @@ class Attention:
     --------
     >>> Attention(reaction=-1.0)
     Traceback (most recent call last):
-    trainlog.errors.InputError: attention of a driver: reaction -1.0 is below 0; give 0 or more
+    trainlog.errors.InputError: reaction: -1.0 is negative; give 0 or more
     """
 
-    reaction: float = 2.0
-    dead_band: float = 2.0 / KMH
-    reading_std: float = 1.0 / KMH
-    lever_rate: float = 0.25
+    reaction: NotNegative = 2.0
+    dead_band: NotNegative = 2.0 / KMH
+    reading_std: NotNegative = 1.0 / KMH
+    lever_rate: Positive = 0.25
 
     def __post_init__(self) -> None:
-        for name in ("reaction", "dead_band", "reading_std"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise InputError(
-                    f"attention of a driver: {name} {getattr(self, name)} is below 0",
-                    remedy="give 0 or more",
-                )
-        if not self.lever_rate > 0.0:
-            raise InputError(
-                f"attention of a driver: lever_rate {self.lever_rate} is not positive",
-                remedy="give a value above 0, or infinity",
-            )
+        check(self)
 
 
 EXACT = Attention(0.0, 0.0, 0.0, math.inf)
@@ -160,7 +151,7 @@ class AdvisedDriver:
         self._brakes_in = train.brake.dead_time + train.brake.lag + 0.5 / attention.lever_rate
         random = np.random.default_rng([seed, 11])
         self._error = attention.reading_std * float(random.standard_normal())
-        self._row, self._lever = self._rows[0], 0.0
+        self._row, self._lever = self._rows[0], Lever()
         self._wanted: float | None = 0.0
         self._looked, self._stopping, self._arrived = -math.inf, False, False
         self._turn, self._low = 0, False
@@ -289,9 +280,7 @@ class AdvisedDriver:
         pull = min(pull, felt.inertia * train.max_acceleration + felt.resistance(speed))
         brake = self._hardest * felt.inertia
         target = min(effort / pull, 1.0) if effort >= 0.0 else max(effort / brake, -1.0)
-        change = rate * PERIOD
-        self._lever += min(max(target - self._lever, -change), change)
-        return Demand(max(self._lever, 0.0) * pull, max(-self._lever, 0.0) * brake)
+        return self._lever.moved(target, rate, pull, brake)
 
 
 def obeyed_trip(trajectory: Trajectory, line: Line, train: Train) -> Trip:

@@ -17,9 +17,8 @@ so that no program has slack variables.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from time import perf_counter
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -33,8 +32,8 @@ from analysis.control.multi_motor import (
 )
 from analysis.control.prediction import UNBOUNDED, QPSubproblem, solve
 from trainlog.arrays import FloatArray, IntArray
+from trainlog.declaration import POSITIVE_FINITE, NotNegative, Number, PositiveFinite, check
 from trainlog.errors import InputError
-from trainlog.railway.adhesion import CreepCurve
 
 ROUNDS = 8
 """Of Newton's method for the slip speeds that leave their bounds."""
@@ -67,8 +66,6 @@ class Tuning:
         Of the quadratic programming in a sample, at most.
     tolerance : float
         Change of a torque, over the torque limit, below which there is no further iteration.
-    deadline : float [s]
-        A decision that takes longer is counted; 0: the period.
     lag : float [s]
         Of the motors' torques behind their demand.
     slip : float [s²/m²]
@@ -84,29 +81,21 @@ class Tuning:
         take the other axles off their peak for the sake of one that cannot reach its own.
     """
 
-    horizon: int = 10
-    control_horizon: int = 5
-    period: float = 0.1
-    substeps: int = 4
+    horizon: Annotated[int, Number(must=POSITIVE_FINITE)] = 10
+    control_horizon: Annotated[int, Number(must=POSITIVE_FINITE)] = 5
+    period: PositiveFinite = 0.1
+    substeps: Annotated[int, Number(must=POSITIVE_FINITE)] = 4
     exact: bool = True
-    iterations: int = 4
-    tolerance: float = 5e-4
-    deadline: float = 0.0
-    lag: float = 0.0
-    slip: float = 1.0
-    torque: float = 1e-4
-    margin: float = 0.2
-    slack: float = 5.0
+    iterations: Annotated[int, Number(must=POSITIVE_FINITE)] = 4
+    tolerance: PositiveFinite = 5e-4
+    lag: NotNegative = 0.0
+    slip: PositiveFinite = 1.0
+    torque: PositiveFinite = 1e-4
+    margin: PositiveFinite = 0.2
+    slack: PositiveFinite = 5.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            free = name in ("deadline", "lag", "exact")
-            if not ((value > 0.0 or (free and value == 0.0)) and np.isfinite(value)):
-                raise InputError(
-                    f"cooperative control: {name} {value} is not positive",
-                    remedy="give a value above 0",
-                )
+        check(self)
         if self.control_horizon > self.horizon:
             raise InputError(
                 f"cooperative control: {self.control_horizon} steps of control are more than the"
@@ -144,11 +133,6 @@ class Demand:
     direction: float = 1.0
     at_work: FloatArray | None = None
     held_back: float = 0.0
-
-
-def coefficients(curves: Sequence[CreepCurve]) -> FloatArray:
-    """a, b and c of the creep curves under the axles, (n, 3)."""
-    return np.array([(each.a, each.b, each.c) for each in curves], dtype=np.float64)
 
 
 def peak_slips(rail: FloatArray) -> FloatArray:
@@ -255,18 +239,12 @@ class CooperativeController:
     unsolved : int
         Samples at which no program was solved: the torques are then those of the better of two
         plans, the shifted one and the one that brings each axle to its slip speed.
-    late : int
-        Samples that took longer than the deadline, by the clock on the wall.
-    worst : float [s]
-        The longest.
     """
 
     locomotive: MultiMotorLocomotive
     tuning: Tuning = field(default_factory=Tuning)
     steps: int = 0
     unsolved: int = 0
-    late: int = 0
-    worst: float = 0.0
 
     def __post_init__(self) -> None:
         self._plan = np.zeros((self.tuning.control_horizon, self.locomotive.axles))
@@ -296,7 +274,6 @@ class CooperativeController:
         wheel_speeds : (n,) array [m/s]
             Circumferential.
         demand : Demand
-            See `demand`.
         guess : (control horizon, n) array [N m], optional
             Plan to begin from, within the limits; default: `guess`.
 
@@ -310,7 +287,6 @@ class CooperativeController:
         InputError
             If speeds are not numbers, or not one for each axle.
         """
-        begun = perf_counter()
         state = self._state(speed, wheel_speeds)
         task = self._task(state, demand)
         plan, cost = self._start(task, self.guess(demand) if guess is None else guess)
@@ -326,81 +302,14 @@ class CooperativeController:
         if not np.isfinite(cost):
             plan, solved = np.zeros_like(plan), False
         self._plan = plan.copy()
-        taken = perf_counter() - begun
         self.steps += 1
         self.unsolved += not solved
-        self.late += taken > (self.tuning.deadline or self.tuning.period)
-        self.worst = max(self.worst, taken)
         return np.asarray(plan[0].copy())
 
     def restart(self) -> None:
         """Forget the plan, as when traction turns to braking; the counts stay."""
         self._plan[:] = 0.0
         self._excess[:] = 0
-
-    def demand(
-        self,
-        rail: ArrayLike,
-        limits: ArrayLike | None = None,
-        total: float | None = None,
-        reference: ArrayLike | None = None,
-    ) -> Demand:
-        """What is asked of the motors on a rail.
-
-        Parameters
-        ----------
-        rail : (n, 3) or (horizon, n, 3) array
-            Creep curves under the axles now, or over the horizon; see `coefficients`.
-        limits : (n,) array [N m], optional
-            Of the motors; default: the torque limit.
-        total : float [N m], optional
-            Of all motors; default: that of the locomotive.
-        reference : (n,) array [m/s], optional
-            Slip speeds; default: those of the maximum adhesion of the curves.
-
-        Raises
-        ------
-        InputError
-            If shapes do not fit, a creep curve is none, or a limit is negative.
-        """
-        n, horizon = self.locomotive.axles, self.tuning.horizon
-        curves = np.asarray(rail, dtype=np.float64)
-        if curves.shape not in ((n, 3), (horizon, n, 3)):
-            raise InputError(
-                f"cooperative control: creep curves of shape {curves.shape}",
-                remedy=f"give a, b, c of {n} axles, or of each in {horizon} steps",
-            )
-        a, b, c = np.moveaxis(curves, -1, 0)
-        if not np.all((a > 0.0) & (b > a) & (c > 0.0) & np.isfinite(b + c)):
-            raise InputError(
-                "cooperative control: creep curves need 0 < a < b and c > 0",
-                remedy="correct the curves' parameters",
-            )
-        limit = self.locomotive.torque_limit
-        caps = np.full(n, limit) if limits is None else np.asarray(limits, dtype=np.float64)
-        if caps.shape != (n,) or not np.all((caps >= 0.0) & (caps <= limit)):
-            raise InputError(
-                f"cooperative control: limits of the motors {caps} are not {n} torques"
-                f" from 0 to {limit:g} N m",
-                remedy="give one limit per motor, in N m",
-            )
-        most = self.locomotive.total_torque if total is None else float(total)
-        if not most >= 0.0:
-            raise InputError(
-                f"cooperative control: total torque {most} N m is negative",
-                remedy="give 0 N m or more",
-            )
-        curves = np.ascontiguousarray(np.broadcast_to(curves, (horizon, n, 3)))
-        slips = peak_slips(curves)
-        if reference is not None:
-            given = np.asarray(reference, dtype=np.float64)
-            if given.shape != (n,) or not np.all(np.isfinite(given)):
-                raise InputError(
-                    f"cooperative control: reference slip speeds {given} of {n} axles",
-                    remedy="give one per axle",
-                )
-            slips = np.tile(given, (horizon, 1))
-        return Demand(curves, slips, caps, most)
 
     def guess(self, demand: Demand) -> FloatArray:
         """The plan of the last sample, shifted, and made to keep the limits."""

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,12 +43,14 @@ from analysis.control.route import (
 from analysis.trajectory.problem import TrajectoryProblem
 from estimators.odometry import OdometryFilter
 from trainlog.arrays import FloatArray
+from trainlog.declaration import POSITIVE, Number, Positive, check
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation import Scenario, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
 from trainlog.simulation.plant import HOLDING
+from trainlog.simulation.recording import Run
 from trainlog.simulation.sensors import Reading, Sensors
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS, clock
@@ -90,18 +92,13 @@ class Tuning:
     weights : Weights
     """
 
-    horizon: int = 20
-    step: float = 1.0
-    every: float = 0.5
+    horizon: Annotated[int, Number(must=POSITIVE)] = 20
+    step: Positive = 1.0
+    every: Positive = 0.5
     weights: Weights = field(default=Weights(1.0, 2.0, 20.0))
 
     def __post_init__(self) -> None:
-        for name in ("horizon", "step", "every"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"following: {name} {getattr(self, name)} is not positive",
-                    remedy="give a value above 0",
-                )
+        check(self)
 
 
 class Follower:
@@ -327,7 +324,7 @@ class Follower:
 
 
 def following_scenarios(
-    trajectory: Trajectory,
+    sections: Mapping[str, Trajectory],
     line: Line,
     train: Train,
     *,
@@ -338,41 +335,18 @@ def following_scenarios(
     time: pd.Timestamp | None = None,
     late: float = 0.0,
     seed: int = 1,
-) -> list[Scenario]:
-    """Scenarios of the trips that `follow` drives, with the same arguments."""
-    follows = partial(
-        Follower,
-        trajectory,
-        line.travelled(trajectory.direction),
-        train,
-        condition=condition_map,
-        layer=weather,
-        risk=risk,
-        time=time,
-        departure=DEPARTURE + late,
-        margin=MARGIN,
-    )
-    names = trajectory.chosen(configurations)
-    return trajectory_scenarios(
-        trajectory, line, train, names, follows, seed=seed, weather=weather, locates=Odometry
-    )
-
-
-def section_scenarios(
-    sections: Mapping[str, Trajectory], line: Line, train: Train, **options: Any
 ) -> dict[str, list[Scenario]]:
-    """Scenarios of each section of a journey by its name, as `following_scenarios`.
+    """Scenarios of the trips that `follow` drives, for each section of a journey by its name.
 
     Each section departs when the plan of the journey has it. Names of trips end in that of the
-    section where there are several.
-
-    Raises
-    ------
-    InputError
-        As `following_scenarios`.
+    section where there are several. The other arguments are those of `follow`.
     """
     found = {}
     for name, section in sections.items():
+        follows = partial(
+            Follower, section, line.travelled(section.direction), train, condition=condition_map,
+            layer=weather, risk=risk, time=time, departure=DEPARTURE + late, margin=MARGIN,
+        )  # fmt: skip
         departure = float(section.provenance.get("journey", {}).get("departure", 0.0))
         found[name] = [
             replace(
@@ -380,8 +354,11 @@ def section_scenarios(
                 name=f"{each.name}-{name}" if len(sections) > 1 else each.name,
                 start=each.start + round(NANOSECONDS * departure),
             )
-            for each in following_scenarios(section, line, train, **options)
-        ]
+            for each in trajectory_scenarios(
+                section, line, train, section.chosen(configurations), follows, seed=seed,
+                weather=weather, locates=Odometry,
+            )
+        ]  # fmt: skip
     return found
 
 
@@ -452,10 +429,52 @@ def follow(
     True
     """
     scenarios = following_scenarios(
-        trajectory, line, train, configurations=configurations, weather=weather,
+        {"": trajectory}, line, train, configurations=configurations, weather=weather,
         condition_map=condition_map, risk=risk, time=time, late=late, seed=seed,
     )  # fmt: skip
-    return [simulate(scenario) for scenario in scenarios]
+    return [simulate(scenario) for scenario in scenarios[""]]
+
+
+class Outcome(NamedTuple):
+    """What a trip along a trajectory came to, by its true motion.
+
+    Attributes
+    ----------
+    late : float [s]
+        At its arrival, behind the timetable.
+    excess_work : float
+        At the wheels, over that planned for its configuration; relative.
+    overspeed : float [m/s]
+        Over the line's limits, at most; negative where it stays below.
+    off_stop : float [m]
+        Beyond the stop.
+    slips : int
+        How often the slip protection acted.
+    """
+
+    late: float
+    excess_work: float
+    overspeed: float
+    off_stop: float
+    slips: int
+
+
+def outcome(scenario: Scenario, run: Run) -> Outcome:
+    """What a trip along a trajectory came to; see `trainlog.simulation.drive`."""
+    plan, line = scenario.trajectory, scenario.travelled
+    assert plan is not None
+    found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
+    speed, position = found["speed"], found["position"]
+    arrival = float(run.seconds[np.flatnonzero(speed > 0.0)[-1]]) + PERIOD - DEPARTURE
+    work = float(found["tractive_effort"] @ speed) * PERIOD
+    limit = line.speed_limit(np.minimum(position, line.length))
+    return Outcome(
+        arrival - plan.running_time,
+        work / plan.certificate["wheel_energy"][scenario.row] - 1.0,
+        float(np.max(speed - limit)),
+        float(position[-1] - plan.positions[-1]),
+        int(np.sum(np.diff((found["protected_axles"] > 0.0).astype(int)) > 0)),
+    )
 
 
 def effort_reversals(tractive: ArrayLike, braking: ArrayLike) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import PositiveFinite, check
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
 
@@ -41,24 +42,17 @@ class MultiMotorLocomotive:
     """
 
     name: str
-    mass: float
+    mass: PositiveFinite
     axle_loads: tuple[float, ...]
-    inertia: float
-    gear_ratio: float
-    wheel_radius: float
+    inertia: PositiveFinite
+    gear_ratio: PositiveFinite
+    wheel_radius: PositiveFinite
     resistance: RunningResistance
-    torque_limit: float
-    total_torque: float
+    torque_limit: PositiveFinite
+    total_torque: PositiveFinite
 
     def __post_init__(self) -> None:
-        for name in (
-            "mass", "inertia", "gear_ratio", "wheel_radius", "torque_limit", "total_torque",
-        ):  # fmt: skip
-            if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(
-                    f"locomotive '{self.name}': {name} {getattr(self, name)} is not positive",
-                    remedy="give a value above 0",
-                )
+        check(self)
         if not self.axle_loads or not all(load > 0.0 for load in self.axle_loads):
             raise InputError(
                 f"locomotive '{self.name}': needs driven axles, each with a positive load",
@@ -124,45 +118,6 @@ def creep(slip, curve):  # type: ignore[no-untyped-def]
     one, other = np.exp(-a * size), np.exp(-b * size)
     value = c * (one - other)
     return (value if slip >= 0.0 else -value), c * (b * other - a * one)
-
-
-@njit(cache=True)
-def rates(state, torque, rail, loads, constants, out):  # type: ignore[no-untyped-def]
-    """Rates of change of the state [m/s²]; eqs. (1), (3) and (8). A train at rest stays there."""
-    mass, rotating, ratio, still, linear, square = constants
-    v = state[0]
-    pull = 0.0
-    for i in range(loads.size):
-        force = loads[i] * creep(state[1 + i] - v, rail[i])[0]
-        pull += force
-        out[1 + i] = (ratio * torque[i] - force) / rotating
-    out[0] = (pull - still - (linear + square * v) * v) / mass
-    if v <= 0.0 and out[0] < 0.0:
-        out[0] = 0.0
-
-
-@njit(cache=True)
-def euler(state, torque, rail, loads, constants, step, steps):  # type: ignore[no-untyped-def]
-    """Explicit Euler steps, in place; eq. (15)."""
-    rate = np.empty(state.size)
-    for _ in range(steps):
-        rates(state, torque, rail, loads, constants, rate)
-        state += step * rate
-        state[0] = max(state[0], 0.0)
-
-
-@njit(cache=True)
-def runge_kutta(state, torque, rail, loads, constants, step, steps):  # type: ignore[no-untyped-def]
-    """Classical Runge-Kutta steps of fourth order, in place."""
-    size = state.size
-    k1, k2, k3, k4 = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    for _ in range(steps):
-        rates(state, torque, rail, loads, constants, k1)
-        rates(state + 0.5 * step * k1, torque, rail, loads, constants, k2)
-        rates(state + 0.5 * step * k2, torque, rail, loads, constants, k3)
-        rates(state + step * k3, torque, rail, loads, constants, k4)
-        state += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        state[0] = max(state[0], 0.0)
 
 
 LARGEST_EXPONENT = 2.0

@@ -3,7 +3,7 @@
 Zhao et al. (2025) take the rail for known. `RailEstimator` learns it from slip speeds and adhesion
 in use: a hidden Markov model of the creep curve, of its maximum and of how its slip speeds are
 stretched against those of `trainlog.railway.adhesion.creep_coefficients`. A map gives the maximum
-that is likely before a wheel is there (`map_prior`), and the rail ahead: `rail_ahead`.
+that is likely before a wheel is there (`map_prior`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from analysis.control.multi_motor import MultiMotorLocomotive
 from estimators.adhesion import AdhesionObserver
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.railway import StepProfile
 from trainlog.railway.adhesion import creep_coefficients
 
 MAXIMA = np.geomspace(0.03, 0.45, 48)
@@ -78,7 +77,7 @@ class RailEstimate:
     reference : (n,) array [m/s]
         Slip speed at which most adhesion is expected, whatever the rail may be.
     rail : (n, 3) array
-        Mean creep curves, for the prediction; see `CooperativeController.demand`.
+        Mean creep curves, for the prediction.
     adhesion : (n,) array
         In use.
     """
@@ -223,7 +222,7 @@ class RailEstimator:
                 0.5 * (slip + last), adhesion, noise, self._slip_variance,
             )  # fmt: skip
         self._slip, self._time = slip, self._time + self._period
-        return self._estimate(adhesion)
+        return self.estimate(adhesion)
 
     def _moves(self, speed: float) -> tuple[float, float]:
         """Probabilities that the maximum is the next one of the grid, and that it is any other."""
@@ -232,11 +231,9 @@ class RailEstimator:
         changed = CHANGES[0] * way + CHANGES[1] * self._period
         return min(0.5 * variance / GRID_STEP**2, 0.25), min(changed, 0.5)
 
-    def estimate(self) -> RailEstimate:
-        """What is known without a further sample."""
-        return self._estimate(np.zeros(self._locomotive.axles))
-
-    def _estimate(self, adhesion: FloatArray) -> RailEstimate:
+    def estimate(self, adhesion: FloatArray | None = None) -> RailEstimate:
+        """What is known now; with the adhesion in use, (n,), as measured."""
+        adhesion = np.zeros(self._locomotive.axles) if adhesion is None else adhesion
         summed = np.cumsum(self._probability.sum(axis=2), axis=1)
         low, middle, high = (
             MAXIMA[np.minimum((summed < level).sum(axis=1), MAXIMA.size - 1)]
@@ -372,23 +369,3 @@ def highest_mean(probability, curves):  # type: ignore[no-untyped-def]
                     mean[j] += p * curves[k, j]
         found[i] = np.argmax(mean)
     return found
-
-
-def rail_ahead(
-    maximum_adhesion: StepProfile, position: float, speed: float, axles: ArrayLike, tuning: Tuning
-) -> FloatArray:
-    """Creep curves under each axle over the horizon, from a map; (horizon, n, 3) array.
-
-    Parameters
-    ----------
-    maximum_adhesion : StepProfile
-        By chainage in the direction of travel.
-    position, speed : float [m], [m/s]
-        Of the train's front.
-    axles : (n,) array [m]
-        How far behind the front each axle is.
-    tuning : Tuning
-    """
-    middles = tuning.period * (np.arange(tuning.horizon) + 0.5)
-    places = position + speed * middles[:, None] - np.asarray(axles, dtype=np.float64)
-    return creep_coefficients(maximum_adhesion(np.maximum(places, 0.0)))

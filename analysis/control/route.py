@@ -20,7 +20,7 @@ from pandas import Timestamp
 
 from analysis.trajectory.problem import TrajectoryProblem, read_words
 from trainlog.arrays import FloatArray
-from trainlog.errors import InputError
+from trainlog.declaration import NotNegative, check
 from trainlog.railway import TrackConditionMap, Trajectory
 from trainlog.railway.motion import effort_at
 from trainlog.railway.resistance import arrays_of
@@ -79,16 +79,11 @@ class Margin:
         Limits are so much lower.
     """
 
-    position: float = 0.0
-    speed: float = 0.0
+    position: NotNegative = 0.0
+    speed: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("position", "speed"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(
-                    f"following: margin of {name} {getattr(self, name)} is negative",
-                    remedy="give 0 or more",
-                )
+        check(self)
 
 
 class TrainLimits(NamedTuple):

@@ -26,6 +26,7 @@ from analysis.control.cooperative import (
 from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.control.rail_estimate import RailEstimate, RailEstimator
 from trainlog.arrays import FloatArray
+from trainlog.declaration import PositiveFinite, check
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train
 from trainlog.railway.adhesion import creep_coefficients
@@ -341,24 +342,19 @@ class ReadhesionTuning:
         How fast it then grows: share of the largest effort, a second.
     """
 
-    period: float = 0.02
-    filter_time: float = 0.1
-    acceleration: float = 2.0
-    least_slip: float = 0.8
-    most_slip: float = 3.0
-    cut: float = 0.6
-    restored: float = 0.95
-    patience: float = 0.5
-    pause: float = 1.0
-    ramp: float = 0.1
+    period: PositiveFinite = 0.02
+    filter_time: PositiveFinite = 0.1
+    acceleration: PositiveFinite = 2.0
+    least_slip: PositiveFinite = 0.8
+    most_slip: PositiveFinite = 3.0
+    cut: PositiveFinite = 0.6
+    restored: PositiveFinite = 0.95
+    patience: PositiveFinite = 0.5
+    pause: PositiveFinite = 1.0
+    ramp: PositiveFinite = 0.1
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(
-                    f"re-adhesion: {name} {getattr(self, name)} is not positive",
-                    remedy="give a value above 0",
-                )
+        check(self)
 
 
 class ReadhesionControl:

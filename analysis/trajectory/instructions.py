@@ -74,19 +74,6 @@ def phases_by_control(
     return phase
 
 
-def phases_by_switching(switching: FloatArray, band: float = 1e-3) -> IntArray:
-    """Phase of each cell from the switching function ``sum of lambda_v / v``.
-
-    Within `band` of 1 or of 0 the control is singular: cruising by partial traction or braking.
-    """
-    phase = np.full(switching.shape, int(Phase.COASTING))
-    phase[switching > 1.0 - band] = Phase.CRUISING
-    phase[switching > 1.0 + band] = Phase.MAXIMUM_TRACTION
-    phase[switching < band] = Phase.PARTIAL_BRAKING
-    phase[switching < -band] = Phase.MAXIMUM_BRAKING
-    return phase
-
-
 def agreement(
     efforts: FloatArray, most: FloatArray, worth: FloatArray, band: float = 1e-3
 ) -> float:

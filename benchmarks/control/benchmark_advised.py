@@ -20,7 +20,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from benchmark_following import driven
 from rich.console import Console
 from rich.table import Table
 
@@ -29,15 +28,15 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from trajectory_cases import FLIRT, FREIGHT, VIRM6, drawn, hilly_line, observed
 
 from analysis.control.advised import EXACT, AdvisedDriver, Attention
-from analysis.control.follow import MARGIN, Follower, Odometry
+from analysis.control.follow import MARGIN, Follower, Odometry, outcome
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Axles, Line, Train, Trajectory
-from trainlog.simulation import Scenario, trajectory_scenarios
-from trainlog.simulation.drivers import DEPARTURE, Driver
+from trainlog.simulation import Scenario, drive, trajectory_scenarios
+from trainlog.simulation.drivers import Driver
 from trainlog.units import KMH
 
 # Its 214 kN need more weight on powered axles than the model of its study states.
@@ -48,21 +47,10 @@ RESERVES = (0.04, 0.12, 0.4)
 
 
 def figures(scenario: Scenario) -> FloatArray:
-    """Lateness [s], energy over that planned for the configuration [%], over the limit [km/h]."""
-    found, trajectory, line = driven(scenario), scenario.trajectory, scenario.travelled
-    assert trajectory is not None
-    speed, position = found["speed"], found["position"]
-    arrival = float(found["seconds"][np.flatnonzero(speed > 0.0)[-1]]) + 0.1 - DEPARTURE
-    energy = float(np.sum(found["tractive_effort"] * speed)) * 0.1
-    planned = trajectory.certificate["wheel_energy"][scenario.row]
-    limit = line.speed_limit(np.minimum(position, line.length))
+    """Lateness [s], energy over planned [%], over the limit [km/h], off the stop [m]."""
+    found = outcome(scenario, drive(scenario))
     return np.array(
-        [
-            arrival - trajectory.running_time,
-            100.0 * (energy / planned - 1.0),
-            KMH * np.max(speed - limit),
-            abs(float(position[-1] - trajectory.positions[-1])),
-        ]
+        [found.late, 100.0 * found.excess_work, KMH * found.overspeed, abs(found.off_stop)]
     )
 
 

@@ -20,7 +20,7 @@ from benchmark_tracking import own, peer_cvxpy, peer_ipopt, timed
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.follow import MARGIN, Follower, Odometry, run_of
+from analysis.control.follow import MARGIN, Follower, Odometry, outcome, run_of
 from analysis.control.prediction import QPSubproblem
 from analysis.control.route import Margin
 from analysis.trajectory.envelope import fastest_run
@@ -33,6 +33,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation import Scenario, drive, trajectory_scenarios
 from trainlog.simulation.drivers import DEPARTURE, Demand, Observation
+from trainlog.simulation.recording import Run
 from trainlog.simulation.sensors import Reading, Sensors
 from trainlog.units import KMH
 
@@ -120,31 +121,16 @@ class KeptOdometry:
         return self.seen[-1]
 
 
-def driven(scenario: Scenario) -> dict[str, FloatArray]:
-    """The true motion by name, and ``seconds``."""
-    run = drive(scenario)
-    found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
-    return found | {"seconds": run.seconds}
+def motion(scenario: Scenario, run: Run) -> dict[str, FloatArray]:
+    """The true motion by name."""
+    return dict(zip(scenario.plant().columns, run.samples.T, strict=True))
 
 
-def figures(found: dict[str, FloatArray], scenario: Scenario) -> FloatArray:
+def figures(scenario: Scenario, run: Run) -> FloatArray:
     """Lateness [s], stop [cm], energy over planned [%], over the limit [km/h], slips."""
-    trajectory, line = scenario.trajectory, scenario.travelled
-    assert trajectory is not None
-    speed, position = found["speed"], found["position"]
-    arrival = float(found["seconds"][np.flatnonzero(speed > 0.0)[-1]]) + 0.1 - DEPARTURE
-    limit = line.speed_limit(np.minimum(position, line.length))
-    energy = float(np.sum(found["tractive_effort"] * speed)) * 0.1
-    planned = trajectory.certificate["wheel_energy"][scenario.row]
-    return np.array(
-        [
-            arrival - trajectory.times[trajectory.latest, -1],
-            100.0 * (position[-1] - trajectory.positions[-1]),
-            100.0 * (energy / planned - 1.0),
-            KMH * np.max(speed - limit),
-            np.sum(np.diff((found["protected_axles"] > 0.0).astype(int)) > 0),
-        ]
-    )
+    found = outcome(scenario, run)
+    stop, energy = 100.0 * found.off_stop, 100.0 * found.excess_work
+    return np.array([found.late, stop, energy, KMH * found.overspeed, found.slips])
 
 
 def both(exact: FloatArray, measured: FloatArray) -> list[str]:
@@ -202,9 +188,10 @@ class Trips:
         rows: tuple[list[FloatArray], list[FloatArray]] = ([], [])
         by_truth, by_itself = self.scenarios(case, Margin()), self.scenarios(case, MARGIN)
         for exact, measured in zip(by_truth, by_itself, strict=True):
-            rows[0].append(figures(driven(exact), exact))
-            self.moved.append(driven(replace(measured, locates=self.odometry)))
-            rows[1].append(figures(self.moved[-1], measured))
+            rows[0].append(figures(exact, drive(exact)))
+            run = drive(replace(measured, locates=self.odometry))
+            self.moved.append(motion(measured, run))
+            rows[1].append(figures(measured, run))
             if case.listed:
                 name = self.trajectory.configurations[exact.row].name
                 table.add_row(name, str(case), *both(rows[0][-1], rows[1][-1]))

@@ -129,7 +129,7 @@ def follow(
     from functools import partial
 
     from analysis.charts import draw_charts
-    from analysis.control.follow import following_line, section_scenarios
+    from analysis.control.follow import following_line, following_scenarios
     from analysis.control.plot import following_charts
     from analysis.control.route import counted_on
     from trainlog.formats.railway import line_of_plan
@@ -147,7 +147,7 @@ def follow(
         the_map, time = map_of_run(map_, at, the_line, planned.direction)
     words = counted_on(the_map, weather, risk, time)
     say(f"  {words}")
-    scenarios = section_scenarios(
+    scenarios = following_scenarios(
         sections, the_line, the_train,
         configurations=configurations, weather=weather, late=late,
         condition_map=the_map, seed=seed, risk=risk, time=time,

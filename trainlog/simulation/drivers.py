@@ -213,6 +213,28 @@ def full_traction(train: Train, power: float, speed: float) -> float:
     return most if curve is None else min(most, float(curve(speed)))
 
 
+class Lever:
+    """The lever of traction and brake: 1 is full traction, -1 full braking; 0 where it begins."""
+
+    def __init__(self) -> None:
+        self.position = 0.0
+
+    def moved(self, target: float, rate: float, traction: float, braking: float) -> Demand:
+        """What it asks for when it has moved towards a target for `PERIOD`.
+
+        Parameters
+        ----------
+        target : float
+        rate : float [1/s]
+            How fast it moves.
+        traction, braking : float [N]
+            Efforts at its ends.
+        """
+        change = rate * PERIOD
+        self.position += min(max(target - self.position, -change), change)
+        return Demand(max(self.position, 0.0) * traction, max(-self.position, 0.0) * braking)
+
+
 class StoppingBrake:
     """Brakes to a stop at a point, as drivers and automatic train operation do.
 
@@ -318,7 +340,7 @@ class TimetableDriver:
             self.mass, self.inertia, self._slope, train.max_deceleration, short=0.3
         )
         self._leg = 0
-        self._lever = 0.0
+        self._lever = Lever()
         self._wanted = 0.0
         self._looked = -math.inf
         self._integral = 0.0
@@ -340,7 +362,7 @@ class TimetableDriver:
         if observation.speed < AT_REST and distance < STOPPING_ERROR:
             self._leg += 1
             self._standing_since = observation.time
-            self._lever = 0.0
+            self._lever.position = 0.0
             return Demand(0.0, HOLDING * self.mass)
         if self._must_stop(observation, distance):
             needed = self._brake.needed(observation, distance)
@@ -349,18 +371,14 @@ class TimetableDriver:
         if observation.time - self._looked >= self.habits.reaction:
             self._looked = observation.time
             self._wanted = self._decide(observation, distance)
-        released = self._wanted < 0.0 < self._lever
+        released = self._wanted < 0.0 < self._lever.position
         return self._moved(
             self._wanted, self.habits.lever_rate * (3.0 if released else 1.0), observation.speed
         )
 
     def _moved(self, target: float, rate: float, speed: float) -> Demand:
-        """Move the lever towards `target` and ask for what it says."""
-        change = rate * PERIOD
-        self._lever += min(max(target - self._lever, -change), change)
-        if self._lever >= 0.0:
-            return Demand(self._lever * self._traction(speed), 0.0)
-        return Demand(0.0, -self._lever * self.train.max_deceleration * self.inertia)
+        braking = self.train.max_deceleration * self.inertia
+        return self._lever.moved(target, rate, self._traction(speed), braking)
 
     def _traction(self, speed: float) -> float:
         """Tractive effort of the full lever [N]."""
@@ -430,7 +448,8 @@ class TimetableDriver:
         effort = holding + self.inertia * (0.15 * missing + self._integral)
         if effort >= 0.0:
             lever = min(effort / self._traction(speed), habits.lever)
-            return lever if abs(lever - self._lever) > 0.03 else self._lever
+            here = self._lever.position
+            return lever if abs(lever - here) > 0.03 else here
         return 0.0 if missing > 0.5 else -self._share(-effort)
 
     def _coasts(self, seen: Observation, target: float, distance: float) -> bool:

@@ -17,6 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import NotNegative, check
 from trainlog.errors import InputError
 from trainlog.simulation.plant import Plant, PlantState
 
@@ -86,18 +87,13 @@ class DriveSensors:
         Standard deviation of the position, constant over the trip.
     """
 
-    wheel_speed_noise: float = 0.01
-    speed_noise: float = 0.03
-    diameter_error: float = 0.001
-    position_error: float = 5.0
+    wheel_speed_noise: NotNegative = 0.01
+    speed_noise: NotNegative = 0.03
+    diameter_error: NotNegative = 0.001
+    position_error: NotNegative = 5.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if not getattr(self, name) >= 0.0:
-                raise InputError(
-                    f"drive sensors: {name} {getattr(self, name)} is negative",
-                    remedy="give 0 or more",
-                )
+        check(self)
 
 
 @dataclass

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed
 from trainlog.arrays import FloatArray
-from trainlog.errors import InputError
+from trainlog.declaration import NotNegative, Positive, check
 from trainlog.formats.railway import read_consist
 from trainlog.formats.samples import sample
 from trainlog.railway import Line, RunningResistance, Station, StepProfile
@@ -95,20 +95,14 @@ class SlidingModeController:
         The effort is kept between minus and plus this.
     """
 
-    mass: float
-    convergence: float = 0.5
-    switching_effort: float = 180e3
-    boundary_layer: float = 5.0
-    effort_limit: float = 250e3
+    mass: Positive
+    convergence: Positive = 0.5
+    switching_effort: NotNegative = 180e3
+    boundary_layer: Positive = 5.0
+    effort_limit: Positive = 250e3
 
     def __post_init__(self) -> None:
-        for name in ("mass", "convergence", "boundary_layer", "effort_limit"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"sliding-mode controller: {name} {getattr(self, name)} is not positive"
-                )
-        if not self.switching_effort >= 0.0:
-            raise InputError("sliding-mode controller: switching_effort is negative")
+        check(self)
 
     def effort(self, position: float, speed: float, target: Target, resistance: float) -> float:
         """The effort [N], positive traction and negative braking.

@@ -21,10 +21,10 @@ from numba import njit
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import braking_curves, fastest_run
 from analysis.trajectory.feasibility import lowest_end_speed
-from analysis.trajectory.instructions import Phase, phases_by_switching, phases_of
+from analysis.trajectory.instructions import Phase, phases_of
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import Braking, OptimiserOptions, TrajectoryProblem
-from trainlog.arrays import FloatArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway import (
     Configuration,
     Line,
@@ -312,6 +312,19 @@ def phase_durations(trajectory: Trajectory, row: int = 0) -> dict[Phase, float]:
             phase = Phase(phases[first])
             spent[phase] = spent.get(phase, 0.0) + seconds
     return spent
+
+
+def phases_by_switching(switching: FloatArray, band: float = 1e-3) -> IntArray:
+    """Phase of each cell from the switching function ``sum of lambda_v / v``.
+
+    Within `band` of 1 or of 0 the control is singular: cruising by partial traction or braking.
+    """
+    phase = np.full(switching.shape, int(Phase.COASTING))
+    phase[switching > 1.0 - band] = Phase.CRUISING
+    phase[switching > 1.0 + band] = Phase.MAXIMUM_TRACTION
+    phase[switching < band] = Phase.PARTIAL_BRAKING
+    phase[switching < -band] = Phase.MAXIMUM_BRAKING
+    return phase
 
 
 def phases_agree(trajectory: Trajectory, band: float = 1e-3) -> float:

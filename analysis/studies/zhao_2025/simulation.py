@@ -7,24 +7,24 @@ plants: one explicit Euler step of 0.1 s, as eq. (15) has it, and Runge-Kutta.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
 
-from analysis.control import multi_motor as model
 from analysis.control.cooperative import (
     CooperativeController,
     Demand,
     Tuning,
     adhesion_at,
-    coefficients,
     peak_slips,
 )
-from analysis.control.multi_motor import MultiMotorLocomotive
-from analysis.control.rail_estimate import RailEstimator, rail_ahead
+from analysis.control.multi_motor import MultiMotorLocomotive, creep
+from analysis.control.rail_estimate import RailEstimator
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import RunningResistance, StepProfile
@@ -76,6 +76,50 @@ LOCOMOTIVE_85_T = MultiMotorLocomotive(
 )
 """Gear and wheels of the paper; 3 t of rotating mass an axle; torques in the paper's proportions to
 what a dry rail bears."""
+
+
+def coefficients(curves: Sequence[CreepCurve]) -> FloatArray:
+    """a, b and c of the creep curves under the axles, (n, 3)."""
+    return np.array([(each.a, each.b, each.c) for each in curves], dtype=np.float64)
+
+
+@njit(cache=True)
+def rates(state, torque, rail, loads, constants, out):  # type: ignore[no-untyped-def]
+    """Rates of change of the state [m/s²]; eqs. (1), (3) and (8). A train at rest stays there."""
+    mass, rotating, ratio, still, linear, square = constants
+    v = state[0]
+    pull = 0.0
+    for i in range(loads.size):
+        force = loads[i] * creep(state[1 + i] - v, rail[i])[0]
+        pull += force
+        out[1 + i] = (ratio * torque[i] - force) / rotating
+    out[0] = (pull - still - (linear + square * v) * v) / mass
+    if v <= 0.0 and out[0] < 0.0:
+        out[0] = 0.0
+
+
+@njit(cache=True)
+def euler(state, torque, rail, loads, constants, step, steps):  # type: ignore[no-untyped-def]
+    """Explicit Euler steps, in place; eq. (15)."""
+    rate = np.empty(state.size)
+    for _ in range(steps):
+        rates(state, torque, rail, loads, constants, rate)
+        state += step * rate
+        state[0] = max(state[0], 0.0)
+
+
+@njit(cache=True)
+def runge_kutta(state, torque, rail, loads, constants, step, steps):  # type: ignore[no-untyped-def]
+    """Classical Runge-Kutta steps of fourth order, in place."""
+    size = state.size
+    k1, k2, k3, k4 = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    for _ in range(steps):
+        rates(state, torque, rail, loads, constants, k1)
+        rates(state + 0.5 * step * k1, torque, rail, loads, constants, k2)
+        rates(state + 0.5 * step * k2, torque, rail, loads, constants, k3)
+        rates(state + step * k3, torque, rail, loads, constants, k4)
+        state += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        state[0] = max(state[0], 0.0)
 
 
 @dataclass(frozen=True)
@@ -276,9 +320,8 @@ class Run:
         What the controller took the maximum adhesion to be.
     adhesion, maximum_adhesion : (m, 4) arrays
         In use, and the most that the rail under the axle gives.
-    decisions, unsolved, late : int
-        Samples at which the controller decided, at which its program was not solved, and at which
-        it took longer than its deadline by the clock on the wall.
+    decisions, unsolved : int
+        Samples at which the controller decided, and at which its program was not solved.
     """
 
     case: Case
@@ -297,7 +340,6 @@ class Run:
     maximum_adhesion: FloatArray
     decisions: int = 0
     unsolved: int = 0
-    late: int = 0
 
     @property
     def slip(self) -> FloatArray:
@@ -331,6 +373,38 @@ class Run:
         """Mean of (m,) or (m, 4) values from one time to another [s]."""
         within = (self.time >= start - 1e-9) & (self.time < end - 1e-9)
         return np.asarray(values[within].mean(axis=0))
+
+
+def demand_on(
+    asked: Preset | CooperativeController,
+    rail: FloatArray,
+    limits: FloatArray | None = None,
+    total: float | None = None,
+    reference: FloatArray | None = None,
+) -> Demand:
+    """What is asked of the motors on a rail.
+
+    Parameters
+    ----------
+    asked : Preset or CooperativeController
+        Whose locomotive and horizon count.
+    rail : (n, 3) or (horizon, n, 3) array
+        Creep curves under the axles now, or over the horizon.
+    limits : (n,) array [N m], optional
+        Of the motors; default: the torque limit.
+    total : float [N m], optional
+        Of all motors; default: that of the locomotive.
+    reference : (n,) array [m/s], optional
+        Slip speeds; default: those of the maximum adhesion of the curves.
+    """
+    locomotive, horizon = asked.locomotive, asked.tuning.horizon
+    curves = np.ascontiguousarray(np.broadcast_to(rail, (horizon, locomotive.axles, 3)))
+    return Demand(
+        curves,
+        peak_slips(curves) if reference is None else np.tile(reference, (horizon, 1)),
+        np.full(locomotive.axles, locomotive.torque_limit) if limits is None else limits,
+        locomotive.total_torque if total is None else total,
+    )
 
 
 def run(
@@ -383,14 +457,13 @@ def run(
     known, errors = knowledge or known_rail(case), noise or Noise()
     random = np.random.default_rng(seed)
     controller = STRATEGIES[strategy](preset)
-    asking = CooperativeController(locomotive, preset.tuning)
     plant = _Plant(case, preset, integration)
     torques = np.zeros(locomotive.axles)
     for k in range(round(DURATION / period)):
         measured = plant.measured(k * period, torques, errors, random)
         assumed = known(measured)
         limits = case.limits(measured.time, preset)
-        demand = asking.demand(assumed.rail, limits, asked, assumed.reference)
+        demand = demand_on(preset, assumed.rail, limits, asked, assumed.reference)
         torques = controller.torques(measured.speed, measured.wheel_speeds, demand)
         if k == 0 and first is not None:
             torques = np.full(locomotive.axles, first)
@@ -399,7 +472,6 @@ def run(
         case, preset, strategy, integration, asked,
         decisions=k + 1,
         unsolved=getattr(controller, "unsolved", 0),
-        late=getattr(controller, "late", 0),
         **_columns(np.array(plant.rows)),
     )  # fmt: skip
 
@@ -411,7 +483,7 @@ class _Plant:
         self._case, self._locomotive, self._period = case, preset.locomotive, preset.tuning.period
         literal = integration == "euler"
         self._step, self._each = (self._period, 1) if literal else (STEP, round(SAMPLE / STEP))
-        self._integrate = model.euler if literal else model.runge_kutta
+        self._integrate = euler if literal else runge_kutta
         self._state = np.zeros(1 + self._locomotive.axles)
         self._position = 0.0
         self.rows: list[FloatArray] = []
@@ -540,6 +612,26 @@ def learnt_rail(preset: Preset) -> RailSource:
         return AssumedRail(found.rail, found.maximum, found.reference)
 
     return rail
+
+
+def rail_ahead(
+    maximum_adhesion: StepProfile, position: float, speed: float, axles: ArrayLike, tuning: Tuning
+) -> FloatArray:
+    """Creep curves under each axle over the horizon, from a map; (horizon, n, 3) array.
+
+    Parameters
+    ----------
+    maximum_adhesion : StepProfile
+        By chainage in the direction of travel.
+    position, speed : float [m], [m/s]
+        Of the train's front.
+    axles : (n,) array [m]
+        How far behind the front each axle is.
+    tuning : Tuning
+    """
+    middles = tuning.period * (np.arange(tuning.horizon) + 0.5)
+    places = position + speed * middles[:, None] - np.asarray(axles, dtype=np.float64)
+    return creep_coefficients(maximum_adhesion(np.maximum(places, 0.0)))
 
 
 def mapped_rail(case: Case, preset: Preset) -> RailSource:
