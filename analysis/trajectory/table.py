@@ -195,7 +195,7 @@ def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTabl
         "speed over the limit": f"{overspeed(audit['overspeed'])}, {trajectory.limits_kept}",
         "power": f"{audit['power']:.1%} of the limit at most",
         "adhesion": _adhesion(trajectory),
-        "controls as the maximum principle asks": shares or "not known",
+        "optimality check (Pontryagin)": shares or "not known",
     }
     of = f" {section}" if section else ""
     facts = facts_table(f"Robust trajectory{of} on {trajectory.line}, {trajectory.train}", rows)
