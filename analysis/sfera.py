@@ -408,7 +408,7 @@ def write_sfera(
     kind = "forecast" if first.suffix.lower() == ".csv" else content_of(first)
     if kind not in (*_WRITERS, "trip"):
         raise InputError(
-            f"is nothing that SFERA has a place for{f', but a {kind} file' if kind else ''}",
+            f"cannot be written to SFERA{f', but a {kind} file' if kind else ''}",
             file=first,
             remedy="give trajectories, a forecast (.csv), a parameter set or a trip (.mcap)",
         )

@@ -98,7 +98,7 @@ class Estimator:
         InputError
             If the state is of another kind or version, incomplete, or holds wrong values.
         """
-        problem = "is no saved state"
+        problem = "is not a saved state"
         try:
             stated = state["format"], state["version"]
             if stated != (cls.kind, cls.version):
@@ -108,7 +108,7 @@ class Estimator:
             estimator = cls(**{name: state[name] for name in cls.settings})
             for name in COUNTS:
                 if isinstance(state[name], bool) or not 0 <= state[name] == int(state[name]):
-                    raise ValueError(f"{name} is no count: {state[name]!r}")
+                    raise ValueError(f"{name} is not a count: {state[name]!r}")
                 setattr(estimator, f"_{name}", int(state[name]))
             for name in cls.memory:
                 fresh = getattr(estimator, f"_{name}")

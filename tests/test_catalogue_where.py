@@ -280,7 +280,7 @@ REFUSED = {
     "train = lower('A')": (9, r"the function lower\(\) is not allowed"),
     "pg_sleep(10) = 1": (1, r"the function pg_sleep\(\) is not allowed"),
     "trips.train = 'a'": (1, "is not allowed"),
-    "same_as = 3": (1, "'same_as' is no column"),
+    "same_as = 3": (1, "'same_as' is not a column"),
     "wether = 'wet'": (1, "did you mean 'weather'"),
     "weather = 'wet' and duraton > '2 min'": (21, "did you mean 'duration'"),
     "duration > 20": (12, "duration '20' is not a valid time"),

@@ -183,7 +183,7 @@ REFUSED = {
     "PLAN --set dwell=30": "leave out --set dwell or give them",
     "PLAN --stops St.Gallen,Wil --set referee=yes": "leave out --set referee",
     "PLAN MAP --set assumed-adhesion=8": "above 0 and at most 1, not 8",
-    "PLAN --km 5:3": "from km 5.000 to km 3.000 is no section",
+    "PLAN --km 5:3": "from km 5.000 to km 3.000 is not a section",
     "PLAN --km 29:31": "has no km 31; its kilometres are 0.000 to 29.556",
     "PLAN --km Gossau": "write kilometres as 3.2:7.5",
     "PLAN --km 1:9 --set initial-speed=400": "400.0 km/h is above the",

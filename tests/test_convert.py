@@ -79,7 +79,7 @@ def test_a_log_goes_to_mdf_and_back(log: Path, tmp_path: Path) -> None:
 def test_a_measurement_file_that_is_none_or_of_others_is_refused(tmp_path: Path) -> None:
     library = pytest.importorskip("asammdf")
     (tmp_path / "cut.mf4").write_bytes(b"MDF     4.10")
-    with pytest.raises(InputError, match="is no measurement file that can be read"):
+    with pytest.raises(InputError, match="is not a readable measurement file"):
         convert(tmp_path / "cut.mf4", tmp_path / "again.mcap")
     mdf = library.MDF(version="4.10")
     mdf.append([library.Signal(np.arange(3.0), np.arange(3.0), name="v", unit="m/s")])

@@ -151,9 +151,7 @@ def test_validation_states_what_the_studies_reach() -> None:
 
 def test_figures_of_benchmarks_are_on_one_page() -> None:
     """A figure that two pages state ends up different on them."""
-    naming = {
-        page.name for page in DOCS.rglob("*.md") if "benchmarks/" in page.read_text("utf-8")
-    }
+    naming = {page.name for page in DOCS.rglob("*.md") if "benchmarks/" in page.read_text("utf-8")}
     assert naming == {"validation.md"}
 
 

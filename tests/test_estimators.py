@@ -25,7 +25,7 @@ def test_a_saved_state_that_does_not_fit_is_refused() -> None:
     assert resume(state).state() == state
     refused(InputError, "format 'other', version 2", resume, state | {"format": "other"})
     refused(InputError, "version 3 .needs version 2", resume, state | {"version": 3})
-    refused(InputError, "is no saved state", resume, [])
+    refused(InputError, "is not a saved state", resume, [])
     refused(InputError, r"seen has shape \(3,\), needs \(2,\)", resume, state | {"seen": [0, 0, 0]})
     refused(InputError, "wrong value .*many", resume, state | {"last": "many"})
     for count in (-1, 1.5, True, None, float("inf")):

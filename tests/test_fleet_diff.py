@@ -230,7 +230,7 @@ def test_what_parameters_change_by_definition_is_not_compared() -> None:
 def test_parameters_that_no_analysis_has_are_refused() -> None:
     with pytest.raises(InputError, match=r"no analysis 'resistence'.*resistance"):
         typed_parameters("resistence.speeds=3")
-    with pytest.raises(InputError, match=r"'speeds=3' is no parameter"):
+    with pytest.raises(InputError, match=r"'speeds=3' is not a parameter"):
         typed_parameters("speeds=3")
 
 

@@ -57,7 +57,7 @@ def refused(path: Path, message: str, **options: object) -> str:
         ),
         (
             plain_text([row.replace("Z,", "Z,x") for row in plain_rows()]).encode(),
-            r"row 2, column v: 20 cells are no numbers, the first is 'x22.955'; check which",
+            r"row 2, column v: 20 cells are not numbers, the first is 'x22.955'; check which",
         ),
         (
             plain_text([row.split(",")[0] + ",," for row in plain_rows()]).encode(),

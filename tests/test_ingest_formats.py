@@ -53,11 +53,13 @@ def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     pa.parquet.write_table(pa.table({"t": [1.0, 2.0], "v": [1.0, 2.0], "s": [1.0, 2.0]}), path)
     for data in (path.read_bytes()[:-9], b"PAR1"):
         path.write_bytes(data)
-        refused(InputError, "is no Parquet table", ingest, path, profile=plain_profile())
+        refused(
+            InputError, "is not a readable Parquet table", ingest, path, profile=plain_profile()
+        )
     run = clean_run(5, 1.0)
     stamps = pd.DatetimeIndex(run.time, tz="UTC")
     pa.parquet.write_table(pa.table({"t": stamps, "v": run.speed, "s": stamps}), path)
-    refused(InputError, r"column s: .* no numbers", ingest, path, profile=plain_profile())
+    refused(InputError, r"column s: .* not numbers", ingest, path, profile=plain_profile())
     refused(InputError, "give a profile", ingest, path)
     pa.parquet.write_table(pa.table({"t": stamps, "w": run.speed, "s": run.position}), path)
     refused(InputError, "no column 'v'; columns: t, w, s", ingest, path, profile=plain_profile())
@@ -242,7 +244,7 @@ def test_a_profile_of_the_users_folder_is_used_as_if_given(
     refused(InputError, r"mine\.toml, fiel: unknown key 'fiel'; did you mean", ingest, path)
     monkeypatch.setenv("TRAINLOG_PROFILES", str(tmp_path / "absent"))
     formats.cache_clear()
-    refused(InputError, r"absent: is no folder; set TRAINLOG_PROFILES to", ingest, path)
+    refused(InputError, r"absent: is not a folder; set TRAINLOG_PROFILES to", ingest, path)
 
 
 def test_a_profile_needs_a_general_format() -> None:

@@ -118,9 +118,15 @@ def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path: Path) -> None:
     ("columns", "message"),
     [
         ({"/train/state.speed": {"column": "V"}}, "no channel 'V'; did you mean 'v'"),
-        ({"/train/state.speed": {"column": "F"}}, "channel 'F' has the unit 'kN', which is no m/s"),
+        (
+            {"/train/state.speed": {"column": "F"}},
+            "channel 'F' has the unit 'kN', which does not convert to m/s",
+        ),
         ({"/train/state.acceleration": {"column": "x"}}, "channel 'x' is in 2 groups; write '2:x'"),
-        ({"/train/state.acceleration": {"column": "2:x"}}, "has the unit '', which is no m/s"),
+        (
+            {"/train/state.acceleration": {"column": "2:x"}},
+            "has the unit '', which does not convert to m/s",
+        ),
         ({}, "channels may mean anything; give a profile"),
     ],
 )
@@ -145,7 +151,7 @@ def test_files_that_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     whole = path.read_bytes()
     for length in (20, 200, 3000, len(whole) // 2):
         path.write_bytes(whole[:length])
-        with pytest.raises(InputError, match=r"run\.mf4: is no measurement file that can be read"):
+        with pytest.raises(InputError, match=r"run\.mf4: is not a readable measurement file"):
             ingest(path, profile=profile())
     gc.collect()  # nothing is left that complains later
     path.write_bytes(whole)

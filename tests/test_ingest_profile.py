@@ -38,7 +38,7 @@ def column_of(field: str, stated: str) -> str:
         (HEAD + "[time]\ncolunm = 't'", "time.colunm: unknown key 'colunm'.*did you mean 'column'"),
         (HEAD + "[time]\nformat = 'iso'", "time: needs either column or columns"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'parts'", "format 'parts' needs 6 columns"),
-        (HEAD + "[time]\ncolumn = 't'\nformat = 'isoo'", "format 'isoo' is none of 'iso'"),
+        (HEAD + "[time]\ncolumn = 't'\nformat = 'isoo'", "format 'isoo' is not one of 'iso'"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'elapsed'", "'elapsed' and start"),
         (HEAD + "[time]\ncolumn = 't'\ntimezone = 'Mars'", "timezone 'Mars' is not known"),
         (HEAD + "[time]\ncolumn = 't'\ndate = 2024-05-01", "date is for a pattern"),

@@ -295,7 +295,7 @@ def test_a_timetable_is_no_trip(tmp_path: Path) -> None:
             "km": np.arange(rows) * 4.2,
         },
     )
-    with pytest.raises(InputError, match="lie 300 s apart, as those of a timetable"):
+    with pytest.raises(InputError, match="lie 300 s apart, as in a timetable"):
         propose_profile(path)
 
 
@@ -355,7 +355,7 @@ def test_text_and_tables_without_motion_are_refused(tmp_path: Path) -> None:
         propose_profile(path)
     words = tmp_path / "words.txt"
     words.write_text("Dear all,\nthe train was late again.\nRegards\n")
-    with pytest.raises(InputError, match="is no table"):
+    with pytest.raises(InputError, match="is not a table"):
         propose_profile(words)
 
 

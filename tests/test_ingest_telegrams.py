@@ -205,7 +205,7 @@ def test_a_capture_gives_the_time_of_arrival(tmp_path: Path) -> None:
     assert np.array_equal(trip[STATE].index.as_unit("ns").asi8, run.time)
     assert trip.metadata["not_used.datagrams of 5 bytes"] == "1"
     assert trip.metadata["not_used.datagrams to port 9"] == "1"
-    assert trip.metadata["not_used.packets that are no UDP datagram"] == "2"
+    assert trip.metadata["not_used.packets that are not UDP datagrams"] == "2"
     plain = tmp_path / "run.bin"
     plain.write_bytes(b"".join(telegrams(run)))
     refused(InputError, "no time of arrival", ingest, plain, profile=profile_of(by_arrival))
@@ -235,7 +235,7 @@ def test_a_capture_that_is_cut_off_gives_its_whole_packets(tmp_path: Path) -> No
     path.write_bytes(whole[:-20])
     trip = ingest(path, profile=profile())
     assert len(trip[STATE]) == 59
-    assert trip.metadata["not_used.packets that are no UDP datagram"] == "1"
+    assert trip.metadata["not_used.packets that are not UDP datagrams"] == "1"
     path.write_bytes(whole[: -len(packets[-1][1]) - 7])
     trip = ingest(path, profile=profile())
     assert len(trip[STATE]) == 59

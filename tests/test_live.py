@@ -217,7 +217,7 @@ WRONG = {
     b'{"topic": "/train/stat", "time": 1714543200, "speed": 1}': "did you mean '/train/state'",
     b'{"topic": "/train/state", "time": 1714543200, "sped": 1}': "did you mean 'speed'",
     b'{"topic": "/train/state", "time": 1714543200, "speed": "fast"}': "is 'fast', no number",
-    b'{"topic": "/train/state", "time": "soon", "speed": 1}': "is no time; write ISO 8601",
+    b'{"topic": "/train/state", "time": "soon", "speed": 1}': "is not a time; write ISO 8601",
     b'{"topic": "/train/state", "time": 1714543200}': "holds no values",
     b'{"topic": "/train/axles", "time": 1714543200, "wheel_speed": 1}': "must be a list",
     b'{"speed": 1': "no JSON",
@@ -272,7 +272,7 @@ def test_times_of_json_are_iso_or_counts() -> None:
     ):  # fmt: skip
         assert time_of(given) == expected, given
     for wrong in (True, None, "noon", float("nan"), -5, 12, [1]):
-        with pytest.raises(ValueError, match="is no time"):
+        with pytest.raises(ValueError, match="is not a time"):
             time_of(wrong)
 
 
@@ -397,7 +397,7 @@ def test_a_growing_file_is_followed_through_rotation_and_cut_lines(
 
 def test_addresses_that_are_none_are_refused() -> None:
     for wrong in ("", "host", "127.0.0.1", "1:99999"):
-        refused(InputError, "is no address; write PORT or HOST:PORT", Datagrams, wrong)
+        refused(InputError, "is not an address; write PORT or HOST:PORT", Datagrams, wrong)
     with Datagrams("0") as source:
         assert source.name == f"UDP 127.0.0.1:{source.port}"
         refused(InputError, r"cannot listen to 127\.0\.0\.1", Datagrams, str(source.port))

@@ -248,7 +248,7 @@ def test_the_command_takes_the_line_from_a_file_a_log_or_the_samples(
     assert "wrote" in capsys.readouterr().out
     for wrong, message in (
         (["--at", "soon"], "'soon' is not a time"),
-        (["--at", "2024-10-09T08:00", "--zone", "Mars"], "'Mars' is no time zone"),
+        (["--at", "2024-10-09T08:00", "--zone", "Mars"], "'Mars' is not a time zone"),
         (["--at", "2024-10-27T02:30", "--zone", "Europe/Zurich"], "is not one time in the zone"),
         (["--line", str(trainlog.sample("DE_Chemnitz_Cranzahl.line.json"))], "the map is of line"),
     ):

@@ -231,9 +231,9 @@ def test_what_cannot_be_published_writes_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("address", "said"),
     [
-        ("", "'' is no topic of a broker"),
-        ("localhost", "'localhost' is no topic of a broker"),
-        ("http://localhost/a", "is no topic of a broker"),
+        ("", "'' is not a topic of a broker"),
+        ("localhost", "'localhost' is not a topic of a broker"),
+        ("http://localhost/a", "is not a topic of a broker"),
         ("127.0.0.1:1/a", "the broker 127.0.0.1:1 cannot be subscribed to: connection refused"),
     ],
 )

@@ -261,7 +261,7 @@ def test_a_section_of_a_route_keeps_what_its_legs_are() -> None:
         ("to B", 0.0, 1_000.0),
     ]
     assert part.legs[1].position == 500.0
-    refused(InputError, "is no stretch of it", line.section, 4_000.0, 6_000.0)
+    refused(InputError, "is not a part of it", line.section, 4_000.0, 6_000.0)
 
 
 def test_what_no_node_can_be() -> None:
@@ -282,9 +282,9 @@ def test_what_no_network_can_be_is_listed_at_once() -> None:
     for part in (
         "2 nodes have the name 'A'",
         "2 edges have the name '1'",
-        "has the end 'Bb', which is no node; did you mean 'B'",
+        "has the end 'Bb', which is not a node; did you mean 'B'",
         "name the edge '2', which does not end there",
-        "turns are given at 'C', which is no node",
+        "turns are given at 'C', which is not a node",
     ):
         assert part in words
     with pytest.raises(InputError, match=r"'X' \(1 node\) is not connected to the rest"):
@@ -344,7 +344,7 @@ def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
     assert dict(zip(rows["edge"], rows["layer"], strict=True)) == {"east": "wet", "west": "dry"}
     metadata["weather_by_edge"] = "wet"
     trainlog.write(replace(trip, metadata=metadata), tmp_path / "trip.mcap")
-    with pytest.raises(InputError, match="is no JSON object of rail conditions"):
+    with pytest.raises(InputError, match="is not a JSON object of rail conditions"):
         adhesion(TripView(trainlog.read(tmp_path / "trip.mcap")))
 
 

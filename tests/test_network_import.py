@@ -447,7 +447,7 @@ def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> Non
     ]  # fmt: skip
     assert network.edge("ne_c").line.tunnel_cross_section([50.0, 200.0]).tolist() == [0.0, 50.0]
     assert {
-        "overCrossings that are no tunnels: 1",
+        "overCrossings that are not tunnels: 1",
         "tunnels without a stretch of track: 1",
         "underCrossings: 1",
     } <= set(left_out)
@@ -468,14 +468,14 @@ def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> Non
         (RAILML_2, 'slope="12.5"', 'slope="steep"', "gradientChange 'g2': slope 'steep' is not"),
         (RAILML_2, 'id="g3" pos="2200.0"', 'id="g3" pos="9000"', "pos 9000 is not on track 'main'"),
         (RAILML_2, 'slope="12.5"', 'slope="1250"', "steeper than 200 per mille"),
-        (RAILML_2, 'version="2.4"', 'version="1.1"', "is no railML 2 or 3"),
-        (RAILML_2, "</railml>", "", r"line \d+, column \d+: is no XML"),
+        (RAILML_2, 'version="2.4"', 'version="1.1"', "is not railML 2 or 3"),
+        (RAILML_2, "</railml>", "", r"line \d+, column \d+: is not XML"),
         (RAILML_2, "<railml ", '<!DOCTYPE r [<!ENTITY a "b">]>\n<railml ', "declares the entity"),
-        (RAILML_2, "<tracks>", "<tracks/><others>", "is no XML"),
+        (RAILML_2, "<tracks>", "<tracks/><others>", "is not XML"),
         (RAILML_3, '<elementB ref="ne_c"/>', '<elementB ref="ne_x"/>', "the net element 'ne_x'"),
         (RAILML_3, 'intrinsicCoord="0.2"', 'intrinsicCoord="2"', "is not from 0 to 1"),
         (RAILML_3, 'measure="11200"', 'measure="99"', "measure 99 is not on its net element"),
-        (RAILML_3, "<topology>", "<topology2>", "is no XML"),
+        (RAILML_3, "<topology>", "<topology2>", "is not XML"),
     ],
 )
 def test_railml_that_is_damaged_or_dangling_is_refused_with_its_place(

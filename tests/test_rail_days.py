@@ -237,7 +237,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("words", "message"),
         [
-            (["--days", "2", "--start", "soon"], "'soon' is no date"),
+            (["--days", "2", "--start", "soon"], "'soon' is not a date"),
             (["--days", "2", "--change", "km=1:2,factor=2"], "has no date"),
             (["--days", "2", "--change", "km=1:2,date=2026-10-01"], "has no factor or spots"),
             (["--days", "2", "--change", "km=1,date=2026-10-01,factor=2"], "section of the line"),

@@ -200,7 +200,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
     (tmp_path / "none.json").write_text('{"format": "trainlog/trajectory", "version": 1}')
     for name, words in (
         ("empty", "holds no result"),
-        ("notes.txt", "is no result that a report shows"),
+        ("notes.txt", "is not a result for a report"),
         ("broken.mcap", "broken.mcap"),
         ("none.json", "none.json"),
         ("missing.mcap", "does not exist"),
@@ -211,7 +211,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
     assert kind_of(sample("CH_StGallen_Wil.map")) == "map"
     with pytest.raises(InputError, match="but a line file"):
         kind_of(sample("CH_StGallen_Wil.line.json"))
-    with pytest.raises(InputError, match="is no time zone"):
+    with pytest.raises(InputError, match="is not a time zone"):
         known_zone("Europe/Wil")
 
 

@@ -303,7 +303,7 @@ def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(
         ("train=flirt-01,brake=2kN,from=2026-10-02", "'brake=2kN' is not understood"),
         ("train=flirt-01,mass=3t,mass=4t,from=2026-10-02", "given twice"),
         ("train=flirt-01,wheel-diameter=40%,from=2026-10-02", "not between"),
-        ("train=flirt-01,sensor-delay=0.3s,from=October", "is no date"),
+        ("train=flirt-01,sensor-delay=0.3s,from=October", "is not a date"),
         ("train=flirt-01,sensor-delay=-0.3s,from=2026-10-02", "negative"),
         ("train=flirt-01,sensor-delay=0.3s,from=2026-10-02,to=2026-10-02", "before it begins"),
         ("train=flirt-01,sensor-delay=0.3s,from=2026-10-02,share=0%", "on 0% of its trips"),

@@ -201,7 +201,7 @@ def unreadable(line: Line) -> TrackConditionMap:
 
 def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs() -> None:
     line = level_line(8_000.0, (0.0, 80.0), (3_000.0, 0.04), (4_000.0, 80.0))
-    with pytest.raises(InputError, match=r"0\.04 km/h permitted at km 3\.000 is no speed"):
+    with pytest.raises(InputError, match=r"0\.04 km/h permitted at km 3\.000 is not a speed"):
         optimised(line, FLIRT, observed(FLIRT, 1.0))
 
 
@@ -231,8 +231,8 @@ def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
     [
         ({"configurations": []}, "no parameter configuration"),
         ({"configurations": observed(FLIRT, 1.0, 1.0)}, "two configurations are called 'x1'"),
-        ({"start": 5_000.0, "end": 4_000.0}, "is no section"),
-        ({"end": 9_000.0}, "is no section"),
+        ({"start": 5_000.0, "end": 4_000.0}, "is not a section"),
+        ({"end": 9_000.0}, "is not a section"),
         ({"initial_speed": -1.0}, "must be finite and not negative"),
         ({"initial_speed": 30.0}, "above the 90.0 km/h permitted"),
         ({"braking": "none"}, "no such braking 'none'"),

@@ -79,7 +79,7 @@ class TestFile:
     @pytest.mark.parametrize(
         ("text", "words"),
         [
-            (HEADER + "yesterday,wet,,,\n", r"line 2, column 'time': 'yesterday' is no time"),
+            (HEADER + "yesterday,wet,,,\n", r"line 2, column 'time': 'yesterday' is not a time"),
             (HEADER + "2026-10-24T06,wett,,,\n", r"line 2, column 'condition': .*mean 'wet'\?"),
             (HEADER + "2026-10-24T06,Wet Rail,,,\n", r"'Wet Rail' cannot name a rail condition"),
             (HEADER + "2026-10-24T06,wet,285,,\n", r"column 'temperature': 285 degC is not plaus"),
@@ -105,7 +105,10 @@ class TestFile:
                 "time [Europe/Zurich],condition\n2026-03-29T02:30,wet\n",
                 r"does not exist or comes twice",
             ),
-            ("time [Narnia],condition\n2026-10-25T02:30,wet\n", r"line 1: 'Narnia' is no time zon"),
+            (
+                "time [Narnia],condition\n2026-10-25T02:30,wet\n",
+                r"line 1: 'Narnia' is not a time zon",
+            ),
             (
                 "time [UTC],weather\n2026-10-25T02:30,wet\n",
                 r"line 1: column 'weather' is not known",

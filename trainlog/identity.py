@@ -196,7 +196,8 @@ def identity_from_text(text: str) -> TripIdentity | None:
         return TripIdentity(first, last, int(samples), blocks, "" if source == "-" else source)
     except (ValueError, binascii.Error) as error:
         raise InputError(
-            f"'{text[:40]}' is no identity of a trip", remedy="make the file again from the logs"
+            f"'{text[:40]}' is not the identity of a trip",
+            remedy="make the file again from the logs",
         ) from error
 
 
@@ -219,7 +220,7 @@ def overlapping(texts: Sequence[str]) -> list[int]:
         ends = np.array([text.split(" ", 2)[:2] for text in texts], dtype=np.int64).reshape(-1, 2)
     except ValueError as error:
         raise InputError(
-            "holds what is no identity of a trip", remedy="make the file again from the logs"
+            "holds what is not the identity of a trip", remedy="make the file again from the logs"
         ) from error
     order = np.argsort(ends[:, 0], kind="stable")
     start, end = ends[order].T

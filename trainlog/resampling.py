@@ -299,7 +299,7 @@ def _step(clock: object) -> float:
     if isinstance(clock, _NUMBERS) and not isinstance(clock, bool):
         return float(clock)
     raise InputError(
-        f"{clock!r:.80} is no clock",
+        f"{clock!r:.80} is not a clock",
         remedy="give the times as a DatetimeIndex, or the step between them in seconds",
     )
 

@@ -87,7 +87,7 @@ def check_zone(name: str) -> None:
     >>> check_zone("Europe/Zurich")
     >>> check_zone("Europe/Zuerich")
     Traceback (most recent call last):
-    trainlog.errors.InputError: 'Europe/Zuerich' is no time zone; did you mean 'Europe/Zurich' ...
+    trainlog.errors.InputError: 'Europe/Zuerich' is not a time zone; did you mean 'Europe/Zurich...
     """
     try:
         pd.Timestamp(0, tz=name)
@@ -96,7 +96,7 @@ def check_zone(name: str) -> None:
 
         near = " or ".join(f"'{each}'" for each in similar(name, sorted(available_timezones())))
         remedy = f"did you mean {near}?" if near else "name it as Europe/Zurich"
-        raise InputError(f"'{name}' is no time zone", remedy=remedy) from error
+        raise InputError(f"'{name}' is not a time zone", remedy=remedy) from error
 
 
 def utc(time: Any) -> pd.Timestamp:

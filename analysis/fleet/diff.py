@@ -659,7 +659,7 @@ def typed_parameters(text: str) -> dict[str, dict[str, Any]]:
         match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", part.strip())
         if match is None:
             raise InputError(
-                f"'{part}' is no parameter of an analysis",
+                f"'{part}' is not a parameter of an analysis",
                 remedy="write analysis.parameter=value, such as adhesion.bin_length=50",
             )
         analysis, parameter, value = match.groups()

@@ -318,7 +318,7 @@ class UpdateOptions:
             )
         if self.batch < 1 or (self.workers is not None and self.workers < 0):
             raise InputError(
-                f"a batch of {self.batch} trips for {self.workers} workers is none",
+                f"a batch of {self.batch} trips for {self.workers} workers is not valid",
                 remedy="give 1 or more",
             )
 

@@ -178,7 +178,7 @@ def kind_of(path: Path) -> str:
     if what in KINDS:
         return what
     raise InputError(
-        f"is no result that a report shows{f' but a {what} file' if what else ''}",
+        f"is not a result for a report{f' but a {what} file' if what else ''}",
         file=path,
         remedy="give a log (.mcap), parameter set, map, trajectory, coast-down, or a folder",
     )

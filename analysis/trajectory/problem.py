@@ -206,8 +206,8 @@ class TrajectoryProblem:
         self._check_configurations(where)
         if not 0.0 <= self.start < self.end <= line.length:
             raise InputError(
-                f"{where}: from km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f} is no section"
-                f" of a line of {line.length / 1e3:.3f} km",
+                f"{where}: from km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f} is not a"
+                f" section of a line of {line.length / 1e3:.3f} km",
                 remedy="give a start and an end on the line, in the order of travel",
             )
         if not (0.0 <= self.initial_speed < np.inf and 0.0 <= self.final_speed < np.inf):
@@ -346,7 +346,7 @@ class TrajectoryProblem:
         if limit.min() < _SLOWEST:
             raise InputError(
                 f"{where}: {KMH * limit.min():.2f} km/h permitted at"
-                f" {self._km(positions[int(np.argmin(limit))])} is no speed to run at",
+                f" {self._km(positions[int(np.argmin(limit))])} is not a speed to run at",
                 remedy=f"permit at least {KMH * _SLOWEST:.0f} km/h, or end the run there",
             )
         if self.condition_map is None:

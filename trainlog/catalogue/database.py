@@ -535,12 +535,12 @@ class Database:
             url = make_url(text)
         except sa.exc.ArgumentError as error:
             raise InputError(
-                "the URL of the catalogue is none",
+                "the URL of the catalogue is not valid",
                 remedy="write it as postgresql://user@host/database",
             ) from error
         if url.get_backend_name() not in ("postgresql", "postgres"):
             raise InputError(
-                f"'{url.get_backend_name()}' is no database that holds a catalogue",
+                f"'{url.get_backend_name()}' is not a database for a catalogue",
                 remedy="give a folder, or postgresql://user@host/database",
             )
         schema = url.query.get("schema", SCHEMA)

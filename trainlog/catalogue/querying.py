@@ -170,7 +170,8 @@ class Trips(Database):
         for name in names:
             if name not in COLUMNS and name != "path":
                 raise InputError(
-                    f"'{name}' is no column of trips", remedy=f"known: {', '.join(COLUMNS)}, path"
+                    f"'{name}' is not a column of trips",
+                    remedy=f"known: {', '.join(COLUMNS)}, path",
                 )
         path = log_of_trip()
         asked = sa.select(*(path if name == "path" else trips.c[name] for name in names))

@@ -267,7 +267,7 @@ class _Compiler:
             meant = f"did you mean '{close[0]}'? " if close else ""
             text = f"a text stands in '...'; {meant}" if node.this.quoted else meant
             raise self.refused(
-                f"'{name}' is no column", node, f"{text}columns: {', '.join(_WORDS)}"
+                f"'{name}' is not a column", node, f"{text}columns: {', '.join(_WORDS)}"
             )
         if column.kind == "json":
             written = next(word for word, held in _HOLDERS.items() if held == column.name)

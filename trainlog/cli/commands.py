@@ -33,11 +33,10 @@ INTERRUPTED = 130
 
 STATUSES = {
     0: "done",
-    1: "done in part, or something was found: a file that could not be used beside others that"
-    " could, damage, a significant change",
-    2: "nothing was done: the command, a file or an option cannot be used; one line states why and"
-    " what to do",
-    INTERRUPTED: "interrupted by Ctrl-C; one line states what was finished",
+    1: "partly done, or a finding: some files could not be used, damage, a significant change",
+    2: "nothing done: the command, a file or an option is not valid; one line states the problem"
+    " and the remedy",
+    INTERRUPTED: "interrupted by Ctrl-C; one line states the finished part",
 }
 """Exit statuses of all commands, with what they mean."""
 
@@ -128,10 +127,10 @@ def _common(
     Parameters
     ----------
     trips : WHERE
-        Trips of the catalogue, beside logs that are named: "line = 'X' and weather = 'wet'"; or
+        Trips of the catalogue, in addition to logs: "line = 'X' and weather = 'wet'"; or
         all.
     json
-        Print the result as one JSON object, and nothing else.
+        Print only the result, as one JSON object.
     quiet
         Print errors only.
     """

@@ -36,11 +36,10 @@ def demo(
     output : FOLDER
         Folder for the results; default: as set, else results.
     fleet
-        The demo of a fleet instead: a hundred trips over a drawn network with two faulty trains,
-        registered, computed, the trains compared, one train's observed set planned for on a route,
-        and the report on all of it; takes minutes.
+        Demo of a fleet instead: a hundred trips over a drawn network, two trains with faults,
+        comparison of the trains, a plan for one train, a report; takes minutes.
     count : N
-        With --fleet: trips simulated; default 100.
+        With --fleet: number of trips; default 100.
     """
     from trainlog.cli.main import run
     from trainlog.formats.settings import read_settings

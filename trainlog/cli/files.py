@@ -3,7 +3,7 @@
 Parameters
 ----------
 output : FILE
-    File to write, which must not exist: .toml, or .json with --from.
+    New file: .toml, or .json with --from; it must not exist.
 """
 
 from __future__ import annotations
@@ -89,15 +89,14 @@ def import_(
     line: Path | None = None,
     set_: Annotated[list[str] | None, set_option(PHYSICS)] = None,
 ) -> None:
-    """Turn lines, trains, journeys and networks of other programs into trainlog's files.
+    """Convert lines, trains, journeys and networks of other programs to files of trainlog.
 
-    Tracks, trains and journeys of TTOBench; rolling stock and infrastructure of OSRD; rolling stock
-    and running paths of railtoolkit; infrastructure of railML 2 and 3; journeys of SFERA with their
-    segments and train, as a folder or a zip archive.
+    Formats: tracks, trains and journeys of TTOBench; rolling stock and infrastructure of OSRD;
+    rolling stock and running paths of railtoolkit; infrastructure of railML 2 and 3; journeys of
+    SFERA with segments and train, as a folder or a zip archive.
 
-    Of infrastructure it lists what the network holds in part or not at all, and what was assumed;
-    tracks that nothing connects to the others become networks of their own. Line and train files of
-    trainlog are taken with an option that changes them.
+    For infrastructure the command lists unsupported elements and assumptions; unconnected tracks
+    become separate networks. Line and train files of trainlog need an option that changes them.
 
     Example: trainlog import CH_StGallen_Wil.json CH_Stadler_FLIRT_TPF.json -o railway
 
@@ -106,31 +105,31 @@ def import_(
     Parameters
     ----------
     files : FILES
-        Of TTOBench or OSRD (JSON), railtoolkit (YAML), railML or SFERA (XML, or a folder or zip);
-        or a train file, with a curve.
+        TTOBench or OSRD (JSON), railtoolkit (YAML), railML or SFERA (XML, folder or zip); or a
+        train file, with a curve.
     output : FOLDER
         Folder for the files.
     electrification : NAME
-        Whose efforts an OSRD train gets; default: the file's default.
+        Electrification of an OSRD train; default: that of the file.
     traction_curve : FILE
-        CSV with the train's tractive effort over speed, units in the header.
+        CSV with the tractive effort of the train over speed, units in the header.
     braking_curve : FILE
-        The same of its dynamic brake.
+        CSV with the effort of its dynamic brake.
     formation : VEHICLES
-        A train of vehicles of these railtoolkit files, by id, from front to rear: 'DB_V90, 10
-        Facs124', or with a name of the train, 'ore: DB_V90, 10 Facs124'.
+        Vehicles of a railtoolkit train by id, from front to rear: 'DB_V90, 10 Facs124'; with a name
+        of the train: 'ore: DB_V90, 10 Facs124'.
     loaded : SHARE
-        Of a railtoolkit train: share of its load on board.
+        Share of the load of a railtoolkit train.
     category : NAME
-        Of trains, whose speed limits a network gets; 'none': those for all trains. Default: the
-        lowest of all categories.
+        Category of trains for the speed limits of a network; 'none': limits for all trains.
+        Default: the lowest of all categories.
     limit : SPEED
-        Of a network: speed limit where the file states none; default: its lowest.
+        Speed limit of a network if the file states none; default: its lowest.
     gradients_known
-        Of a line or network: it is level where the file states no gradient. Without, that is an
-        assumption, and running resistance is not fitted on such track.
+        Track without a stated gradient is level. Default: level by assumption; running resistance
+        is not fitted there.
     line : FILE
-        Whose gradients, curves and tunnels a journey of SFERA gets where it states none: the same
+        Line file for gradients, curves and tunnels that a journey of SFERA does not state: the same
         line by the operator's kilometre, or by the names of stations.
     """
     from trainlog.formats.csv_tables import read_effort_curve
@@ -175,7 +174,7 @@ def import_(
 
 new_app = typer.Typer(
     add_completion=False,
-    help="Begin a line, network, train, journey or profile, or copy the samples.",
+    help="Create a line, network, train, journey or profile, or copy the samples.",
 )
 
 
@@ -187,11 +186,10 @@ def new_line(
     name: str | None = None,
     picture: Picture = None,
 ) -> None:
-    """Begin a line: a commented file to be edited; or one from a table, logs or a route.
+    """Create a line: a commented template, or from a table, logs or a route.
 
-    From logs a line gets its centre line with curvature, in either direction, how well it is known
-    and what it rests on; limits, gradients and stations are not known from fixes. Of a route the
-    shortest one through the places is taken.
+    From logs: centre line with curvature and its accuracy; fixes do not determine limits, gradients
+    and stations. From a route: the shortest one through the places.
 
     Example: trainlog new line -o my.line.toml
 
@@ -202,13 +200,13 @@ def new_line(
     Parameters
     ----------
     from_ : FILE
-        A CSV of chainage, gradient, limit and, if known, station, radius, latitude, longitude,
-        units in its header; logs along the line, for their satellite fixes, may be given several
-        times; or a route in a network, "NET#A,B,C".
+        CSV of chainage, gradient, limit and, if known, station, radius, latitude, longitude, units
+        in its header; logs along the line with satellite fixes, may be given several times; or a
+        route in a network, "NET#A,B,C".
     name : NAME
-        With --from; default: the file's.
+        Name, with --from; default: that of the file.
     picture : FILE
-        Of a line from logs; default: beside the output, .png.
+        Picture of a line from logs; default: beside the output, .png.
     """
     from trainlog.formats.railway import route_of_path, write_template
 
@@ -232,10 +230,10 @@ def new_line(
 def new_network(
     *, output: Annotated[Path, Written(".json")], from_: list[Path], name: str | None = None
 ) -> None:
-    """Join lines to a network, at the stations that they share.
+    """Join lines to a network, at common stations.
 
-    A line is cut where another begins, ends or passes; there trains can pass from any edge to any
-    other; a track that two lines share is taken once.
+    A line is divided where another one begins, ends or crosses; there trains can pass from each
+    edge to each other. Common track appears once.
 
     Example: trainlog new network --from A-B.line.json --from B-C.line.json -o my.network.json
 
@@ -246,7 +244,7 @@ def new_network(
     from_ : FILE
         Line file; may be given several times.
     name : NAME
-        Default: the file's.
+        Name of the network; default: that of the file.
     """
     from trainlog.railway.network import network_of_lines
 
@@ -271,7 +269,7 @@ def _new(kind: Literal["train", "journey", "profile"], what: str) -> None:
 
         wrote(write_template(kind, output))
 
-    begin.__doc__ = f"Begin a {what}: a commented file that is valid and ready to edit."
+    begin.__doc__ = f"Create a {what}: a commented, valid template to edit."
     begin.__doc__ += f"\n\nExample: trainlog new {kind} -o my.{kind}.toml"
     new_app.command(kind)(begin)
 
@@ -338,14 +336,13 @@ def show(
     picture: Path | None = None,
     open_: bool = False,
 ) -> None:
-    """State what a file holds, whatever it is; it is recognised by its content.
+    """Show the content of a file; the kind of file is recognised by its content.
 
-    Of a log topics, units, rates, time and position span, gaps, passport; of a consist its
-    vehicles, couplers and brake; of a network its edges and nodes, and what is not known; of a
-    route in it, NET#A,B,C, its stretches and stations; of a track-condition map its line, layers,
-    trips and days; of a recorder's file what can be read of it; of a folder what each of its files
-    is. Exit status 1 if a log is damaged, which [bold]trainlog convert[/bold] rebuilds, or a file
-    of several cannot be shown; 2 if none can.
+    Log: topics, units, rates, time and position span, gaps, passport. Consist: vehicles, couplers,
+    brake. Network: edges and nodes, unknown quantities. Route (NET#A,B,C): its sections and
+    stations. Map: line, layers, trips, days. Recording: its readable content. Folder: its files.
+    Exit status 1 if a log is damaged ([bold]trainlog convert[/bold] rebuilds it), or some files
+    cannot be shown; 2 if none can.
 
     Example: trainlog show results/trips/trip-01.mcap
 
@@ -356,18 +353,16 @@ def show(
     Parameters
     ----------
     files : FILES
-        Anything that trainlog makes or reads: logs, lines, trains, maps, parameter sets,
-        trajectories, profiles, recorders' files; folders of them; or 'sample', all samples.
+        Files of trainlog or recordings: logs, lines, trains, maps, parameter sets, trajectories,
+        profiles; folders of them; or 'sample', all samples.
     check
-        Read logs to the last byte, of any program; verify every checksum and account for what is
-        lost.
+        Read logs of any program to the last byte, verify every checksum and list losses.
     all_
-        List the trips of track-condition maps by name, and what ingest repaired in logs with its
-        raw values, too.
+        Also list the trips of maps by name, and the repairs of logs with their raw values.
     picture : FILE
         Draw a trip, a line or a network into this file (.png, .svg).
     open_
-        Open a report on it in the browser.
+        Open a report in the browser.
     """
     if check:
         _check(logs_in(files))
@@ -490,23 +485,22 @@ def convert(
     km: str | None = None,
     prefer: Path | None = None,
 ) -> None:
-    """Write logs anew: as Parquet, CSV or MDF, in part, joined, rebuilt.
+    """Convert logs to Parquet, CSV or MDF and back; cut, join and rebuild them.
 
-    A log becomes Parquet, CSV (a file for each topic with units in its header) or MDF (extra
-    [bold]recorders[/bold]) and back, and nothing is lost either way; logs may be larger than the
-    memory. Logs of other programs become Parquet or CSV, too; they are held in memory as a whole.
+    Conversion of a log to Parquet, CSV (a file per topic with units in its header) or MDF (extra
+    [bold]recorders[/bold]) and back is lossless; logs may be larger than the memory. Logs of other
+    programs can be converted to Parquet or CSV; they are loaded as a whole.
 
-    With --from, --to, --km or --topic only a part is written. Metadata and attachments are those of
-    the whole; the provenance states what was cut.
+    --from, --to, --km and --topic select a part. Metadata and attachments are those of the whole
+    log; the provenance states the cut.
 
-    Several logs of one trip become one: parts that follow each other, or what several recorders
-    wrote. Logs of other trains, lines or directions are refused, and so are different samples of a
-    topic at the same time; --prefer decides between them.
+    Several logs of one trip are joined: consecutive parts, or logs of several recorders. Logs of
+    other trains, lines or directions are refused, and so are different samples of a topic at the
+    same time; --prefer decides between them.
 
-    A whole log as .mcap, or logs into a folder, are rebuilt with every message that is readable,
-    and an account of what is lost; damaged logs of any program stay as they are. A network becomes
-    GeoJSON: edges as lines, nodes and stations as points. A trajectory becomes the table that plan
-    writes (.csv).
+    A whole log as .mcap, or logs into a folder, are rebuilt with every readable message and an
+    account of losses; the damaged logs stay unchanged. A network becomes GeoJSON: edges as lines,
+    nodes and stations as points. A trajectory becomes the table of plan (.csv).
 
     Example: trainlog convert trip.mcap -o trip.parquet
 
@@ -522,10 +516,10 @@ def convert(
         Logs (.mcap) or folders of them, MDF (.mf4), a folder of Parquet or CSV files; or a network;
         or a trajectory, or the folder of a journey's sections.
     output : FILE
-        Ends in .mcap (a log), .mf4 (MDF 4), .parquet or .csv (folders with a file for each topic),
-        of a network .geojson; else a folder for rebuilt logs.
+        .mcap (a log), .mf4 (MDF 4), .parquet or .csv (folders with a file per topic), for a network
+        .geojson; else a folder for rebuilt logs.
     prefer : FILE
-        Of joined logs: the one that counts where another has the same topic and time.
+        For joined logs: the log whose samples count if others have the same topic and time.
     """
     part = {"--from": from_, "--to": to, "--km": km, "--topic": topic or None}
     kind = output.suffix.lower()

@@ -5,11 +5,11 @@ Parameters
 analysis : ANALYSIS
     Only this analysis; may be given several times. Default: all of them.
 workers : N
-    Processes; default: one a processor. 0: this process itself.
+    Processes; default: one per processor. 0: this process.
 from_ : TIME
-    Only trips that start then or later: 2026-10-01.
+    Only trips that start at this time or later: 2026-10-01.
 to : TIME
-    Only trips that start until then; a day counts whole.
+    Only trips that start up to this time; a date includes the whole day.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue, FileOutcome
 
 fleet_app = typer.Typer(
-    add_completion=False, help="The catalogue of a fleet, and what is computed of its trips."
+    add_completion=False, help="The catalogue of a fleet, and the results of its trips."
 )
 
 
@@ -59,12 +59,11 @@ def fleet_add(
     results: Path | None = None,
     jobs: Count = None,
 ) -> None:
-    """Register logs by their content; the catalogue is made if there is none.
+    """Register logs by their content; the catalogue is created if missing.
 
-    Of a log its summary and what identifies the drive are read; a file that is known and has not
-    changed is not read again. A file that moved is found by its content. Of several files of one
-    drive the fullest counts. Several processes may add at once; one that is interrupted or killed
-    leaves nothing half.
+    Reads the summary of each log and the samples that identify the drive; known, unchanged files
+    are not read again. Moved files are found by their content. Of several files of one drive the
+    fullest counts. Several processes may add at once; an interruption leaves no partial entry.
 
     Exit status 1 if some files could not be used; 2 if none could.
 
@@ -75,7 +74,7 @@ def fleet_add(
     Parameters
     ----------
     paths : PATHS
-        Logs (.mcap), or folders: those in them are searched, too.
+        Logs (.mcap), or folders, including subfolders.
     results : FOLDER
         Folder for the results of a new catalogue in PostgreSQL.
     """
@@ -113,11 +112,10 @@ def fleet_show(
     trips: str | None = None,
     analysis: list[str] | None = None,
 ) -> None:
-    """Show how many trips there are, what is computed of them, and what is pending.
+    """Show the number of trips, their results, and pending analyses.
 
-    Trips, trains and lines are counted, distance and time driven are summed. Of an edge the
-    distance is that on it; forward and reverse count how often it was run over. --trips and
-    --analysis choose of what the results are counted.
+    Counts trips, trains and lines; sums distance and time. For an edge, the distance on it, and the
+    runs forward and reverse. --trips and --analysis limit the results that are counted.
 
     Example: trainlog fleet show --by edge
 
@@ -126,12 +124,11 @@ def fleet_show(
     Parameters
     ----------
     by : NAME
-        One row per train and line (route), train, kind of trains, line, edge (each line that trips
-        ran over, whatever their route), day, or weather. Their names are what fleet query takes.
+        One row per train and line (route), train, kind of train, line, edge (each line that trips
+        used, whatever their route), day, or weather. 'fleet query' accepts these names.
     problems
-        List the files that do not count, with the reason (copies, other recordings of a drive,
-        older versions, vanished and refused files), damaged logs that count, and the trips that
-        gave no result.
+        List files that do not count, with the reason (copies, other recordings of a drive, older
+        versions, missing and refused files), damaged logs that count, and trips without a result.
     """
     from analysis.catalogue_table import overview_table, problems_table
     from analysis.fleet.update import fleet_status
@@ -165,16 +162,15 @@ def fleet_query(
     paths: bool = False,
     output: Path | None = None,
 ) -> None:
-    """List the trips that are asked for, in the order of their start; or ask by SQL.
+    """List trips that satisfy a condition, in order of their start; or run SQL.
 
     An expression compares columns with values: [bold]train, kind, line, start, duration, km_from,
     weather, load ...[/bold] by = <> < <= > >= in, like, between, is null, joined by and, or, not.
-    Values with a unit are written with it: '20 min', '15 t'. docs/catalogue.md lists all.
+    Values with a unit need it: '20 min', '15 t'. docs/catalogue.md lists all.
 
-    Tables of SQL: [bold]trips, files, edges[/bold], and one of each analysis ([bold]resistance,
-    driving ...[/bold]) with its latest results of each trip that counts; [bold]key[/bold] joins
-    them. Times are UTC, numbers in SI units but kilometres. Nothing can be changed. DuckDB runs it:
-    its dialect is understood.
+    Tables of SQL: [bold]trips, files, edges[/bold], and one per analysis ([bold]resistance, driving
+    ...[/bold]) with the latest results of each counted trip; [bold]key[/bold] joins them. Times are
+    UTC, numbers in SI units, except kilometres. SQL is read-only, in the dialect of DuckDB.
 
     Example: trainlog fleet query --train flirt-03 --from 2026-10-01 --to 2026-10-31
 
@@ -186,18 +182,18 @@ def fleet_query(
     Parameters
     ----------
     asked : EXPRESSION
-        Trips of which it holds: "weather = 'wet' and duration > '20 min'"; or a whole statement of
-        SQL: "select ..."; 'tables' lists its tables and columns. Default: all trips.
+        Condition: "weather = 'wet' and duration > '20 min'"; or SQL: "select ..."; 'tables' lists
+        tables and columns. Default: all trips.
     train : NAME
         Only of this train.
     line : NAME
-        Only on this line; of a route each line it runs over counts.
+        Only on this line; each line of a route counts.
     most : N
-        List at most so many rows; default: 50 on a terminal.
+        Maximum number of rows; default: 50 on a terminal.
     paths
-        Print the paths of the logs alone, one per line.
+        Print only the paths of the logs, one per line.
     output : FILE
-        Table to write, with all rows in SI units (.csv, .parquet); of SQL .csv.
+        Table to write, with all rows in SI units (.csv, .parquet; SQL: .csv).
     """
     from analysis.catalogue_table import found_table, trips_table
     from trainlog.catalogue import open_catalogue, write_trips
@@ -272,29 +268,29 @@ def fleet_update(
     batch: Annotated[int, POSITIVE] = 16,
     retry: bool = False,
 ) -> None:
-    """Compute what is new in the catalogue, or was made by other code; nothing else.
+    """Compute results of the catalogue that are new, or were made by other code.
 
-    Of each trip: the summary of its fit, its passport, the evidence for the track-condition map,
-    times and energy by edge, and what of its recording is doubtful. Results are kept as they come:
-    after an interruption, however it came, the next update goes on with the rest.
+    Per trip: summary of its fit, passport, evidence for the track-condition map, times and energy
+    by edge, doubts about the recording. Results are stored as they come: after any interruption the
+    next update continues.
 
-    Trips of which an analysis gives no result are listed with the reason; of more than a few those
-    of one reason are counted ('trainlog fleet show --problems' lists each). Exit status 1 if one
-    failed, or a log could not be read.
+    Trips without a result are listed with the reason; if one reason is common, its trips are
+    counted ('trainlog fleet show --problems' lists each). Exit status 1 if an analysis failed, or a
+    log could not be read.
 
     Example: trainlog fleet update --workers 2
 
     Parameters
     ----------
     scheduler : ADDRESS
-        Dask scheduler whose workers compute, such as tcp://host:8786; they must see the logs.
+        Dask scheduler of the workers, such as tcp://host:8786; the workers need access to the logs.
     mpi
         The workers of an MPI job: mpiexec -n 3 python -m mpi4py.futures -m trainlog fleet update
         --mpi.
     batch : N
-        Most trips that a worker is given at once.
+        Maximum number of trips per batch.
     retry
-        Compute trips again that were refused, or failed, or whose file of results is damaged.
+        Compute refused and failed trips again, and damaged files of results.
     """
     from analysis.fleet.update import FIRST, UpdateOptions, fleet_status, gone_words, update_fleet
     from trainlog.catalogue import open_catalogue
@@ -335,10 +331,10 @@ def fleet_trains(
     trips: str | None = None,
     false_alarms: Annotated[float | None, PERCENT.above(0.0, 0.2)] = None,
 ) -> None:
-    """Show resistance, drift and findings of every train: which ones are not like the others.
+    """Show running resistance, drift and faults of each train, compared with its kind.
 
-    From the results of 'trainlog fleet update'. Each finding names the fault, since when and how
-    large, with its band; what would not be seen is stated by train.
+    Uses the results of 'trainlog fleet update'. Each finding states fault, date and size with its
+    band; each train has its detection limits.
 
     Example: trainlog fleet trains -o results/fleet-trains
 
@@ -351,7 +347,7 @@ def fleet_trains(
     train : NAME
         Show only this train, compared with the others.
     false_alarms : SHARE
-        Share of healthy trains that raise an alarm in a month; default: 1%.
+        Share of healthy trains with an alarm per month; default: 1%.
     """
     from analysis.charts import draw_charts
     from analysis.fleet.plot import (
@@ -399,13 +395,12 @@ def fleet_diff(
     output: Path | None = None,
     workers: Annotated[int | None, COUNT.between(0.0)] = None,
 ) -> None:
-    """List every estimate that moved between two versions of the code or two sets of parameters.
+    """List estimates that differ between two versions of the code or two sets of parameters.
 
-    The results of another version are those that its own fleet update left in the catalogue; what
-    this version has not computed yet is computed. An estimate moved beyond its band where the
-    difference exceeds 1.96 standard deviations; of many trips the mean shift is judged by its own
-    scatter. Trips that one side alone accepts are listed. Exit status 1 if anything moved beyond
-    its band.
+    The results of another version are those that its fleet update left in the catalogue; missing
+    results of this version are computed. A difference is beyond its band if it exceeds 1.96
+    standard deviations; the mean of many trips is judged by its own scatter. Trips that only one
+    side accepts are listed. Exit status 1 if a difference is beyond its band.
 
     Example: trainlog fleet diff 8dfc3ada now --trips "line = 'Wil - Gossau'" -o changes
 
@@ -414,10 +409,10 @@ def fleet_diff(
     Parameters
     ----------
     first : FIRST
-        now, the beginning of a version of which the catalogue has results, or parameters:
+        now, the beginning of a version with results in the catalogue, or parameters:
         adhesion.bin_length=50.
     second : SECOND
-        The same, of the other side.
+        The same for the other side.
     output : FOLDER
         Folder for the report and all tables as CSV.
     """
@@ -437,10 +432,10 @@ def fleet_diff(
 
 @fleet_app.command("refresh")
 def fleet_refresh(folders: list[Path] | None = None, /, *, catalogue: str | None = None) -> None:
-    """Compare the catalogue with the disk: which files vanished, moved, changed or came back.
+    """Compare the catalogue with the disk: missing, moved, changed and restored files.
 
-    Nothing is forgotten: a vanished file is found again by its content once the folder that it
-    moved to is given. Exit status 1 if files have vanished.
+    Nothing is removed: give the new folder, and moved files are found by their content. Exit status
+    1 if files are missing.
 
     Example: trainlog fleet refresh
 
@@ -449,7 +444,7 @@ def fleet_refresh(folders: list[Path] | None = None, /, *, catalogue: str | None
     Parameters
     ----------
     folders : FOLDERS
-        Folders that are searched for files that moved.
+        Folders to search for moved files.
     """
     from trainlog.catalogue import open_catalogue
 
@@ -467,9 +462,9 @@ def fleet_refresh(folders: list[Path] | None = None, /, *, catalogue: str | None
 def fleet_remove(
     where: str | None = None, /, *, catalogue: str | None = None, vanished: bool = False
 ) -> None:
-    """Forget trips and what was computed of them; the logs stay as they are.
+    """Remove trips and their results from the catalogue; the logs stay unchanged.
 
-    A log that still stands in a folder that is added comes back.
+    A log that is still in a registered folder returns with the next 'fleet add'.
 
     Example: trainlog fleet remove --vanished
 
@@ -478,9 +473,9 @@ def fleet_remove(
     Parameters
     ----------
     where : EXPRESSION
-        Trips of which it holds.
+        Condition of the trips to remove.
     vanished
-        Only trips whose logs have all vanished.
+        Only trips without any remaining log.
     """
     from trainlog.catalogue import open_catalogue
 

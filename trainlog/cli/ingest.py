@@ -59,21 +59,21 @@ def ingest(
     set_: list[str] | None = None,
     accept: Annotated[bool, typer.Option("--accept", "--yes")] = False,
 ) -> None:
-    """Turn recorded logs into trips; what was repaired is counted and kept in the log.
+    """Convert recordings to trips; repairs are counted and kept in the log.
 
-    A log is named after its file or, where the file holds several recordings, after its trip. Of
-    several files, or a folder, every one is tried; the end is a table of what became of each. What
-    was made before of the same content in the same way is not made again.
+    A log has the name of its file or, if the file has several recordings, of its trip. One refused
+    file does not stop the others; a table at the end lists the state of each. Unchanged recordings
+    are not converted again.
 
-    For a table that no profile fits one is proposed: a commented TOML file in the output folder,
-    to be read, corrected and given with [bold]--profile[/bold], or used at once with
+    If no profile fits a table, one is proposed: a commented TOML file in the output folder. Check
+    it, correct it and give it with [bold]--profile[/bold], or use it at once with
     [bold]--accept[/bold].
 
-    On a [bold]--network[/bold] each recording is matched to its route, and cut where the train
-    turned back or left the network; a route that the fixes do not determine is refused.
+    With [bold]--network[/bold] each recording is matched to its route, and divided where the train
+    turned back or left the network; an ambiguous route is refused.
 
-    Exit status 0: every recording became a trip; 1: some did not, or a profile is proposed; 2: the
-    only file given did not, or something else that was given cannot be used.
+    Exit status 0: every recording is a trip; 1: some are not, or a profile is proposed; 2: the only
+    file given is not, or an option is not valid.
 
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
 
@@ -88,20 +88,20 @@ def ingest(
     format : FORMAT
         Name of the format, such as csv; default: detected.
     line : FILE
-        Line it was driven on, if known; or a network, as --network.
+        Line of the trip, if known; or a network, as --network.
     network : FILE
-        Network it was driven on: the route is found in it by the fixes.
+        Network of the trip: fixes determine the route.
     stations : STATIONS
-        With --network: stations of the route with commas between them, or edge@km.
+        With --network: stations of the route, separated by commas, or edge@km.
     train : FILE
-        Train that drove, if known.
+        Train of the trip, if known.
     reverse
         The trip ran against the line's chainage.
     set_ : KEY=VALUE
-        What the file does not state, of all its trips: weather=wet, load=12000 (kg) or 12t,
-        start_position=0.2km, or =stations: where the stops match them.
+        Facts that the file does not state, for all its trips: weather=wet, load=12000 (kg) or 12t,
+        start_position=0.2km, or =stations: by the stops.
     accept
-        Use the profile that is proposed, where none fits.
+        Use the proposed profile if none fits.
     """
     from analysis.resistance.passport import with_estimated_passport
     from trainlog.ingest import Ingested, Outcome, ingest_all
@@ -302,17 +302,16 @@ def record(
     idle: Annotated[float | None, TIME.between(0.1)] = None,
     replay: bool = False,
 ) -> None:
-    """Record what a recorder sends while the train runs: UDP, MQTT, a pipe, a file that grows.
+    """Record a live source: UDP, MQTT, a pipe, or a growing file.
 
-    Taken are JSON objects, rows of a table that a profile describes, NMEA sentences and UBX
-    messages, mixed; and status reports of SFERA. Without a profile JSON objects name a topic, its
-    fields in SI units and their time: {"topic": "/train/state", "time":
-    "2024-05-01T06:00:00.1Z", "speed": 21.3}.
+    Accepts JSON objects, rows of a table with a profile, NMEA sentences and UBX messages, also
+    mixed; and status reports of SFERA. Without a profile JSON objects state a topic, a time, and
+    fields in SI units: {"topic": "/train/state", "time": "2024-05-01T06:00:00.1Z", "speed": 21.3}.
 
-    Ctrl-C (or SIGTERM) ends the log properly. A log is whole up to half a second before whatever
-    ends this program otherwise. What is malformed or wrong in time is counted, and stands among the
-    log's events; rules of repair that need what comes later are not applied: with
-    [bold]--raw[/bold] the stream can be ingested again.
+    Ctrl-C (or SIGTERM) closes the log. After any other end the log is complete except for the last
+    half second. Malformed and out-of-order data are counted, and listed in the events of the log.
+    Rules of repair that need later data are not applied: keep the stream with [bold]--raw[/bold]
+    and ingest it.
 
     Example: trainlog record --from udp 5005 -o today.mcap --profile recorder.profile.toml
 
@@ -323,31 +322,31 @@ def record(
     output : FILE
         Log to write; must not exist.
     from_ : NAME
-        Datagrams, a broker's messages, standard input, or a file that grows.
+        Datagrams, messages of a broker, standard input, or a growing file.
     address : [ADDRESS|PATH]
-        udp: PORT or HOST:PORT, default 127.0.0.1:5005, where only programs of this computer can
-        send; 0.0.0.0:5005 listens on every network. mqtt: HOST[:PORT]/TOPIC, with the
-        extra mqtt. file: its path.
+        udp: PORT or HOST:PORT, default 127.0.0.1:5005, open to programs of this computer only;
+        0.0.0.0:5005 listens on every network. mqtt: HOST[:PORT]/TOPIC, with the extra mqtt. file:
+        its path.
     profile : FILE
         TOML profile: columns (or keys of JSON objects), units, time format.
     header : FILE
-        File of this recorder with the header that the stream does not begin with.
+        File of this recorder with the header that the stream lacks.
     line : FILE
-        Line it is driven on, if known; or the journey of SFERA whose train sends reports.
+        Line of the trip, if known; or the journey of SFERA of the reporting train.
     train : FILE
-        Train that drives, if known.
+        Train of the trip, if known.
     reverse
         The trip runs against the line's chainage.
     set_ : KEY=VALUE
-        What the stream does not state: weather=wet, load=12t.
+        Facts that the stream does not state: weather=wet, load=12t.
     sequence : SEQUENCE
-        Column or key with which the sender counts its lines.
+        Column or key with the sender's line number.
     raw : FILE
-        Also write everything as it came to this file, which must not exist.
+        Also write the unchanged stream to this file, which must not exist.
     idle : TIME
         End after this time of silence, once data have come; default: at Ctrl-C.
     replay
-        Show the trip in the Rerun viewer as it is recorded.
+        Show the trip in the Rerun viewer while it is recorded.
     """
     from trainlog.ingest.live import LiveIngest, LiveOptions
     from trainlog.ingest.pipeline import Given

@@ -47,11 +47,11 @@ def fit_efforts(
     configurations: Count = None,
     per_trip: Path | None = None,
 ) -> None:
-    """Fit running resistance to recorded efforts; 'trainlog fit LOGS' does so, too.
+    """Fit running resistance to recorded efforts; short form: 'trainlog fit LOGS'.
 
-    Recursive least squares, per trip and together. Writes the observed set of parameter
-    configurations, with uncertainty, a picture, and the summaries of all trips, which stand for
-    their logs in a later fit. Trips that do not determine the result are refused with the reason.
+    Recursive least squares, per trip and together. Writes the observed parameter set with
+    uncertainty, a picture, and summaries of all trips, which can replace their logs in a later fit.
+    Trips that do not determine the result are refused with the reason.
 
     Example: trainlog fit efforts results/trips -o results/parameters.json
 
@@ -62,12 +62,11 @@ def fit_efforts(
     output : FILE
         Parameter set (JSON).
     cover : SHARE
-        Share of trips whose times and energies the set is to bound.
+        Share of trips whose times and energies the set bounds.
     configurations : N
-        At most so many configurations.
+        Maximum number of configurations.
     per_trip : FOLDER
-        Folder for a picture of each trip fitted: residuals, what was masked, and why one was
-        refused.
+        Folder for a picture per trip: residuals, masks, reason of a refusal.
     """
     from analysis.charts import draw_all
     from analysis.resistance.logs import AllRefusedError
@@ -103,12 +102,11 @@ def fit_coasting(
     line: Path | None = None,
     gradient: Literal["line", "unknown"] = "line",
 ) -> None:
-    """Fit running resistance to where trains coast; needs no efforts.
+    """Fit running resistance to coasting; needs no efforts.
 
-    Finds the coasting by itself from speed, chainage and the line's gradient, and gives the
-    resistance over the train's inertia, with its band. With the gradient unknown it gives what is
-    left: mostly how resistance grows with speed. Trips that do not determine the result are refused
-    with the reason.
+    Finds coasting from speed, chainage and gradient; the result is the resistance over the train's
+    inertia, with its band. If the gradient is unknown, the result is mainly how resistance
+    increases with speed. Trips that do not determine the result are refused with the reason.
 
     Example: trainlog fit coasting results/recorded -o results/coast-down.json
 
@@ -117,9 +115,9 @@ def fit_coasting(
     output : FILE
         Result (JSON).
     line : FILE
-        Line file for logs that carry no line.
+        Line file for logs without a line.
     gradient : NAME
-        'unknown' trusts no gradients; coasting is found from the lever alone.
+        'unknown' does not use gradients; coasting is found from the lever only.
     """
     from trainlog.formats.railway import write_coast_down
 
@@ -147,8 +145,8 @@ def fit_adhesion(
 ) -> None:
     """Fit an adhesion characteristic to measured points: maximum, optimal slip and slopes.
 
-    'trainlog simulate drive --characteristic' drives on it. Points that do not determine the result
-    are refused with the reason.
+    'trainlog simulate drive --characteristic' uses the result. Points that do not determine it are
+    refused with the reason.
 
     Example: trainlog fit adhesion curve.csv -o wet.json
 
@@ -159,9 +157,9 @@ def fit_adhesion(
     output : FILE
         Characteristic (JSON).
     family : NAME
-        Form of the curve; default: the one that explains the points better.
+        Form of the curve; default: the one that fits better.
     speed : SPEED
-        Train speed of points that do not state theirs.
+        Train speed of points that do not state it.
     """
     fitted = analysis.fit_adhesion_characteristic(points, family, speed=speed)
     trainlog.write_characteristic(fitted.characteristic, output, fitted.provenance())

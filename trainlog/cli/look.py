@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 compare_app = typer.Typer(
-    add_completion=False, help="Compare trips: by position, in groups, or with what is calculated."
+    add_completion=False, help="Compare trips: by position, in groups, or with calculated values."
 )
 
 WIND = replace(SPEED.between(0.0), usual="m/s", examples="5, 5m/s or 18km/h")
@@ -51,10 +51,10 @@ def compare_trips(
     time_of_day: bool = False,
     picture: Picture = None,
 ) -> None:
-    """Compare trips over a line by position; 'trainlog compare LOGS' does so, too.
+    """Compare trips over a line by position; short form: 'trainlog compare LOGS'.
 
-    Times, where time was lost and why, energy, driving; stopping or not, recorded or simulated,
-    over any part of the line; directions are kept apart.
+    Running times, lost time by cause, energy, driving; for stopping or non-stop, recorded or
+    simulated trips, over any part of the line. Each direction is compared separately.
 
     Example: trainlog compare trips sample_logs --picture compared.png
 
@@ -62,16 +62,16 @@ def compare_trips(
     ----------
     reference : FILE
         Log or trajectory to compare with. Default: the fastest trip of each direction that covers
-        nearly all of the others' part of the line.
+        nearly all of the common section.
     line : FILE
         Line file. Default: the line in the logs.
     model : FILE
-        Parameters file by whose running resistance energies are normalised. Default: the train's
-        file in the logs.
+        Parameters file with the running resistance for normalised energies. Default: the train file
+        in the logs.
     time_of_day
         Count a later departure as time lost.
     picture : FILE
-        Save a picture (.png), one a direction.
+        Save a picture (.png), one per direction.
     """
     from analysis.charts import draw_charts
     from analysis.comparison.plot import comparison_charts
@@ -104,7 +104,8 @@ def compare_groups(logs: Logs, /, *, with_: list[Path]) -> None:
     Parameters
     ----------
     with_ : FILE
-        Logs or folder of another group of trips, as of those driven by advice; several.
+        Logs or folder of another group of trips, such as those driven by advice; may be given
+        several times.
     """
     for group in with_:
         if len(with_) > 1:
@@ -121,9 +122,9 @@ def compare_calculated(
     wind: Annotated[float | None, WIND] = None,
     picture: Picture = None,
 ) -> None:
-    """Compare each trip with what a fit or a train's file predicts for it, with bands.
+    """Compare each trip with the prediction of a fit or a train file, with bands.
 
-    Speed, time and energy, and what of the model is wrong, by each trip and by all together.
+    Speed, time and energy, and errors of the model, per trip and for all together.
 
     Example: trainlog compare calculated sample_logs --model results/parameters.json
 
@@ -132,10 +133,10 @@ def compare_calculated(
     model : FILE
         Parameters or train file.
     wind : SPEED
-        Standard deviation of the head wind that calculated bands assume, as for a known calm day.
-        Default: 1 m/s where the head wind is recorded, else 5 m/s.
+        Standard deviation of the head wind, for the bands. Default: 1 m/s if the head wind is
+        recorded, else 5 m/s.
     picture : FILE
-        Save a picture (.png), one a trip.
+        Save a picture (.png), one per trip.
     """
     from analysis.charts import draw
     from analysis.comparison.calculated import judged_together, together_words
@@ -188,10 +189,10 @@ def replay(
     tiles: bool = False,
     web: bool = False,
 ) -> None:
-    """Show trips in the Rerun viewer, by time and by position; or a part of them.
+    """Show trips in the Rerun viewer, by time and by position.
 
-    The viewer runs until it is closed, or Ctrl-C ends it; it listens on this machine alone and
-    asks for nothing on the network.
+    The viewer runs until it is closed or Ctrl-C; it listens on this machine only and does not use
+    the network.
 
     Example: trainlog replay results/trips/trip-01.mcap
 
@@ -209,17 +210,17 @@ def replay(
     map_ : FILE
         Track-condition map to show.
     reference : FILE
-        Trip (.mcap) or trajectory (.json) with which the trips are compared along the line.
-        Default: the trajectory, else the first trip.
+        Trip (.mcap) or trajectory (.json) for the comparison by position. Default: the trajectory,
+        else the first trip.
     line : FILE
-        Line file, for trips that carry no line.
+        Line file, for trips without a line.
     thin
-        Only the overview, its samples thinned, or all. Default: thinned if there are more than 16
-        trips and no part of them is asked for.
+        Overview with thinned samples, or all samples. Default: thinned for more than 16 whole
+        trips.
     tiles
-        Map tiles, which the viewer asks the network for.
+        Map tiles; the viewer loads them from the network.
     web
-        Open it in the browser, saved or not.
+        Open it in the browser, also if it is saved.
     """
     from trainlog.replay.layout import check_view
     from trainlog.replay.viewer import check_display, interruptible
@@ -305,18 +306,17 @@ def report(
     maps: Path | None = None,
     at: str | None = None,
 ) -> None:
-    """Write a report as one HTML page that needs no network: to send, to read, to print.
+    """Write a report as one HTML page that needs no network.
 
-    Tables, pictures and charts of a result with what it was made of; light or dark as the reader's
-    screen, printed on A4. Of a folder everything that is in it; a file that cannot be read is
-    listed there, and the exit status is 1. Without -o the summary of a folder is printed: fit, map,
-    trajectory, energy; simulated trips against the truth.
+    Tables, pictures and charts of a result with its inputs; light or dark like the screen, printed
+    on A4. For a folder: all its results; unreadable files are listed, and the exit status is 1.
+    Without -o the summary of a folder is printed: fit, map, trajectory, energy; simulated trips
+    against the truth.
 
-    Of a fleet, from the results of 'trainlog fleet update': what the catalogue holds by line, train
-    and month; running resistance of every train against its kind; trains that are not like the
-    others, with the rate of false alarms; drift; the condition of the rail on the network with its
-    forecast; energy by train and edge; what was refused or failed and why; and the quality of the
-    recordings.
+    For a fleet, from the results of 'trainlog fleet update': trips by line, train and month;
+    running resistance of each train against its kind; unlike trains, with the rate of false alarms;
+    drift; rail condition on the network with its forecast; energy by train and edge; refusals and
+    failures with reasons; quality of the recordings.
 
     Example: trainlog report results/trips/trip-01.mcap -o trip-01.html
 
@@ -327,20 +327,20 @@ def report(
     Parameters
     ----------
     results : RESULTS
-        A log (.mcap), parameter set, map (.map), trajectory or coast-down, the folder of a study, a
-        folder of results, as the demo leaves it, or the catalogue of a fleet (its folder or URL).
+        Log (.mcap), parameter set, map (.map), trajectory, coast-down, folder of a study, folder of
+        results, or catalogue of a fleet (its folder or URL).
     output : FILE
-        The page (.html); without it a folder is summed up.
+        The page (.html); without it the command prints the summary of a folder.
     line : FILE
         Line file of a map or trajectory whose line is not among the samples.
     logs : FILE
-        Logs that a fit was made of, or their folder: shows the residuals. Or --trips.
+        Logs of a fit, or their folder: adds the residuals. Or --trips.
     zone : ZONE
-        Zone of the timetable, in which times are stated: Europe/Zurich.
+        Time zone of the report: Europe/Zurich.
     network : FILE
-        Of a fleet: network file (.network.json) on which the rail's condition is drawn.
+        For a fleet: network file (.network.json) for the drawing of the rail condition.
     maps : FILE
-        Of a fleet: folder of the maps of edges; default: the catalogue's.
+        For a fleet: folder of the maps of edges; default: the catalogue's.
     """
     is_fleet = "://" in results or (Path(results) / "catalogue.sqlite").is_file()
     if catalogue is not None and (is_fleet or trips is None):

@@ -42,9 +42,9 @@ def _main(
 ) -> None:
     """Record train trips in a standard log, learn from them, and plan robust trajectories.
 
-    A first look: [bold]trainlog demo[/bold] runs the whole chain. Then, with your own logs:
-    [bold]ingest[/bold] them, [bold]fit[/bold] the running resistance, [bold]map update[/bold] the
-    track condition, [bold]plan[/bold] the trajectory, [bold]replay[/bold] everything.
+    [bold]trainlog demo[/bold] runs the whole chain. With your own logs: [bold]ingest[/bold] them,
+    [bold]fit[/bold] the running resistance, [bold]map update[/bold] the track condition,
+    [bold]plan[/bold] the trajectory, [bold]replay[/bold] the trips.
     """
 
 

@@ -3,8 +3,8 @@
 Parameters
 ----------
 line : FILE
-    Line file, or a log that carries it: stations, the operator's kilometres, coordinates. Default:
-    a sample line of the map's name, or that of its logs.
+    Line file, or a log with a line: stations, operator's kilometres, coordinates. Default: a sample
+    line of the map's name, or that of its logs.
 condition : MAP
     Map file (.map).
 """
@@ -63,34 +63,32 @@ def map_update(
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
 
-    A drive that the map already holds is not counted again, whatever file its recorded values come
-    in; a fuller recording of it counts in place of a poorer one. A copy with values rounded to
-    fewer digits, or with other times, counts as another drive: keep such copies out. Each trip is
-    on the disk when its line appears, and several processes may add to one map.
+    A drive counts once, also if it comes in another file; a fuller recording replaces a poorer one.
+    A copy with rounded values or other times counts as another drive: leave such copies out. Each
+    trip is stored when its line appears. Several processes may add to one map.
 
-    Exit status 1 if some logs could not be used, or are held under another rail condition than the
-    one given; 2 if none could be used. A log that cannot be used is reported once: the map
-    remembers it by its content, and later updates only count it. One that never recorded the
-    speed of an axle is listed, and no failure.
+    Exit status 1 if some logs could not be used, or are held under another rail condition; 2 if
+    none could be used. A refused log is reported once; later updates only count it. A log without
+    axle speeds is listed and is not a failure.
 
-    With --network trips count on each edge that their route runs over, by the edge's own chainage;
-    trips on an ordinary line on the edge of its name. The folder keeps the network.
+    With --network trips count on each edge of their route, at the chainage of the edge; trips on an
+    ordinary line count on the edge of its name. The folder keeps the network.
 
     Example: trainlog map update results/trips --map results/wil.map
 
     Parameters
     ----------
     map_ : FILE
-        Map file (.map), or a network's folder of maps; made if not there.
+        Map file (.map), or folder of maps of a network; created if missing.
     network : FILE
-        Network file: one map an edge, in the folder that --map names.
+        Network file: one map per edge, in the folder of --map.
     layer : CONDITION
-        Rail condition, such as wet or leaves; default: what each log states.
+        Rail condition, such as wet or leaves; default: that of each log.
     weather : FILE
-        CSV of times, rail conditions, temperature, humidity and rain: the condition of logs that
-        state none, and what is kept with each trip.
+        CSV of times, rail conditions, temperature, humidity and rain: rail condition of logs
+        without one, and data kept for each trip.
     retry
-        Try logs that were refused before again.
+        Try refused logs again.
     """
     from collections import Counter
     from functools import partial
@@ -153,16 +151,13 @@ def map_show(
     model: bool = False,
     days: Count = None,
 ) -> None:
-    """Show what a track-condition map knows, and where it knows nothing.
+    """Show the estimates of a track-condition map, and the length without data.
 
-    Lasting beside expected maximum adhesion at the lowest places, passing spots with the
-    probability that they still lie there, and changes of the lasting condition with their dates;
-    with --model the numbers of the model with their uncertainty. Of a past --at the map is shown
-    as it was known then: made of the evidence of the days before alone. Of a network's folder
-    of maps a row an edge and rail condition, and the network drawn by expected adhesion. Of one
-    place the evidence is shown over time; where more than --days days have evidence nearby, it
-    states for how many of them the estimate was made. The pictures of several layers have their
-    names added.
+    The lowest places with their permanent and expected maximum adhesion, temporary spots with their
+    probability, and changes with their dates; --model adds the parameters of the model. A past --at
+    uses only the evidence of the days before. For the folder of a network: one row per edge and
+    rail condition, and the network coloured by expected adhesion. For one place: the evidence over
+    time. Pictures of several layers get the layer in their names.
 
     Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
 
@@ -171,15 +166,15 @@ def map_show(
     Parameters
     ----------
     condition : MAP
-        Map file (.map), or a network's folder of maps.
+        Map file (.map), or folder of maps of a network.
     km : KM:KM
-        The operator's kilometres that the picture shows, 8:12; or one place, 12.3, of which the
-        evidence over time is shown, and the estimate of each day.
+        Operator's kilometres of the picture, 8:12; or one place, 12.3: its evidence over time, with
+        the estimate of each day.
     model
-        List the numbers of the model as well.
+        Also list the parameters of the model.
     days : N
-        With one place: make the estimate as it was known then for so many days at most, chosen
-        evenly; each takes as long as that of an update. Default: 12.
+        With one place: number of days with an estimate, evenly chosen; each takes as long as an
+        update. Default: 12.
     """
     if km is not None and ":" not in km:
         of_all = {"--at": at, "--zone": zone, "--model": model or None}
@@ -275,10 +270,10 @@ def map_diff(
     least: Annotated[float, NUMBER] = 0.01,
     picture: Picture = None,
 ) -> None:
-    """Show what changed between two dates of a map, or between two maps, with significance.
+    """Show significant changes between two dates of a map, or between two maps.
 
-    What only the second one counts is compared with the first, bin by bin. Exit status 0: nothing
-    changed significantly; 1: something did; 2: the comparison could not be made.
+    The evidence of the second is compared with that of the first, bin by bin. Exit status 0: no
+    significant change; 1: changes; 2: no comparison was possible.
 
     Example: trainlog map diff results/wil.map --from 2026-10-31 --picture diff.png
 
@@ -287,13 +282,13 @@ def map_diff(
     maps : MAPS
         Two map files, or one with --from.
     from_ : TIME
-        Day up to which the first evidence counts.
+        Last day of the first evidence.
     to : TIME
-        Day up to which the second counts; default: all.
+        Last day of the second evidence; default: all.
     rate : SHARE
-        Share of the bins called changed that may be so by chance.
+        False discovery rate: share of the changed bins that may be so by chance.
     least : NUMBER
-        Difference of adhesion whose probability is stated.
+        Difference of adhesion for which the probability is stated.
     """
     if len(maps) > 2:
         raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
@@ -331,12 +326,11 @@ def map_export(
     at: str | None = None,
     zone: str | None = None,
 ) -> None:
-    """Write a track-condition map for other programs, by the suffix of the file.
+    """Write a track-condition map for other programs; the suffix chooses the format.
 
-    GeoJSON and GeoPackage (extra gis) have the bins as lines on the earth, with spots, changes and
-    stations; Parquet and CSV have the bins by chainage; JSON has the sections of one layer as
-    TTOBench lays out a track. What was not observed is empty. Of a past --at the map is written as
-    it was known then: made of the evidence of the days before alone.
+    GeoJSON and GeoPackage (extra gis): bins as lines with coordinates, spots, changes and stations;
+    Parquet and CSV: bins by chainage; JSON: sections of one layer as a TTOBench track. Unobserved
+    values are empty. A past --at uses only the evidence of the days before.
 
     Example: trainlog map export results/wil.map -o results/map.geojson
 
@@ -373,23 +367,23 @@ def map_forecast(
     hours: Annotated[float, HOURS] = 24.0,
     layer: str | None = None,
 ) -> None:
-    """Write what a map expects at a time as a forecast, in the form in which forecasts are scored.
+    """Write the expected adhesion of a map at a time as a forecast (CSV).
 
-    Only evidence of days before --at (UTC) is used. Where the map was not observed the forecast
-    states nothing. Without --at it holds from the day after the last evidence.
+    Only evidence of days before --at (UTC) is used. Unobserved places have no forecast. Default
+    time: the day after the last evidence.
 
     Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
 
     Parameters
     ----------
     condition : MAP
-        Map file (.map), or a network's folder of maps.
+        Map file (.map), or folder of maps of a network.
     output : FILE
-        Forecast (CSV); of a network a folder of them.
+        Forecast (CSV); for a network a folder of forecasts.
     hours : TIME
-        For how long it is said to hold.
+        Validity of the forecast.
     layer : CONDITION
-        Rail condition; default: every one of the map.
+        Rail condition; default: all of the map.
     """
     from analysis.network.maps import forecasts_of_network, network_map
     from analysis.verification.forecasts import first_free, forecast_of
@@ -427,28 +421,27 @@ def map_score(
     weather: Path | None = None,
     picture: Picture = None,
 ) -> None:
-    """Score a map's forecast, or anyone's, on trips that it does not know.
+    """Score a forecast of adhesion, a map's or another's, on trips that it does not contain.
 
-    Log score of measured and of used adhesion with the gain over the prior, over persistence and
-    over the place alone, reliability, Brier score of slip, slips foreseen against false alarms,
-    coverage; bands by a bootstrap over days. Of a network, all edges together, and each. Where the
-    forecast is unknown it is counted as unknown. What each figure means:
-    docs/track-condition-map.md. Exit status 1 if a log could not be used.
+    Log score with the gain over prior, persistence and place alone, reliability, Brier score of
+    slip, slips foreseen and false alarms, coverage; bands by a bootstrap over days. For a network
+    all edges together, and each. Passages without a forecast are counted.
+    docs/track-condition-map.md defines the scores. Exit status 1 if a log could not be used.
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
 
     Parameters
     ----------
     forecast : FORECAST
-        Map file, a network's folder of maps, or a forecast (.csv).
+        Map file, folder of maps of a network, or forecast (.csv).
     logs : LOGS
         Logs (.mcap) of later trips, or folders of logs.
     rolling
-        Forecast each of the map's days from the days before.
+        Forecast each day of the map from the days before.
     layer : CONDITION
-        Rail condition to score; default: what each log states, or all.
+        Rail condition; default: that of each log, or all.
     weather : FILE
-        Weather (CSV): the rail condition of logs that state none.
+        Weather (CSV): rail condition of logs without one.
     """
     from analysis.verification.scoring import by_reason
 
@@ -504,16 +497,16 @@ def _scored(
 
 @map_app.command("remove")
 def map_remove(condition: Path, trips: list[str], /) -> None:
-    """Take trips out of a map, such as those given with a wrong rail condition.
+    """Remove trips from a map, such as those with a wrong rail condition.
 
-    Given again, their logs count again. What was compacted cannot be taken out.
+    If their logs are added again, they count again. Compacted trips cannot be removed.
 
     Example: trainlog map remove results/wil.map trip-07
 
     Parameters
     ----------
     trips : TRIPS
-        Names of the trips to take out.
+        Names of the trips.
     """
     from trainlog.formats.mapfile import MapFile
 
@@ -528,7 +521,7 @@ def map_remove(condition: Path, trips: list[str], /) -> None:
 
 @map_app.command("merge")
 def map_merge(maps: list[Path], /, *, output: Annotated[Path, Written(".map")]) -> None:
-    """Make one map of several; a trip that more than one of them holds is counted once.
+    """Merge maps into one; a trip in several maps counts once.
 
     Example: trainlog map merge monday.map tuesday.map -o both.map
 
@@ -548,17 +541,16 @@ def map_merge(maps: list[Path], /, *, output: Annotated[Path, Written(".map")]) 
 
 @map_app.command("compact")
 def map_compact(condition: Path, /, *, before: str) -> None:
-    """Replace what each older trip has shown by sums of days: the map stays the same.
+    """Sum the evidence of older trips by day; the estimates of the map stay the same.
 
-    Which recordings of these drives count is then decided: a fuller one that comes later does not
-    replace any.
+    A fuller recording that comes later cannot replace a compacted trip.
 
     Example: trainlog map compact results/wil.map --before 2026-01-01
 
     Parameters
     ----------
     before : DAY
-        Day (2026-01-31); of trips before it sums are kept.
+        Day (2026-01-31); earlier trips are summed.
     """
     from datetime import date
 
@@ -567,7 +559,7 @@ def map_compact(condition: Path, /, *, before: str) -> None:
     try:
         day = (date.fromisoformat(before) - date(1970, 1, 1)).days
     except ValueError as error:
-        raise InputError(f"'{before}' is no day", remedy="write it as 2026-01-31") from error
+        raise InputError(f"'{before}' is not a day", remedy="write it as 2026-01-31") from error
     with MapFile(condition) as file:
         number = file.compact(day)
     console.print(f"{counted(number, 'recording')} compacted")

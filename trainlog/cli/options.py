@@ -3,7 +3,7 @@
 Parameters
 ----------
 logs : LOGS
-    Logs (.mcap), or folders of logs; of one without, those below it.
+    Logs (.mcap), or folders of logs; a folder without logs: those in its subfolders.
 line : FILE
     Line file, or 'sample'; default: as set.
 train : FILE
@@ -11,32 +11,32 @@ train : FILE
 catalogue : WHERE
     Folder or URL of the catalogue; default: as set, else the folder catalogue.
 trips : WHERE
-    Only trips that this chooses: "line = 'X' and weather = 'wet'".
+    Only trips that satisfy: "line = 'X' and weather = 'wet'".
 from_ : TIME
     Only from this time on: 2024-05-01T06:00:00Z, 10s (after the start), end-5min.
 to : TIME
     Only up to this time.
 km : KM:KM
-    Only while the train was between these kilometres, the operator's where the line has them:
-    3.2:7.5, 3.2:, :7.5.
+    Only while the train was between these kilometres, the operator's if the line has them: 3.2:7.5,
+    3.2:, :7.5.
 topic : TOPIC
     Only this topic; may be given several times.
 at : TIME
-    Time of the expected condition: 2026-11-22T06:00+01:00; only evidence of days before its day
-    counts (UTC). Default: right after the last day with evidence, with all of it.
+    Time of the expected condition: 2026-11-22T06:00+01:00; only evidence of earlier days counts
+    (UTC). Default: after the last evidence.
 zone : ZONE
-    Zone of a time that states none: Europe/Zurich. Default: UTC.
+    Time zone of times without one: Europe/Zurich. Default: UTC.
 layer : CONDITION
     Only this layer; may be given several times.
 picture : FILE
-    Draw it into this file (.png), too.
+    Also draw a picture into this file (.png).
 risk : SHARE
-    With --map: probability, for each place and trip, that there is less adhesion than is counted
-    on, as the map expects it at the time of the run; such as 0.05.
+    With --map: probability, per place and trip, of less adhesion than assumed at the time of the
+    run, such as 0.05.
 jobs : N
     Processes; default: one per processor.
 seed : N
-    Same seed, same bytes.
+    Seed of random numbers; the same seed gives the same bytes.
 """
 
 from __future__ import annotations

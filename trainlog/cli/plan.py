@@ -48,23 +48,23 @@ SETTINGS: Choices = {
     "objective": (
         ("wheel", "line", "expected"),
         "energy at the wheel rims; or from the line, with efficiencies and regeneration, in the"
-        " worst case or expected over the observed trips; wheel",
+        " worst case or the mean over the observed trips; wheel",
     ),
     "braking": (
         ("recourse", "common"),
-        "by each configuration for itself, or alike for all; recourse",
+        "separate per configuration, or common; recourse",
     ),
     "protect": (
         ("front", "train"),
-        "speed limits hold for the train's front, or its whole length; front",
+        "speed limits apply to the front of the train, or its whole length; front",
     ),
     "initial-speed": (SPEED, "speed at the start; 0"),
     "final-speed": (SPEED, "highest speed at the end; 0"),
     "dwell": (TIME.between(0.0), "with --stops: shortest dwell time; 0"),
     "risk": (
         SHARE,
-        "with --map: probability, per place and trip, of less adhesion than counted on at the"
-        " time of the run, such as 0.05",
+        "with --map: probability, per place and trip, of less adhesion than assumed at the time of"
+        " the run, such as 0.05",
     ),
     "sigmas": (
         NUMBER,
@@ -72,7 +72,7 @@ SETTINGS: Choices = {
     ),
     "assumed-adhesion": (
         NUMBER,
-        "with --map: adhesion where it has no estimate; no limit there",
+        "with --map: adhesion in bins without an estimate; no limit there",
     ),
     "cells": (
         COUNT.between(20.0, 20_000.0),
@@ -80,9 +80,9 @@ SETTINGS: Choices = {
     ),
     "time-limit": (
         TIME.between(0.1),
-        "longest search, per section with --stops; then the best plan so far counts, with its gap",
+        "longest search, per section; then the best plan so far is used, with its gap",
     ),
-    "referee": (("no", "yes"), "solve the plan's cells again by IPOPT, and state its energy; no"),
+    "referee": (("no", "yes"), "also solve the same cells by IPOPT; no"),
 }
 """What ``--set KEY=VALUE`` sets of a plan: how its value is read, and what it is."""
 
@@ -109,11 +109,11 @@ def plan(
 ) -> None:
     """Find the trajectory of least energy that every observed configuration can follow.
 
-    Without a parameter set it is planned for one configuration, the train as its file describes
-    it; such a plan has no band: trips that differ from the file may be late.
+    Without a parameter set the plan is for one configuration, that of the train file, and has no
+    band: other trains may be late.
 
-    The answer carries its certificate: an independent fine rollout of every configuration and a
-    lower bound on the energy. The driver's advice is printed; 'trainlog advice' writes it.
+    The plan has a certificate: an independent fine rollout of every configuration and a lower bound
+    on the energy. The driver's advice is printed; 'trainlog advice' writes it.
 
     Example: trainlog plan fitted.json --line sample --train sample -o trajectory.json
 
@@ -124,32 +124,31 @@ def plan(
     Parameters
     ----------
     output : FILE
-        Trajectory with its picture (.json); a folder of those of several sections; or speed, time,
+        Trajectory with its picture (.json); a folder if there are several sections; or speed, time,
         efforts and energy by kilometre, of all sections (.csv).
     parameters : PARAMETERS
-        Observed parameter set (JSON); default: the train's file alone.
+        Observed parameter set (JSON); default: the train file only.
     running_time : TIME|LOG
-        Timetable's running time, 17:30; or that of the fastest non-stop trip of a log or a folder.
+        Running time, 17:30; or that of the fastest non-stop trip of a log or a folder.
     reserve : PERCENT,...
-        Without --running-time: reserve over the least time, 7%; default: 7%. Of several, 7,3,12,
-        the first is planned, and the energy of all is shown over their times.
+        Reserve over the least time, without --running-time; default: 7%. If several are given,
+        7,3,12, the first is planned, and the energies of all are shown.
     stops : A,B,C|FILE
-        Stations between which it runs and stops, or a journey file with stops and passing points;
-        one trajectory per section.
+        Stations with stops, or a journey file with stops and passing points; one trajectory per
+        section.
     km : KM:KM
-        Only between these kilometres, the operator's where the line has them, else in the direction
-        of travel: 3.2:7.5, 3.2:, :7.5.
+        Only between these kilometres, the operator's if the line has them, else in the direction of
+        travel: 3.2:7.5, 3.2:, :7.5.
     reverse
         Travel against the line's chainage.
     map_ : FILE
-        Track-condition map that limits the efforts, or a network's folder of maps. Default: no
+        Track-condition map that limits the efforts, or folder of maps of a network. Default: no
         limit by adhesion.
     layer : CONDITION
-        With --map: its rail condition, such as dry, wet or leaves; default: wet.
+        With --map: rail condition, such as dry, wet or leaves; default: wet.
     at : TIME
-        With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: where a risk
-        is given right after its last evidence, else what lasts. Only evidence of days before counts
-        (UTC).
+        With --map: time of the run, 2026-11-22T06:00Z; only evidence of earlier days counts (UTC).
+        Default: after the last evidence with a risk, else the permanent condition.
     """
     if output.suffix or stops is None:
         destination(output, ".csv" if output.suffix == ".csv" else ".json")
@@ -359,9 +358,8 @@ def advice(
 ) -> None:
     """Write the driver's advice for a whole journey, or add it to a recorded trip.
 
-    One page to print, and one CSV: stations with arrival and departure in the clock of the
-    timetable; where to drive, to hold which speed, to coast and to brake, by kilometre and by the
-    nearest station.
+    One page to print, and one CSV: stations with arrival and departure times, and instructions to
+    drive, hold a speed, coast and brake, by kilometre and nearest station.
 
     Example: trainlog advice results/trajectory.json --departure 07:12 -o advice.html
 
@@ -370,18 +368,18 @@ def advice(
     Parameters
     ----------
     trajectories : TRAJECTORIES
-        Trajectory file, or those of a journey's sections: files, or their folder.
+        Trajectory file, or those of the sections of a journey: files, or their folder.
     output : FILE
-        The page (.html), beside which the CSV is written; with --onto the log (.mcap).
+        The page (.html), with the CSV beside it; with --onto the log (.mcap).
     departure : DEPARTURE
         Time of day of the first departure, 07:12; default: times since departure.
     line : FILE
-        Line file; default: the line that the trajectory holds.
+        Line file; default: the line in the trajectory.
     dwell : TIME
-        Standing time at stops, of sections planned one by one; default: 0.
+        Dwell between sections planned separately; default: 0.
     onto : FILE
-        Log (.mcap) of a trip over the same section: it is written anew with the advice beside what
-        was driven, so that a replay shows both.
+        Log (.mcap) of a trip over the same section: a copy gets the advice, so that a replay shows
+        both.
     """
     files = sections_in(trajectories)
     if onto is not None:
@@ -430,13 +428,13 @@ def sfera(
     every: Annotated[float, TIME.between(1.0, 600.0)] = 5.0,
     publish: str | None = None,
 ) -> None:
-    """Write advice, rail condition, resistance or reports into a journey of SFERA 4.00.
+    """Write advice, rail condition, resistance or reports for a journey of SFERA 4.00.
 
     Trajectories, planned on the line that 'trainlog import' makes of the journey, become its next
-    version with advised speeds: never above a limit, and with --passed a message for what lies
-    ahead of the train. A forecast (.csv) becomes the next version with low adhesion by stretch and
-    time; a parameter set the next version of the train's characteristics; a trip (.mcap) an archive
-    of its journey and status reports, which 'trainlog ingest' reads.
+    version with advised speeds, never above a limit; with --passed a message for the remaining
+    journey. A forecast (.csv) becomes the next version with low adhesion by section and time; a
+    parameter set the next version of the train characteristics; a trip (.mcap) an archive of its
+    journey and status reports, which 'trainlog ingest' reads.
 
     Example: trainlog sfera trajectory.json --journey in -o advised.xml
 
@@ -447,30 +445,29 @@ def sfera(
     Parameters
     ----------
     sources : SOURCES
-        Trajectory file, those of a journey's sections or their folder; or a forecast (.csv), a
+        Trajectory file, those of the sections of a journey or their folder; or a forecast (.csv), a
         parameter set (.json), a trip (.mcap).
     journey : JOURNEY
-        The journey with its segments and its train: a file of one journey and those beside it, a
-        folder, or a zip archive.
+        Journey with its segments and train: a file with its documents in the same folder, a folder,
+        or a zip archive.
     output : FILE
-        Ends in .xml; of a trip in .zip.
+        File (.xml; for a trip .zip).
     line : FILE
-        Line file of the forecast or the trip, where it is not the journey's: places are the same by
-        the operator's kilometre, or by the names of stations. Default: the line in the log.
+        Line file of the forecast or the trip, if it is not the journey's; positions agree by the
+        operator's kilometre, or by the names of stations. Default: the line in the log.
     layer : CONDITION
-        Rail condition that is expected, of a forecast by conditions.
+        Expected rail condition, for forecasts by condition.
     probability : SHARE
-        With which the rail is worse than the category that is stated of it: a quantile of the
-        forecast.
+        Probability of an adhesion below the stated category: a quantile of the forecast.
     changes_apart : TIME
-        Changes of the advised speed follow each other by no less.
+        Least time between changes of the advised speed.
     passed : DISTANCE
-        How far the train has come on its journey.
+        Distance that the train has covered on its journey.
     every : TIME
-        Between two reports.
+        Time between two reports.
     publish : ADDRESS
-        Of a trip: HOST[:PORT]/TOPIC of an MQTT broker, to which each report is sent, too, as long
-        after the first as in the trip; with the extra mqtt.
+        For a trip: HOST[:PORT]/TOPIC of an MQTT broker, which also gets each report at the rate of
+        the trip; with the extra mqtt.
     """
     from analysis.sfera import SferaOptions, write_sfera
 

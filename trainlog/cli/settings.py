@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 def settings(
     key: str | None = None, value: str | None = None, /, *, unset: bool = False, edit: bool = False
 ) -> None:
-    """Show or set units, time zone and files of your own.
+    """Show or change your units, time zone and default files.
 
-    Without a KEY all settings are listed with what each one sets, and the file in which they stand.
-    Units and zone change what the command line shows; files and --json are in SI units and UTC. The
-    rest of the file stays as it is.
+    Without a KEY all settings and their file are listed. Units and time zone change what the
+    command line shows; files and --json are in SI units and UTC.
 
     Example: trainlog settings
 
@@ -34,9 +33,9 @@ def settings(
     key : KEY
         speed, zone, line, train, results or catalogue; default: show all.
     value : VALUE
-        What it is set to.
+        New value of KEY.
     unset
-        Set KEY back to its default.
+        Reset KEY to its default.
     edit
         Open the file in the editor that VISUAL or EDITOR names, and check it.
     """
@@ -90,9 +89,9 @@ def _edit() -> None:
 
 
 def docs(page: str | None = None, /, *, list_: bool = False, path: bool = False) -> None:
-    """Open the documentation in the browser; it needs no network.
+    """Open the documentation in the browser; needs no network.
 
-    Where there is no display, its place is printed.
+    Without a display the path is printed.
 
     Example: trainlog docs tutorials/engineer
 
@@ -104,7 +103,7 @@ def docs(page: str | None = None, /, *, list_: bool = False, path: bool = False)
     list_
         List all pages.
     path
-        Print where it is; open nothing.
+        Only print the path.
     """
     from trainlog.documentation import REMEDY, documentation
 

@@ -5,12 +5,11 @@ Parameters
 output : FOLDER
     Folder for the logs.
 characteristic : FILE
-    Adhesion over slip: a file of 'trainlog fit adhesion', measured points (CSV),
-    polach-dry or polach-wet; default: the curves of Zhao et al. (2025).
+    Adhesion over slip: a file of 'trainlog fit adhesion', measured points (CSV), polach-dry or
+    polach-wet; default: the curves of Zhao et al. (2025).
 traction : NAME
-    Which controller sets the axle efforts: the plant's own slip protection, cooperative control,
-    best with --map, or re-adhesion control that knows no map. Both take some times as long to
-    simulate.
+    Controller of the axle efforts: the plant's own slip protection, cooperative control (best with
+    --map), or re-adhesion control without a map. The last two take several times as long.
 map_ : FILE
     With --traction cooperative: track-condition map that the train knows.
 """
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
 
 Traction = Literal["own", "cooperative", "readhesion"]
 simulate_app = typer.Typer(
-    add_completion=False, help="Simulate drivers, trips along a trajectory, days, a fleet."
+    add_completion=False, help="Simulate drivers, trips that follow a trajectory, days, a fleet."
 )
 
 
@@ -67,9 +66,9 @@ def drive(
 ) -> None:
     """Simulate trips of drivers and log them.
 
-    Loads, weather, running resistance, drivers and slippery spots vary with the seed; sensors
-    have noise. With [bold]--traction cooperative[/bold] the efforts of all powered axles come from
-    one program that knows the rail ahead from the map (Zhao et al., 2025).
+    Loads, weather, running resistance, drivers and slippery places vary with the seed; sensors have
+    noise. With [bold]--traction cooperative[/bold] one program computes the efforts of all powered
+    axles, with the map of the rail ahead (Zhao et al., 2025).
 
     Example: trainlog simulate drive --line sample --train sample --count 12 -o results/trips
 
@@ -110,21 +109,20 @@ def follow(
     Parameters
     ----------
     trajectory : TRAJECTORY
-        Trajectory file to follow, or the folder of a journey's sections: one trip per section.
+        Trajectory file, or the folder of a journey: one trip per section.
     line : FILE
-        Line file; default: the line that the trajectory holds.
+        Line file; default: the line in the trajectory.
     configurations : NAMES
         'hardest' (most and least resistance, least power), 'all', or names separated by commas.
     weather : NAME
-        The rail's condition.
+        Rail condition.
     late : TIME
         Departure delay.
     map_ : FILE
         Track-condition map that the train knows.
     at : TIME
-        With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: where a risk
-        is given right after its last evidence, else what lasts. Only evidence of days before counts
-        (UTC).
+        With --map: time of the run, 2026-11-22T06:00Z; only evidence of earlier days counts (UTC).
+        Default: after the last evidence with a risk, else the permanent condition.
     """
     from functools import partial
 
@@ -175,11 +173,11 @@ def days(
     traction: Traction = "own",
     map_: Path | None = None,
 ) -> None:
-    """Simulate days on one line, with passing slippery spots and weather.
+    """Simulate days on one line, with temporary slippery spots and weather.
 
-    The rail's weather changes from day to day, slippery spots come and go, and permanent changes
-    are given with [bold]--change[/bold]. The weather is written beside the logs. Trains stalled on
-    a slippery gradient are listed; the exit status is then 1.
+    Weather and slippery spots change from day to day; [bold]--change[/bold] adds permanent changes.
+    The weather is written beside the logs. Trains stalled on a slippery gradient are listed; the
+    exit status is then 1.
 
     Example: trainlog simulate days --line my.line.json --train sample --days 30 -o october
 
@@ -188,12 +186,12 @@ def days(
     days : N
         Number of days.
     trips_per_day : N
-        From 5:00 to 23:00.
+        Trips per day, from 5:00 to 23:00.
     start : TIME
         The first day.
     change : CHANGE
-        A lasting change of the rail, as km=10:14,date=2026-10-15,factor=1.3 (adhesion there, from
-        then on); spots=0.2: of how often passing spots come.
+        Permanent change of the rail: km=10:14,date=2026-10-15,factor=1.3 (factor of the adhesion);
+        spots=0.2: factor of the rate of temporary spots.
     """
     the_line, the_train = line_and_train(line, train)
     changes = [lasting_change(word, the_line) for word in change or []]
@@ -296,9 +294,9 @@ def fleet(
 ) -> None:
     """Simulate a fleet on a network: trains of three kinds on rosters of routes.
 
-    Each train has a running resistance, wheels, brakes and a recorder of its own; all run through
-    the same days of weather. Trips are made in parallel; an interrupted run goes on where it ended.
-    Trains stalled on a slippery gradient are listed; the exit status is then 1.
+    Each train has its own running resistance, wheels, brakes and recorder; all have the same
+    weather. Trips are computed in parallel; an interrupted run continues. Trains stalled on a
+    slippery gradient are listed; the exit status is then 1.
 
     Example: trainlog simulate fleet drawn --trains 20 --days 30 --count 1000 -o results/fleet
 
@@ -312,22 +310,22 @@ def fleet(
     days : N
         Number of days.
     count : N
-        Number of trips in all.
+        Number of trips.
     trips_per_day : N
-        In place of --count: trips of each train.
+        Trips per train and day, in place of --count.
     start : TIME
         The first day.
     fault : FAULT
-        Of a train from a day on, as train=kiss-01,mass=3t,from=2026-10-12; or dragging-brake=2kN,
-        wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s; to=2026-10-20 and share=30% of its
-        trips may follow. May be given several times.
+        Fault of a train: train=kiss-01,mass=3t,from=2026-10-12; or dragging-brake=2kN,
+        wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s; optional: to=2026-10-20, share=30% of
+        the trips. May be given several times.
     """
     if count is not None:
         refuse_rivals("--count gives the trips in all", {"--trips-per-day": trips_per_day})
     drawn, _, lines = network.partition(":")
     if drawn == "drawn":
         if lines and not lines.isdigit():
-            raise InputError(f"'{network}' is no network", remedy="write it as drawn or drawn:4")
+            raise InputError(f"'{network}' is not a network", remedy="write it as drawn or drawn:4")
         the_network = trainlog.draw_network(seed, int(lines or 10))
     else:
         the_network = trainlog.read_network(network)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 study_app = typer.Typer(
     add_completion=False,
-    help="Run a published system beside its paper, or the dynamics inside a train.",
+    help="Reproduce a published system, or compute in-train forces.",
 )
 
 
@@ -34,12 +34,11 @@ def _reported(output: Path) -> Iterator[StudyReport]:
 
 @study_app.command("rls-sliding-mode")
 def rls_sliding_mode(*, output: Path, seed: Seed = 1) -> None:
-    """Learn resistance by recursive least squares under sliding-mode control.
+    """Estimate resistance by recursive least squares under sliding-mode control.
 
-    After Amirhosseini et al. (2024). Runs the paper's three estimators and one that resets in
-    part, with exact and with measured speed, with the slopes shifted within a sample, and with
-    eight coupled wagons. Writes the runs as logs, draws the paper's figures and prints them
-    beside the published ones.
+    Amirhosseini et al. (2024): the paper's three estimators and one with a partial reset, with
+    exact and measured speed, with slopes shifted within a sample, and with eight coupled wagons.
+    Writes logs and the paper's figures, and prints results and published values.
 
     Example: trainlog study rls-sliding-mode -o results/rls-sliding-mode
 
@@ -63,10 +62,10 @@ def consist(
     line: Path | None = None,
     speed: Annotated[float | None, SPEED.above(0.0)] = None,
 ) -> None:
-    """Forces between the vehicles of a train: start, gradients, full and emergency braking.
+    """Compute forces between vehicles: start, gradients, full and emergency braking.
 
-    Prints the largest force of each coupler, the balance of energy and what a single particle
-    would have done under the same demands; writes the run as a log and draws it.
+    Prints the largest force of each coupler, the energy balance and the motion of a single particle
+    under the same demands; writes a log and a picture.
 
     Example: trainlog study consist freight_24_wagons.consist.json -o results/consist
 
@@ -99,12 +98,11 @@ def map_mpc(
 ) -> None:
     """Follow a timetable with a map of the rail, and without one (Hauck et al., 2023).
 
-    Runs the paper's scenarios on a reconstruction of the line Chemnitz-Cranzahl, with a mass drawn
-    from its range and with both ends of it, by the controller of 'trainlog simulate follow' with
-    the map and without one. Then builds the map from the logs of a day without it and drives again.
-    Writes the trips as logs, draws the paper's figures and prints the tables: for each mass as soon
-    as its scenarios are driven, and after each day the days so far. The whole line takes minutes;
-    what was finished before an interruption is kept.
+    Runs the paper's scenarios on a reconstruction of the line Chemnitz-Cranzahl, with a drawn mass
+    and both ends of its range, by the controller of 'trainlog simulate follow' with and without the
+    map. Then builds the map from the logs of a day without it and drives again. Writes logs and the
+    paper's figures, and prints tables after each mass and day. The whole line takes minutes;
+    results before an interruption are kept.
 
     Example: trainlog study map-mpc -o results/map-mpc
 
@@ -113,12 +111,12 @@ def map_mpc(
     output : FOLDER
         Folder for logs and pictures.
     sections : N
-        Only the first sections of the line; default: all.
+        Number of sections from the start of the line; default: all.
     days : N
-        How many days the loop is driven.
+        Number of days.
     as_published
-        The published controller instead of the product's: linearised about the reference, R = 0.01,
-        without a guard; no days.
+        Use the published controller: linearised about the reference, R = 0.01, without a guard; no
+        days.
     """
     from analysis.studies.hauck_2023.run import MapOptions, main
 
@@ -132,10 +130,10 @@ def robust_minimax(
 ) -> None:
     """Optimise for several configurations at once (Cunillera et al., 2022).
 
-    States the paper's minimax problem as printed (common traction, common braking, speeds above 0)
-    and with a brake for each configuration, on level track and on a downhill; integrates its
-    equations, finds its five phases by the switching function, and states what robustness costs
-    and saves. Writes every answer as a trajectory and draws it.
+    Solves the paper's minimax problem as printed (common traction, common braking, speeds above 0)
+    and with separate braking per configuration, on level track and on a downhill; integrates its
+    equations, finds its five phases by the switching function, and states the cost of robustness.
+    Writes trajectories and pictures.
 
     Example: trainlog study robust-minimax -o results/robust-minimax
 
@@ -156,10 +154,9 @@ def robust_minimax(
 def cooperative_adhesion(*, output: Path, seed: Seed = 1) -> None:
     """Share torque among four motors while the rail under them changes (Zhao et al., 2025).
 
-    Runs the paper's four cases with its parameters, stepped as in the paper and integrated
-    properly, and with those of a locomotive of 85 t; then the same without cooperation, and
-    without knowing the rail. Writes the runs as logs, draws the paper's figures and prints them
-    beside the published ones.
+    Runs the paper's four cases with its parameters, with the paper's integration and an accurate
+    one, and with those of a locomotive of 85 t; then without cooperation, and with unknown rail.
+    Writes logs and the paper's figures, and prints results and published values.
 
     Example: trainlog study cooperative-adhesion -o results/cooperative-adhesion
 

@@ -539,7 +539,7 @@ def _reader_of_times(table: HeadedTable, name: str) -> Callable[[str], int]:
         zone = None if stated is None else ZoneInfo(stated)
     except (ZoneInfoNotFoundError, ValueError, OSError):
         table.refuse(
-            f"'{stated}' is no time zone", "name it as in 'time [UTC]' or 'time [Europe/Zurich]'"
+            f"'{stated}' is not a time zone", "name it as in 'time [UTC]' or 'time [Europe/Zurich]'"
         )
 
     def read(cell: str) -> int:
@@ -547,7 +547,7 @@ def _reader_of_times(table: HeadedTable, name: str) -> Callable[[str], int]:
             time = datetime.fromisoformat(cell)
         except ValueError:
             raise InputError(
-                f"'{cell}' is no time", remedy="write it as 2026-10-24T06:00:00Z"
+                f"'{cell}' is not a time", remedy="write it as 2026-10-24T06:00:00Z"
             ) from None
         if time.tzinfo is None:
             if zone is None:

@@ -291,7 +291,7 @@ def import_formation(
 
 
 _ONLY = {
-    "loaded": ("is no formation of railtoolkit", "leave the load out; add it to a plan"),
+    "loaded": ("is not a formation of railtoolkit", "leave the load out; add it to a plan"),
     "electrification": (
         "has no efforts by electrification",
         "leave the electrification out; it is for rolling stock of OSRD",
@@ -300,7 +300,7 @@ _ONLY = {
         "has no speed limits by category of train",
         "leave the category out; it is for infrastructure of OSRD and railML, and for SFERA",
     ),
-    "line": ("is no journey of SFERA", "leave the line out"),
+    "line": ("is not a journey of SFERA", "leave the line out"),
 }
 """Options that fit some files alone: what the others are, and the remedy."""
 

@@ -419,7 +419,9 @@ def _tracks(infra: _Infrastructure, graph: TrackGraph) -> dict[str, TrackData]:
         tracks[section.id] = track
     known = np.array(scales)
     drawn = int(np.sum(np.isnan(known) | (known > FARTHEST) | (known < 1.0 / FARTHEST)))
-    account.left_out["courses of track sections that are no coordinates of their lengths"] += drawn
+    account.left_out["courses of track sections with a course that does not fit their length"] += (
+        drawn
+    )
     scaled = known[(np.abs(known - 1.0) > 0.01) & (known <= FARTHEST) & (known >= 1.0 / FARTHEST)]
     if scaled.size:
         account.assumed[

@@ -198,7 +198,7 @@ def parsed_xml(data: bytes, path: str | Path) -> Element:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         raise InputError(
-            f"is no XML: {expat.ErrorString(error.code)}",
+            f"is not XML: {expat.ErrorString(error.code)}",
             file=path,
             place=f"line {error.lineno}, column {error.offset + 1}",
             remedy="export it again; it may have been cut off",
@@ -239,7 +239,7 @@ def read_railml(path: str | Path, limits: LimitChoice) -> Infrastructure:
     version = _version_of(root)
     if version is None:
         raise InputError(
-            f"is no railML 2 or 3: its root is '{root.tag}'"
+            f"is not railML 2 or 3: its root is '{root.tag}'"
             + (f" of version {root.text('version')}" if root.text("version") else ""),
             file=path,
             remedy="export infrastructure as railML 2.2 to 2.5, or 3.1 to 3.3",
@@ -545,7 +545,7 @@ class _Railml2(_Railml):
                     latitude, longitude = float(words[0]), float(words[1])
                 except ValueError:
                     raise coordinate.error(
-                        f"coord '{coordinate.text('coord')}' is no latitude and longitude",
+                        f"coord '{coordinate.text('coord')}' is not a latitude and longitude",
                         "give two numbers in degrees",
                     ) from None
                 yield at, latitude, longitude
@@ -957,7 +957,7 @@ class _Railml3(_Railml):
         counts = self.graph.account.left_out
         for each in self.infra.all("functionalInfrastructure", "overCrossings", "overCrossing"):
             if each.text("constructionType") != "tunnel":
-                counts["overCrossings that are no tunnels"] += 1
+                counts["overCrossings that are not tunnels"] += 1
                 continue
             resistance = each.first("tunnelResistance")
             section = 0.0 if resistance is None else resistance.number("crossSection", 0.0)

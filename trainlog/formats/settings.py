@@ -164,11 +164,11 @@ def _problems(key: str, value: object) -> Iterator[tuple[str, str]]:
     """What is wrong with a setting, and the remedy."""
     if key not in MEANINGS:
         meant = "".join(f"did you mean '{each}'? " for each in similar(key, MEANINGS, most=1))
-        yield f"'{key}' is no setting", f"{meant}known: {', '.join(MEANINGS)}"
+        yield f"'{key}' is not a setting", f"{meant}known: {', '.join(MEANINGS)}"
     elif not isinstance(value, str):
         yield f"{key} must be text, not {value}", f'write it as {key} = "{value}"'
     elif key == "speed" and value not in SPEED_UNITS:
-        yield f"speed '{value}' is no unit that is shown", f"choose of {', '.join(SPEED_UNITS)}"
+        yield f"speed '{value}' is not a unit of speed", f"choose of {', '.join(SPEED_UNITS)}"
     elif key == "zone":
         try:
             ZoneInfo(value)

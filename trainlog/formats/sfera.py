@@ -250,7 +250,7 @@ def documents_in(path: Path) -> Iterator[tuple[str, bytes]]:
                         yield f"{path}/{each.filename}", archive.read(each)
         except (BadZipFile, OSError, NotImplementedError) as error:
             raise InputError(
-                f"is no archive that can be read: {error}", file=path, remedy="pack it again"
+                f"is not a readable archive: {error}", file=path, remedy="pack it again"
             ) from error
         return
     files = sorted((path if path.is_dir() else path.parent).glob("*.xml"))
@@ -320,7 +320,7 @@ class Documents:
                     found.damaged += 1
             elif named:
                 raise InputError(
-                    "is no document of SFERA (XML)",
+                    "is not a document of SFERA (XML)",
                     file=path,
                     remedy="give a journey (JourneyProfile), a folder or zip archive with one",
                 )
@@ -504,7 +504,7 @@ def _time(element: Element | None, name: str) -> float:
         found = datetime.datetime.fromisoformat(text)
     except ValueError:
         raise element.error(
-            f"{name} '{text}' is no time", "write it as 2026-05-17T06:30:00Z"
+            f"{name} '{text}' is not a time", "write it as 2026-05-17T06:30:00Z"
         ) from None
     return (found if found.tzinfo else found.replace(tzinfo=datetime.UTC)).timestamp()
 
@@ -519,7 +519,7 @@ def _duration(element: Element, name: str) -> float:
     with suppress(ValueError):
         if text.startswith("PT"):
             return float(pd.Timedelta(text).total_seconds())
-    raise element.error(f"{name} '{text}' is no duration", "write it as PT1M30S")
+    raise element.error(f"{name} '{text}' is not a duration", "write it as PT1M30S")
 
 
 def _running(journey: Element) -> tuple[float, float]:

@@ -652,7 +652,7 @@ def trip_index(folder: str | Path) -> TripIndex:
     path = Path(folder)
     if path.is_dir() and not (path / INDEX_FILE).exists():
         raise InputError(
-            f"is no trip in Parquet: it has no {INDEX_FILE}",
+            f"is not a trip in Parquet: it has no {INDEX_FILE}",
             file=folder,
             remedy="tables of other programs are brought in with 'trainlog ingest' and a profile",
         )
@@ -822,7 +822,7 @@ def called(path: Path, call: Callable[[], Any]) -> Any:
         finally:
             sys.unraisablehook = hook
     raise InputError(
-        f"is no measurement file that can be read ({problem})",
+        f"is not a readable measurement file ({problem})",
         file=path,
         remedy="copy or convert it again; was the recorder stopped while writing?",
     )

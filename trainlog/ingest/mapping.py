@@ -217,7 +217,7 @@ def _refuse_garbled(
     remedies = ['decimal = ","'] if one_comma else []
     remedies += [f'thousands = "{marks[0]}"'] if marks and marks[0] != decimal else []
     raise InputError(
-        f"{count} cells are no numbers, the first is {_short(cell)!r}",
+        f"{count} cells are not numbers, the first is {_short(cell)!r}",
         file=file,
         place=f"row {cells.rows[at]}, column {source}",
         remedy=(

@@ -283,7 +283,8 @@ def _with_unit(
             factor(unit or "1", item.unit)
         except InputError as error:
             raise InputError(
-                f"channel '{signal.name}' has the unit '{stated}', which is no {item.unit}",
+                f"channel '{signal.name}' has the unit '{stated}',"
+                f" which does not convert to {item.unit}",
                 file=path,
                 place=f"field {name}",
                 remedy="give its unit in the profile",

@@ -506,7 +506,7 @@ def _check_stated_load(stated: str, train: Train | None) -> None:
     except ValueError:
         load = np.nan
     if not np.isfinite(load):
-        raise InputError(f"load '{stated}' is no load", remedy="give it in kg, 0 or more")
+        raise InputError(f"load '{stated}' is not a valid load", remedy="give it in kg, 0 or more")
     check_load(load, train)
 
 

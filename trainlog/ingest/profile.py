@@ -483,7 +483,7 @@ class Detection(Strict):
         try:
             re.compile(self.line or "")
         except re.error as error:
-            yield f"line is no regular expression: {error}"
+            yield f"line is not a regular expression: {error}"
 
 
 class FileOptions(Strict):
@@ -603,7 +603,7 @@ class TimeOptions(Strict):
             yield "format 'elapsed' and start = ... go together"
         if patterned and "%" not in form:
             yield (
-                f"format '{form}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
+                f"format '{form}' is not one of 'iso', 'epoch', 'elapsed', 'parts' and no"
                 " pattern such as '%d.%m.%Y %H:%M:%S'"
             )
         if self.date is not None and not (patterned and "%d" not in form):

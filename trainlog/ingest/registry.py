@@ -146,7 +146,9 @@ def own_profile(path: Path) -> Path | None:
         return None
     if not Path(folder).is_dir():
         raise InputError(
-            "is no folder", file=folder, remedy=f"set {FOLDER} to a folder of profiles, or unset it"
+            "is not a folder",
+            file=folder,
+            remedy=f"set {FOLDER} to a folder of profiles, or unset it",
         )
     head = head_of(path)
     candidates = sorted(Path(folder).glob("*.toml"))

@@ -159,7 +159,7 @@ class Datagrams(Source):
         host, _, port = address.rpartition(":")
         if not port.isdigit() or int(port) > 65_535:
             raise InputError(
-                f"'{address}' is no address", remedy="write PORT or HOST:PORT, such as 5005"
+                f"'{address}' is not an address", remedy="write PORT or HOST:PORT, such as 5005"
             )
         host = host.strip("[]") or HOST
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -227,7 +227,7 @@ class BrokerSession:
         self.topic, host = unquote(parts.path.lstrip("/")), parts.hostname
         if parts.scheme not in ("mqtt", "mqtts") or not self.topic or not host:
             raise InputError(
-                f"'{address}' is no topic of a broker",
+                f"'{address}' is not a topic of a broker",
                 remedy="write HOST[:PORT]/TOPIC, such as localhost/trains/17",
             )
         secure = parts.scheme == "mqtts"
@@ -287,7 +287,7 @@ class Publication(BrokerSession):
         super().__init__(address, "publish")
         if any(each in self.topic for each in "+#"):
             raise InputError(
-                f"'{self.topic}' is no topic that can be published to: it has a wildcard",
+                f"'{self.topic}' is not a topic for publishing: it has a wildcard",
                 remedy="name one topic, without + and #",
             )
         self._given, self._taken = 0, 0

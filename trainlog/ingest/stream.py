@@ -480,7 +480,7 @@ def time_of(value: Any) -> int:
         # A number of seconds since 1970 is known to the microsecond.
         found = pd.Timestamp(int(whole) * unit + int(round(rest * unit, -3)), tz="UTC")
     if found is pd.NaT or found.year < 1980:
-        raise ValueError(f"time {value!r} is no time; write ISO 8601, or a number since 1970")
+        raise ValueError(f"time {value!r} is not a time; write ISO 8601, or a number since 1970")
     return int(found.as_unit("ns").value)
 
 

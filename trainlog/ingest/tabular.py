@@ -560,7 +560,7 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
         table = pa.parquet.read_table(data, columns=wanted)
     except (pa.ArrowException, OSError) as error:
         raise InputError(
-            f"is no Parquet table that can be read: {_first_line(error)}",
+            f"is not a readable Parquet table: {_first_line(error)}",
             file=path,
             remedy="copy the file again; was the recorder stopped while writing?",
         ) from error

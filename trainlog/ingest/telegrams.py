@@ -158,7 +158,7 @@ def _captured(
     packets, damage = _packets(data, path)
     for number, (time, payload, port) in enumerate(packets, start=1):
         if payload is None:
-            not_used["packets that are no UDP datagram"] += 1
+            not_used["packets that are not UDP datagrams"] += 1
         elif options.port is not None and port != options.port:
             not_used[f"datagrams to port {port}"] += 1
         elif len(payload) != options.length:

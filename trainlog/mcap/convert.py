@@ -357,7 +357,7 @@ def _check(paths: list[Path], target: Path, prefer: str | Path | None) -> None:
         if target.exists() and path.exists() and target.samefile(path):
             raise InputError("would be overwritten", file=path, remedy="choose another name")
     if prefer is not None and Path(prefer) not in paths:
-        raise InputError(f"'{prefer}' is none of the logs", remedy="prefer one of those named")
+        raise InputError(f"'{prefer}' is not one of the logs", remedy="prefer one of those named")
 
 
 def _check_ours(description: LogDescription) -> None:

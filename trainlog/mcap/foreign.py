@@ -558,9 +558,9 @@ def _protobuf(schema: Schema) -> Decode:
     try:
         parse = DecoderFactory().decoder_for("protobuf", schema)
     except (McapError, DecodeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise UndecodableError(f"schema {shown(schema.name)} is no descriptor of it") from error
+        raise UndecodableError(f"schema {shown(schema.name)} is not its descriptor") from error
     if parse is None:
-        raise UndecodableError(f"schema {shown(schema.name)} is no descriptor of it")
+        raise UndecodableError(f"schema {shown(schema.name)} is not its descriptor")
     known: dict[str, list[tuple[str, bool, _Plain]]] = {}
 
     def read(message: Any) -> Message:
@@ -581,7 +581,7 @@ def _protobuf(schema: Schema) -> Decode:
         try:
             message = parse(data)
         except (DecodeError, RecursionError):
-            raise BrokenMessage(f"it is no {schema.name[:60]}") from None
+            raise BrokenMessage(f"it is not a {schema.name[:60]}") from None
         found = read(message)
         if len(UnknownFieldSet(message)):
             found["(unknown)"] = Unexpanded(_UNDECLARED)
@@ -676,7 +676,7 @@ def ros_decoder(name: str, data: bytes, dialect: Dialect) -> Decode:
         read = _ros_reader(root, store.fielddefs, {})
         store.get_msgdef(root)
     except (TypesysError, SerdeError, SyntaxError, TypeError) as error:
-        raise UndecodableError("the schema is no definition of ROS messages") from error
+        raise UndecodableError("the schema is not a definition of ROS messages") from error
 
     def decode(data: bytes) -> Message:
         if objects * len(data) > _MOST_OBJECTS:
@@ -684,7 +684,7 @@ def ros_decoder(name: str, data: bytes, dialect: Dialect) -> Decode:
         try:
             return read(parse(data, root))
         except (SerdeError, IndexError, OverflowError):
-            raise BrokenMessage(f"it is no {name[:60]}") from None
+            raise BrokenMessage(f"it is not a {name[:60]}") from None
 
     return decode
 
@@ -709,7 +709,7 @@ def _definitions(name: str, data: bytes, dialect: Dialect) -> str:
     texts, count = [], 0
     for message, body in sections:
         if not _NAME.fullmatch(message):
-            raise UndecodableError(f"{message[:40]!r} is no name of a message")
+            raise UndecodableError(f"{message[:40]!r} is not the name of a message")
         fields = _fields(message, body, known, dialect)
         count += len(fields)
         if count > _MOST_VALUES:
@@ -725,7 +725,7 @@ def _fields(message: str, body: str, known: set[str], dialect: Dialect) -> list[
         declaration = line.partition("#")[0].strip()
         match = _FIELD.fullmatch(declaration)
         if declaration and match is None:
-            raise UndecodableError(f"{declaration[:40]!r} in {message[:60]} is no field")
+            raise UndecodableError(f"{declaration[:40]!r} in {message[:60]} is not a field")
         if match is None or match["rest"].lstrip().startswith("="):
             continue  # a comment, or a constant
         kind, size = _ALIASES[dialect].get(match["type"], match["type"]), match["size"] or ""

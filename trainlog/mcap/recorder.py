@@ -773,6 +773,6 @@ def nanoseconds(topic: str, time: Any) -> IntArray:
 
 def _no_time(topic: str, time: Any) -> LogError:
     return LogError(
-        f"{str(time)[:60]} of {topic} is no time, or one before 1970",
+        f"{str(time)[:60]} of {topic} is not a time, or one before 1970",
         remedy="give nanoseconds since 1970 (UTC) as whole numbers, or time stamps",
     )

@@ -1191,7 +1191,7 @@ class Line(Declared):
         """
         if not -TINY <= start < end <= self.length + TINY:
             raise InputError(
-                f"line '{self.name}': km {start / 1e3:.3f} to {end / 1e3:.3f} is no stretch of it",
+                f"line '{self.name}': km {start / 1e3:.3f} to {end / 1e3:.3f} is not a part of it",
                 remedy=f"it is {self.length / 1e3:.3f} km long",
             )
 

@@ -278,14 +278,14 @@ class Network(Declared):
                 name = getattr(edge, end)
                 if name not in known:
                     yield InputError(
-                        f"{where}: edge '{edge.name}' has the {end} '{name}', which is no node",
+                        f"{where}: edge '{edge.name}' has the {end} '{name}', which is not a node",
                         remedy=_nearest(name, known, "name one of the nodes"),
                     )
             if edge.line.legs:
                 yield InputError(
                     f"{where}: edge '{edge.name}' is a route over"
                     f" {counted(len(edge.line.legs), 'edge')} itself",
-                    remedy="give a line that is no route",
+                    remedy="give a line that is not a route",
                 )
             ends = (edge.line.stations[:1], edge.line.stations[-1:])
             named = [each[0].name if each else "" for each in ends]
@@ -306,7 +306,7 @@ class Network(Declared):
         for node, pairs in self.turns.items():
             if node not in known:
                 yield InputError(
-                    f"{where}: turns are given at '{node}', which is no node",
+                    f"{where}: turns are given at '{node}', which is not a node",
                     remedy=_nearest(node, known, "name one of the nodes"),
                 )
                 continue

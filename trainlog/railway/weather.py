@@ -71,7 +71,7 @@ def stated_condition(metadata: Mapping[str, str], edge: str = "") -> str:
         stated = None
     if not isinstance(stated, dict) or not all(isinstance(each, str) for each in stated.values()):
         raise InputError(
-            f"metadata {WEATHER_BY_EDGE} is no JSON object of rail conditions",
+            f"metadata {WEATHER_BY_EDGE} is not a JSON object of rail conditions",
             remedy='write it as {"A-B": "wet", "B-C": "dry"}',
         )
     return str(stated.get(edge, whole))

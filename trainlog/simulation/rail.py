@@ -472,7 +472,7 @@ def midnight(date: int | str | pd.Timestamp) -> int:
     try:
         stamp = utc(date)
     except InputError:
-        raise InputError(f"'{date}' is no date", remedy="give it as 2026-10-01") from None
+        raise InputError(f"'{date}' is not a date", remedy="give it as 2026-10-01") from None
     return int(stamp.normalize().as_unit("ns").value)
 
 

@@ -189,7 +189,7 @@ class Fault:
                 times[key] = int(utc(given[key]).value)
             except InputError:
                 raise InputError(
-                    f"fault '{words}': '{given[key]}' is no date", remedy=remedy
+                    f"fault '{words}': '{given[key]}' is not a date", remedy=remedy
                 ) from None
         size = MEASURES[kind].read(given[faults[0]], f"fault '{words}': {faults[0]}")
         share = SHARE.read(given.get("share", "100%"), f"fault '{words}': share")

@@ -234,7 +234,7 @@ def refuse_no_motion(work: Work) -> None:
     if not {POSITION, SPEED, GNSS_SPEED, LATITUDE} & set(work.proposed):
         shown = "; ".join(f"{name}: {why}" for name, why in list(work.left.items())[:8])
         raise InputError(
-            "is no recording of a trip: no column is a speed, a distance or a satellite position"
+            "is not a recording of a trip: no column is a speed, a distance or a satellite position"
             + (f" ({shown})" if shown else ""),
             file=work.layout.path,
             remedy="if a column is one of them, write a profile, see docs/ingest.md",
@@ -244,7 +244,7 @@ def refuse_no_motion(work: Work) -> None:
 def _refuse_no_recording(layout: Layout, seconds: FloatArray) -> None:
     if seconds.size < ENOUGH:
         raise InputError(
-            f"is no recording of a trip: {seconds.size} rows have a time, it takes {ENOUGH}",
+            f"is not a recording of a trip: {seconds.size} rows have a time, it takes {ENOUGH}",
             file=layout.path,
             remedy="give the recorder's file, not a summary of it",
         )
@@ -252,8 +252,8 @@ def _refuse_no_recording(layout: Layout, seconds: FloatArray) -> None:
     usual = float(np.median(step[step > 0])) if np.any(step > 0) else np.inf
     if usual > SLOWEST_STEP:
         raise InputError(
-            f"is no recording of a trip: its rows lie {usual:.0f} s apart, as those of a timetable"
-            " or of a summary",
+            f"is not a recording of a trip: its rows lie {usual:.0f} s apart, as in a timetable"
+            " or a summary",
             file=layout.path,
             remedy=f"trips need a row every {SLOWEST_STEP:.0f} s or more often",
         )
@@ -273,7 +273,7 @@ def _content(layout: Layout, name: str) -> tuple[FloatArray | None, str]:
         return layout.number(name), ""
     texts = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
     if texts and pc.any(pc.match_substring_regex(column, r"^-?\d{1,3}[ ',.]\d{3}\b")).as_py():
-        why = f"{1.0 - share:.0%} of its cells are no numbers: marks between thousands?"
+        why = f"{1.0 - share:.0%} of its cells are not numbers: marks between thousands?"
         return None, f"{why} Then state thousands under [file]"
     return None, "holds words" if texts else "holds no numbers"
 
@@ -360,7 +360,7 @@ def _possible_fixes(work: Work, speed: FloatArray | None) -> list[Position]:
     why = "latitude without longitude, or the other way round"
     places: list[Position] = []
     if len(names) == 2:
-        why = "is no latitude or longitude in any scale"
+        why = "is not a latitude or longitude in any scale"
         pair = [work.numbers[name] for name in names]
         # A receiver without a fix gives zero for both.
         absent = (pair[0] == 0.0) & (pair[1] == 0.0)
@@ -375,7 +375,7 @@ def _place_fixes(work: Work, place: Position, close: list[Position], answer: Ans
     fastest = place.fixes.speed
     if fastest > FASTEST:
         raise InputError(
-            f"is no recording of one trip: its positions move at {fastest:.0f} m/s",
+            f"is not a recording of one trip: its positions move at {fastest:.0f} m/s",
             file=work.layout.path,
             remedy="does it hold several devices or rides? Give a file of one",
         )
@@ -787,7 +787,7 @@ def _place_plain(work: Work, target: str, names: tuple[str, ...]) -> str:
     try:
         factor(unit, item.unit or "1")
     except InputError:
-        return f"'{unit}' is no unit of {target}"
+        return f"'{unit}' is not a unit of {target}"
     low, high = recorded.plausible or (item.bounds.low, item.bounds.high)
     column = Column(column=names[0], unit=unit, scale=scale, sign=sign)
     values = in_si(target, column, known)

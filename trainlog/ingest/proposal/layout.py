@@ -161,7 +161,7 @@ def _parquet_layout(path: Path, data: bytes) -> Layout:
         table = pa.parquet.read_table(pa.BufferReader(data))
     except (pa.ArrowException, OSError) as error:
         raise InputError(
-            f"is no Parquet table that can be read: {str(error).splitlines()[0][:120]}",
+            f"is not a readable Parquet table: {str(error).splitlines()[0][:120]}",
             file=path,
             remedy="copy the file again; was the recorder stopped while writing?",
         ) from error
@@ -303,7 +303,7 @@ def _separators(path: Path, sample: list[str]) -> tuple[str, str, int, str]:
                 found = delimiter, decimal, width, why
     if found is None:
         raise InputError(
-            "is no table: no delimiter leaves rows of equal length with numbers in them",
+            "is not a table: no delimiter leaves rows of equal length with numbers in them",
             file=path,
             remedy="expected text with ';', ',', '|' or tabulators between the cells",
         )

@@ -122,7 +122,7 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
     noted = f" ({'; '.join(tried)})" if tried else ""
     kind = InputError if tried or named else NoRecordingError
     raise kind(
-        f"is no recording of a trip: no column is a time that goes forward{noted}",
+        f"is not a recording of a trip: no column is a time that goes forward{noted}",
         file=layout.path,
         remedy=f"columns: {shown}; if one of them is the time, write a profile, see docs/ingest.md",
     )
