@@ -44,12 +44,12 @@ from scipy.stats import f as f_distribution
 from analysis.comparison.compare import sections_between, with_units
 from analysis.comparison.driven import DrivenTrip, driven_trip
 from analysis.comparison.energy import (
+    FIT,
     RECORDED_WIND,
+    STEP,
     TRIP_SPREAD,
     ForceModel,
-    resistance_of,
     smooth_speed,
-    trip_spread,
 )
 from analysis.resistance.curve import HEAD_WIND
 from analysis.resistance.fit import TripFit, fit_trip
@@ -81,9 +81,6 @@ from trainlog.railway.resistance import TERMS, basis
 from trainlog.spans import runs_of
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, JOULES_PER_KWH, NANOSECONDS
-
-FIT = "fit"
-"""Name of a model that was fitted; else it is that of a train's file."""
 
 SURE = 0.999
 """Probability with which a difference of the curve must not be chance."""
@@ -279,9 +276,6 @@ def _coefficient(
     return Wrong(TERMS[best], float(factor), std, tuple(others))
 
 
-STEP = 20.0
-"""Length of the cells [m]."""
-
 SLOWEST = 5.0
 """Below this speed [m/s] the recorded one is taken: what a brake does there is not known."""
 
@@ -398,7 +392,8 @@ def inputs_of(view: TripView, model: ParameterSet | Train, wind_std: float | Non
     driven = replace(driven, speed=driven.speed / factor, sums=sums, signals=_signals(bare, driven))
     windy = "head_wind" in driven.signals
     wind_std = (RECORDED_WIND if windy else HEAD_WIND) if wind_std is None else wind_std
-    forces = _forces(driven, train, model, wind_std)
+    fitted = model if isinstance(model, ParameterSet) else None
+    forces = ForceModel.of(train, driven.line, fitted, wind_std)
     return Inputs(
         bare,
         driven,
@@ -417,17 +412,6 @@ def _signals(trip: Trip, driven: DrivenTrip) -> dict[str, FloatArray]:
     stamps = driven.departure + np.rint(driven.time * NANOSECONDS).astype(np.int64)
     wind = recorded_head_wind(trip, pd.DatetimeIndex(stamps, tz="UTC"))
     return signals if wind is None else signals | {"head_wind": wind}
-
-
-def _forces(
-    trip: DrivenTrip, train: Train, model: ParameterSet | Train, wind_std: float
-) -> ForceModel:
-    if isinstance(model, ParameterSet):
-        model.check_train(train.name)
-        common, covariance = resistance_of(model, wind_std)
-        return ForceModel(FIT, train, trip.line, common, covariance)
-    own = model.resistance
-    return ForceModel("train's file", model, trip.line, own, trip_spread(own, wind_std))
 
 
 def _mass(trip: Trip, train: Train, model: ParameterSet | Train) -> Quantity:
@@ -915,11 +899,6 @@ class Calculation(Presented):
         rows["model"] = self.words
         return rows
 
-    def same_drive(self, other: Calculation) -> bool:
-        """Whether two are of the same recording."""
-        pairs = (self.position, other.position), (self.speed, other.speed)
-        return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-
     @property
     def words(self) -> str:
         """What the trip contradicts of the model, in a sentence."""
@@ -1082,9 +1061,9 @@ def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:
 
 
 def distinct(found: Sequence[Calculation]) -> list[Calculation]:
-    """One calculation of each drive: recorded speeds of two are never alike throughout."""
+    """One calculation of each drive."""
     kept: list[Calculation] = []
     for each in found:
-        if not any(each.same_drive(other) for other in kept):
+        if not any(each.inputs.driven.same_drive(other.inputs.driven) for other in kept):
             kept.append(each)
     return kept

@@ -1158,7 +1158,7 @@ def compare(
             else "there is no trip to compare",
             remedy="give logs with speed and chainage on one line",
         )
-    line = _own(driven[0]) if line is None else line
+    line = driven[0].line.travelled(driven[0].direction) if line is None else line
     of_line = [each for each in driven if each.line.name == line.name]
     left_out += [
         f"trip '{each.name}' ran on line '{each.line.name}', not on '{line.name}'"
@@ -1181,8 +1181,8 @@ def compare(
         chosen = stated if stated is not None and stated.direction == direction else _fastest(same)
         if stated is not None and not stated.planned and stated.direction == direction:
             # A reference that is not among the trips is shown beside them.
-            same = same if any(_same(each, stated) for each in same) else [stated, *same]
-            chosen = next((each for each in same if _same(each, stated)), stated)
+            same = same if any(each.same_drive(stated) for each in same) else [stated, *same]
+            chosen = next((each for each in same if each.same_drive(stated)), stated)
         if both and same == [chosen]:
             alone.append(
                 f"trip '{chosen.name}' is the only one that ran {direction}: there is nothing to"
@@ -1207,7 +1207,7 @@ def _driven(
     for given in each_given(trips):
         try:
             trip = driven_trip(given, line)
-            again = next((each for each in found if _same(each, trip)), None)
+            again = next((each for each in found if each.same_drive(trip)), None)
             if again is None:
                 found.append(trip)
             else:
@@ -1217,18 +1217,14 @@ def _driven(
         except TrainlogError as error:
             where = f"{given}: " if isinstance(given, Path) and error.file is None else ""
             left_out.append(where + str(error))
-    names = [each.name for each in found]
-    return [_renamed(each, names[:number]) for number, each in enumerate(found)], left_out
-
-
-def _renamed(trip: DrivenTrip, before: Sequence[str]) -> DrivenTrip:
-    """The trip, with a number behind a name that came before."""
-    count = before.count(trip.name)
-    return trip if count == 0 else replace(trip, name=f"{trip.name} ({count + 1})")
-
-
-def _own(trip: DrivenTrip) -> Line:
-    return trip.line.travelled(trip.direction)
+    counts = [
+        [other.name for other in found[:row]].count(each.name) for row, each in enumerate(found)
+    ]
+    named = [
+        replace(each, name=f"{each.name} ({count + 1})") if count else each
+        for each, count in zip(found, counts, strict=True)
+    ]
+    return named, left_out
 
 
 def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
@@ -1261,16 +1257,6 @@ def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> Driven
     return replace(driven_trip(obeyed_trip(plan, line, train), line), name=TO_THE_LETTER)
 
 
-def _same(trip: DrivenTrip, other: DrivenTrip) -> bool:
-    """Whether two are of the same recording."""
-    return (
-        (trip.direction, trip.departure) == (other.direction, other.departure)
-        and np.array_equal(trip.time, other.time)
-        and np.array_equal(trip.position, other.position)
-        and np.array_equal(trip.speed, other.speed)
-    )
-
-
 def _fastest(trips: Sequence[DrivenTrip]) -> DrivenTrip:
     lengths = [each.covered[1] - each.covered[0] for each in trips]
     whole = [
@@ -1296,7 +1282,9 @@ def _direction(
     low = min(each.covered[0] for each in every)
     high = max(each.covered[1] for each in every)
     sections = sections_between(line, low, high)
-    forces = ForceModel.of(reference, model)
+    forces = None
+    if reference.train is not None:
+        forces = ForceModel.of(reference.train, reference.line, model)
     compared = [
         _compared(trip, reference, sections, forces, by_time_of_day)
         if trip is not reference

@@ -580,6 +580,13 @@ class DrivenTrip:
         """First and last position [m]."""
         return float(self.position[0]), float(self.position[-1])
 
+    def same_drive(self, other: DrivenTrip) -> bool:
+        """Whether two are of the same recording."""
+        mine, its = ((each.time, each.position, each.speed) for each in (self, other))
+        return (self.direction, self.departure) == (other.direction, other.departure) and all(
+            map(np.array_equal, mine, its)
+        )
+
     def unknown(self, work: str = "traction") -> bool:
         """Whether a work is not known for more than `UNKNOWN_TIME` of the trip."""
         time = self.sums["unknown_effort" if work == "traction" else f"unknown_{work}"]

@@ -18,6 +18,9 @@ from analysis.resistance.curve import HEAD_WIND
 from trainlog.arrays import FloatArray
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 
+FIT = "fit"
+"""Name of a model that was fitted; else it is that of a train's file."""
+
 RESISTANCE_SHARE = 0.3
 """Standard deviation of the resistance of a train's file, over its value."""
 
@@ -64,45 +67,34 @@ class ForceModel:
     covariance: FloatArray
 
     @staticmethod
-    def of(trip: DrivenTrip, model: ParameterSet | None = None) -> ForceModel | None:
-        """The model for a trip: of a fit, or of the train's file; None without a train.
+    def of(
+        train: Train, line: Line, model: ParameterSet | None, wind_std: float | None = None
+    ) -> ForceModel:
+        """The model of a fit, or of the train's file where there is none.
+
+        The head wind [m/s] is what it is from trip to trip, unless `wind_std` states it; a file
+        whose trips' wind is stated is taken at its word.
 
         Raises
         ------
         InputError
             If the fit is of another train.
         """
-        if trip.train is None:
-            return None
-        if model is None:
-            own = trip.train.resistance
-            beta = own.coefficients
-            covariance = RESISTANCE_SHARE**2 * np.outer(beta, beta)
-            return ForceModel("train's file", trip.train, trip.line, own, covariance)
-        model.check_train(trip.train.name)
-        common, covariance = resistance_of(model)
-        return ForceModel("fit", trip.train, trip.line, common, covariance)
+        if model is not None:
+            model.check_train(train.name)
+            common, covariance = resistance_of(model, HEAD_WIND if wind_std is None else wind_std)
+            return ForceModel(FIT, train, line, common, covariance)
+        own = train.resistance
+        spread = RESISTANCE_SHARE**2 * np.outer(own.coefficients, own.coefficients)
+        if wind_std is not None:
+            spread = trip_spread(own, wind_std)
+        return ForceModel("train's file", train, line, own, spread)
 
     @property
     def principal_axes(self) -> FloatArray:
         """Changes of the coefficients by a standard deviation of each principal axis, in rows."""
         variances, axes = np.linalg.eigh(self.covariance)
         return np.asarray((axes * np.sqrt(np.maximum(variances, 0.0))).T)
-
-    def varied(self) -> list[ForceModel]:
-        """Models one standard deviation off, along each principal axis of the covariance."""
-        own = self.resistance.coefficients
-        return [
-            replace(self, resistance=RunningResistance.of(own + axis))
-            for axis in self.principal_axes
-        ]
-
-    def force_without_inertia(
-        self, position: FloatArray, speed: FloatArray, mass: float
-    ) -> FloatArray:
-        """Running resistance, gradient, curves and tunnels [N] at positions and speeds."""
-        track = self.train.track_force(self.line, position, mass)
-        return np.asarray(self.resistance(speed) + self.tunnels(position) * speed**2 + track)
 
     def tunnels(self, position: FloatArray) -> FloatArray:
         """Extra quadratic term [N/(m/s)²] in tunnels."""
@@ -189,15 +181,16 @@ def normalised_energy(
         return None
     mass, other = trip.mass.value, reference.mass.value
 
-    def work(of: ForceModel, weight: float, factor: float) -> float:
-        return needed_work(trip, of, weight, factor)
-
-    own = work(model, mass, 1.0)
-    by_load = work(model, other, 1.0) - own
-    by_time = work(model, other, ratio) - work(model, other, 1.0)
+    own = needed_work(trip, model, mass)
+    by_load = needed_work(trip, model, other) - own
+    by_time = needed_work(trip, model, other, ratio) - by_load - own
     changes = by_load + by_time
     spread = [
-        work(varied, other, ratio) - work(varied, mass, 1.0) - changes for varied in model.varied()
+        needed_work(trip, varied, other, ratio) - needed_work(trip, varied, mass) - changes
+        for axis in model.principal_axes
+        for varied in [
+            replace(model, resistance=RunningResistance.of(model.resistance.coefficients + axis))
+        ]
     ]
     slope = by_load / (other - mass) if other != mass else 0.0
     weighed = slope * np.hypot(trip.mass.std, reference.mass.std)
@@ -209,28 +202,15 @@ def normalised_energy(
 
 def needed_work(trip: DrivenTrip, model: ForceModel, mass: float, factor: float = 1.0) -> float:
     """Tractive work [J] that the speeds of a trip, all times `factor`, need with a mass [kg]."""
-    return float(needed_works(trip, model, mass, factor)[1].sum())
-
-
-def needed_works(
-    trip: DrivenTrip, model: ForceModel, mass: float, factor: float = 1.0
-) -> tuple[FloatArray, FloatArray]:
-    """Tractive work [J] needed in each step along a trip.
-
-    Returns
-    -------
-    nodes : (n + 1,) array [m]
-    work : (n,) array [J]
-    """
     first, last = trip.covered
     nodes = np.linspace(first, last, max(2, round((last - first) / STEP) + 1))
     speed = factor * smooth_speed(trip, nodes)
     middle, step = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(nodes)
     squared = 0.5 * (speed[1:] ** 2 + speed[:-1] ** 2)
-    inertia = mass + model.train.rotating_mass
-    kinetic = 0.5 * inertia * np.diff(speed**2)
-    resisting = model.force_without_inertia(middle, np.sqrt(squared), mass)
-    return nodes, np.maximum(kinetic + resisting * step, 0.0)
+    kinetic = 0.5 * (mass + model.train.rotating_mass) * np.diff(speed**2)
+    force = model.resistance(np.sqrt(squared)) + model.tunnels(middle) * squared
+    force = force + model.train.track_force(model.line, middle, mass)
+    return float(np.maximum(kinetic + force * step, 0.0).sum())
 
 
 def smooth_speed(trip: DrivenTrip, nodes: FloatArray) -> FloatArray:
