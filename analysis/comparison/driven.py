@@ -36,7 +36,7 @@ from analysis.view import (
     TripView,
     view_of,
 )
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of, recorded_load
@@ -66,7 +66,7 @@ from trainlog.topics import (
     TRAIN_STATE,
     TRAIN_SUPPLY,
 )
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, nanoseconds, seconds
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
 from trainlog.units import NANOSECONDS
 
 SHORT_GAP = 2.0
@@ -97,22 +97,22 @@ class Gap:
 
     Attributes
     ----------
-    first, last : int [ns since 1970 UTC]
-        The recorded samples on both sides.
+    first, last : float [s]
+        The recorded samples on both sides, since the recording began.
     missing : str
     bridge : str
         What stands for it; empty if nothing does.
     """
 
-    first: int
-    last: int
+    first: float
+    last: float
     missing: str
     bridge: str = ""
 
     @property
     def seconds(self) -> float:
         """How long it is [s]."""
-        return (self.last - self.first) / NANOSECONDS
+        return self.last - self.first
 
     @property
     def words(self) -> str:
@@ -142,54 +142,44 @@ def bridged(frame: pd.DataFrame) -> tuple[pd.DataFrame, tuple[Gap, ...]]:
     >>> gaps[0].words, float(found["speed"].iloc[100].round(1))
     ('no speed for 6 s, bridged by position', 10.0)
     """
-    stamps = nanoseconds(frame)
-    time = (stamps - stamps[0]) / NANOSECONDS
+    time = seconds(frame)
     speed = frame["speed"].to_numpy(dtype=np.float64).copy()
     position = frame["position"].to_numpy(dtype=np.float64).copy()
     recorded, known = speed.copy(), np.isfinite(speed)
-    gaps = []
+    gaps = list[Gap]()
     if known.sum() < 2:  # nothing to compare with
-        speed, known = _from_position(frame, time, speed), np.ones(time.size, dtype=np.bool_)
+        found = dict(_speeds_in(frame, time)).get("position", speed)
+        speed, known = np.maximum(found, 0.0), np.ones(time.size, dtype=np.bool_)
     for begin, end in _long_gaps(time, known):
-        bridge = _Opening(frame, time, recorded, begin, end).bridge()
-        source, values = ("", None) if bridge is None else bridge
+        source, values = _bridge(frame, time, recorded, begin, end)
         if values is not None:
             speed[begin:end] = np.maximum(values, 0.0)
         elif end < time.size and begin > 0:
             ends = (time[begin - 1], time[end]), (recorded[begin - 1], recorded[end])
             speed[begin:end] = np.interp(time[begin:end], *ends)
-        gaps.append(Gap(*_sides(stamps, begin, end), "speed", source))
-    unknown = [(gap.first, gap.last) for gap in gaps if not gap.bridge]
+        gaps.append(Gap(*_sides(time, begin, end), "speed", source))
+    unknown = [gap for gap in gaps if not gap.bridge]
     for begin, end in _long_gaps(time, np.isfinite(position)):
-        sides = _sides(stamps, begin, end)
-        apart = all(sides[1] <= first or sides[0] >= last for first, last in unknown)
+        first, last = _sides(time, begin, end)
+        apart = all(last <= gap.first or first >= gap.last for gap in unknown)
         own = _position(time, speed, position, begin, end) if apart else None
         if own is not None:
             position[begin:end] = own
-        gaps.append(Gap(*sides, "position", "" if own is None else "speed"))
+        gaps.append(Gap(first, last, "position", "" if own is None else "speed"))
     known = np.isfinite(speed)
     if known.any():  # short gaps
         speed = np.interp(time, time[known], speed[known], left=np.nan, right=np.nan)
     return frame.assign(speed=speed, position=position), tuple(gaps)
 
 
-def _from_position(frame: pd.DataFrame, time: FloatArray, speed: FloatArray) -> FloatArray:
-    found = dict(_speeds_in(frame, time)).get("position", speed)
-    return np.maximum(found, 0.0)
+def _sides(time: FloatArray, begin: int, end: int) -> tuple[float, float]:
+    """Times [s] of the samples on both sides of those from `begin` to one before `end`."""
+    return float(time[max(begin - 1, 0)]), float(time[min(end, time.size - 1)])
 
 
 def _long_gaps(time: FloatArray, known: BoolArray) -> list[tuple[int, int]]:
     """First sample and one past the last of each gap longer than `SHORT_GAP`."""
-    last = time.size - 1
-    return [
-        (begin, end)
-        for begin, end in runs_of(~known)
-        if time[min(end, last)] - time[max(begin - 1, 0)] > SHORT_GAP
-    ]
-
-
-def _sides(stamps: IntArray, begin: int, end: int) -> tuple[int, int]:
-    return int(stamps[max(begin - 1, 0)]), int(stamps[min(end, stamps.size - 1)])
+    return [each for each in runs_of(~known) if np.diff(_sides(time, *each))[0] > SHORT_GAP]
 
 
 def _position(
@@ -207,34 +197,26 @@ def _position(
     return np.asarray((position[begin - 1] + moved * share)[1:-1])
 
 
-@dataclass(frozen=True, eq=False)
-class _Opening:
-    """A gap of the speed with what is recorded around it."""
-
-    frame: pd.DataFrame
-    time: FloatArray
-    speed: FloatArray
-    begin: int
-    end: int
-
-    def bridge(self) -> tuple[str, FloatArray] | None:
-        """The speed that agrees best on both sides, and where it is from."""
-        low, high = self.time[max(self.begin - 1, 0)], self.time[min(self.end, self.time.size - 1)]
-        first, last = np.searchsorted(
-            self.time, [low - NEIGHBOURHOOD - 2.0, high + NEIGHBOURHOOD + 2.0]
-        )
-        part = slice(int(first), int(last))
-        time, speed = self.time[part], self.speed[part]
-        inside = np.zeros(time.size, dtype=np.bool_)
-        inside[self.begin - first : self.end - first] = True
-        near = np.isfinite(speed) & (time >= low - NEIGHBOURHOOD) & (time <= high + NEIGHBOURHOOD)
-        place = self.frame["position"].to_numpy(dtype=np.float64)[part]
-        best: tuple[float, str, FloatArray] | None = None
-        for name, values in _speeds_in(self.frame.iloc[part], time):
-            found = _agreeing(time, speed, values, near, place)
-            if found is not None and (best is None or found[0] < best[0]):
-                best = (found[0], name, found[1][inside])
-        return None if best is None else best[1:]
+def _bridge(
+    frame: pd.DataFrame, time: FloatArray, speed: FloatArray, begin: int, end: int
+) -> tuple[str, FloatArray | None]:
+    """The speed in a gap that agrees best on both sides, and where it is from; None if none."""
+    low, high = _sides(time, begin, end)
+    first, last = np.searchsorted(time, [low - NEIGHBOURHOOD - 2.0, high + NEIGHBOURHOOD + 2.0])
+    part = slice(int(first), int(last))
+    time, speed = time[part], speed[part]
+    near = np.isfinite(speed) & (time >= low - NEIGHBOURHOOD) & (time <= high + NEIGHBOURHOOD)
+    place = frame["position"].to_numpy(dtype=np.float64)[part]
+    found = [
+        (*agreeing, name)
+        for name, values in _speeds_in(frame.iloc[part], time)
+        for agreeing in [_agreeing(time, speed, values, near, place)]
+        if agreeing is not None
+    ]
+    if not found:
+        return "", None
+    _, values, name = min(found, key=lambda each: each[0])
+    return name, values[begin - first : end - first]
 
 
 def _speeds_in(frame: pd.DataFrame, time: FloatArray) -> Iterator[tuple[str, FloatArray]]:
@@ -292,28 +274,25 @@ def _agreeing(
     return off, values
 
 
-def _silences(trip: Trip, names: dict[str, str]) -> list[Gap]:
+def _silences(trip: Trip, names: dict[str, str], origin: pd.Timestamp) -> list[Gap]:
     """Stretches in which topics have no rows; `names` gives what of each is missing then."""
     found = []
     for topic, missing in names.items():
-        stamps = nanoseconds(trip[topic])
-        steps = np.diff(stamps)
+        time = seconds(trip[topic], origin)
+        steps = np.diff(time)
         usual = float(np.median(steps)) if steps.size else 0.0
-        long = np.flatnonzero(steps > max(SHORT_GAP * NANOSECONDS, SILENCE * usual))
-        found += [Gap(int(stamps[row]), int(stamps[row + 1]), missing) for row in long.tolist()]
+        long = np.flatnonzero(steps > max(SHORT_GAP, SILENCE * usual))
+        found += [Gap(float(time[row]), float(time[row + 1]), missing) for row in long.tolist()]
     return found
 
 
-def time_in(gaps: Iterable[Gap], stamps: IntArray, position: FloatArray) -> FloatArray:
-    """Time [s] in gaps until each stamp; those in which the train did not move do not count."""
-    found = np.zeros(stamps.size)
+def time_in(gaps: Iterable[Gap], time: FloatArray, position: FloatArray) -> FloatArray:
+    """Time [s] in gaps until each sample; those in which the train did not move do not count."""
+    found = np.zeros(time.size)
     for gap in gaps:
-        low, high = np.interp(
-            np.array([gap.first, gap.last]) - stamps[0], stamps - stamps[0], position
-        )
+        low, high = np.interp([gap.first, gap.last], time, position)
         if high - low > GAP_DISTANCE:
-            inside = (np.clip(stamps, gap.first, gap.last) - gap.first) / NANOSECONDS
-            found = found + inside
+            found = found + np.clip(time, gap.first, gap.last) - gap.first
     return found
 
 
@@ -377,7 +356,8 @@ def samples_of(trip: Trip) -> Samples:
         silent = {state: "sample"}
         if TRAIN_CONTROLS.name in trip:
             silent[TRAIN_CONTROLS.name] = "effort"
-        return _thinned(frame, state, (*gaps, *_silences(trip, silent)))
+        silences = _silences(trip, silent, pd.Timestamp(frame.index[0]))
+        return _thinned(frame, state, (*gaps, *silences))
     raise LogError(
         f"trip '{trip.name}' knows no chainage",
         place="topics /estimates/state and /train/state",
@@ -411,29 +391,23 @@ def _thinned(frame: pd.DataFrame, state: str, gaps: tuple[Gap, ...]) -> Samples:
     columns = {name: whole[name].to_numpy(dtype=np.float64) for name in whole.columns}
     sums = {name[1:]: columns.pop(name) for name in list(columns) if name.startswith("∫")}
     time = columns.pop("time")
-    stamps = origin.as_unit("ns").value + np.rint(time * NANOSECONDS).astype(np.int64)
     if "unknown_effort" in sums:
         unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
-        silent = time_in(unknown, stamps, columns["position"])
+        silent = time_in(unknown, time, columns["position"])
         for name in ("unknown_effort", "unknown_dynamic_braking", "unknown_pneumatic_braking"):
             if name in sums:
                 sums[name] = sums[name] + silent
-    gaps = (*gaps, *_without(columns.get("tractive_effort"), stamps))
+    gaps = (*gaps, *_without(columns.get("tractive_effort"), time))
     estimated = state != TRAIN_STATE.name
     return Samples(int(origin.as_unit("ns").value), estimated, time, columns, sums, gaps)
 
 
-def _without(effort: FloatArray | None, stamps: IntArray) -> list[Gap]:
+def _without(effort: FloatArray | None, time: FloatArray) -> list[Gap]:
     """Gaps of an effort that is recorded otherwise."""
-    lacks = np.zeros(0, dtype=np.bool_) if effort is None else ~np.isfinite(effort)
-    if not lacks.any() or lacks.mean() > 0.5:
+    known = np.ones(0, dtype=np.bool_) if effort is None else np.isfinite(effort)
+    if known.all() or known.mean() < 0.5:
         return []
-    last = stamps.size - 1
-    found = [
-        Gap(int(stamps[max(begin - 1, 0)]), int(stamps[min(end, last)]), "effort")
-        for begin, end in runs_of(lacks)
-    ]
-    return [gap for gap in found if gap.seconds > SHORT_GAP]
+    return [Gap(*_sides(time, *each), "effort") for each in _long_gaps(time, known)]
 
 
 def _short(name: str) -> str:
@@ -951,8 +925,7 @@ class _Reduction:
         """What was not recorded for longer while the train moved, and what stands for it."""
         found = []
         for gap in table.gaps:
-            times = (np.array([gap.first, gap.last]) - table.origin) / NANOSECONDS
-            place = np.interp(times, table.time, position)
+            place = np.interp([gap.first, gap.last], table.time, position)
             silent = gap.missing == "sample" and gap.seconds > LONGEST_GAP  # stated as no position
             if place[1] - place[0] > GAP_DISTANCE and not silent:
                 first, last = in_km(self.line, place).tolist()
@@ -988,8 +961,7 @@ def _within(table: Samples) -> BoolArray:
     found = np.zeros(table.time.size, dtype=np.bool_)
     for gap in table.gaps:
         if not gap.bridge and gap.missing in ("speed", "sample"):
-            first, last = (np.array([gap.first, gap.last]) - table.origin) / NANOSECONDS
-            found |= (table.time > first) & (table.time <= last + 1e-6)
+            found |= (table.time > gap.first) & (table.time <= gap.last + 1e-6)
     return found
 
 

@@ -108,11 +108,6 @@ class RailEstimator:
     tuning : Tuning
     speed_std, wheel_speed_std : float [m/s]
         Noise of the train speed and of the wheel speeds.
-
-    Raises
-    ------
-    InputError
-        If a noise is negative.
     """
 
     def __init__(
@@ -122,11 +117,6 @@ class RailEstimator:
         speed_std: float,
         wheel_speed_std: float,
     ) -> None:
-        if not speed_std >= 0.0:
-            raise InputError(
-                f"rail estimator: noise of the speed {speed_std} m/s is negative",
-                remedy="give 0 m/s or more",
-            )
         self._locomotive, self._period = locomotive, tuning.period
         load = float(locomotive.loads.mean())
         self._observer = AdhesionObserver(
