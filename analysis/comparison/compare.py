@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from analysis.comparison.causes import CAUSES, GAINED
 from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
-from analysis.comparison.energy import ForceModel, Normalised, normalised_energy
+from analysis.comparison.energy import ForceModel, normalised_energy
 from analysis.comparison.groups import line_energy
 from analysis.view import Given, each_given
 from trainlog.arrays import BoolArray, FloatArray
@@ -738,7 +738,7 @@ class ComparedTrip:
         it.
     common : (float, float) or None [m]
         What it has in common with the reference.
-    energy : Normalised or None
+    energy : Band or None [J]
         Tractive work at the reference's load and running time; None where efforts, loads or
         resistance are not known, or the trips have only a part in common.
     """
@@ -747,7 +747,7 @@ class ComparedTrip:
     table: pd.DataFrame
     lost: Lost | None
     common: tuple[float, float] | None
-    energy: Normalised | None = None
+    energy: Band | None = None
 
     @property
     def name(self) -> str:
@@ -829,10 +829,6 @@ class ComparedTrip:
         rows = self.table
         near = (rows["within_advice"] * rows["running_time"]).sum(min_count=1)
         return float(near / rows["running_time"][rows["within_advice"].notna()].sum())
-
-
-def _normalised(each: ComparedTrip) -> Band | str:
-    return "" if each.energy is None else Band(each.energy.value, each.energy.std)
 
 
 def _energy(each: ComparedTrip, column: str) -> Said:
@@ -953,7 +949,9 @@ class ComparedDirection:
             Column("most of it", of=self._causes),
             Column("wheels", ENERGY, each=True, of=lambda each: _energy(each, "traction")),
             Column("line", ENERGY, each=True, of=lambda each: _energy(each, "line")),
-            Column("wheels at reference's\nload and time", ENERGY, of=_normalised),
+            Column(
+                "wheels at reference's\nload and time", ENERGY, of=lambda each: each.energy or ""
+            ),
             name="trips",
             frame=self._data(pd.DataFrame([each.facts for each in rows])),
         ).add_rows(rows)

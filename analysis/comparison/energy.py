@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from analysis.comparison.driven import DrivenTrip
 from analysis.resistance.curve import HEAD_WIND
 from trainlog.arrays import FloatArray
+from trainlog.presentation import Band
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 
 FIT = "fit"
@@ -134,29 +135,7 @@ def resistance_of(
     return common, covariance
 
 
-@dataclass(frozen=True, slots=True)
-class Normalised:
-    """Tractive work of a trip at the load and running time of a reference.
-
-    Attributes
-    ----------
-    recorded : float [J]
-    value, std : float [J]
-        What it would have been, and its standard deviation.
-    by_load, by_time : float [J]
-        What load and time make of the difference.
-    """
-
-    recorded: float
-    value: float
-    std: float
-    by_load: float
-    by_time: float
-
-
-def normalised_energy(
-    trip: DrivenTrip, reference: DrivenTrip, model: ForceModel
-) -> Normalised | None:
+def normalised_energy(trip: DrivenTrip, reference: DrivenTrip, model: ForceModel) -> Band | None:
     """Tractive work of a trip as it would have been with the load and time of a reference.
 
     Parameters
@@ -167,7 +146,7 @@ def normalised_energy(
 
     Returns
     -------
-    Normalised or None
+    Band or None
         None where efforts or a load are not recorded, or the running times (without stands)
         differ by more than `LARGEST_TIME_CHANGE`.
     """
@@ -197,7 +176,7 @@ def normalised_energy(
     gain = trip.gain.std / trip.gain.value * recorded if trip.gain.known else 0.0
     unlike = NORMALISING_SHARE * np.hypot(by_load, by_time)
     std = float(np.sqrt(np.sum(np.square(spread)) + weighed**2 + gain**2 + unlike**2))
-    return Normalised(recorded, recorded + changes, std, by_load, by_time)
+    return Band(recorded + changes, std)
 
 
 def needed_work(trip: DrivenTrip, model: ForceModel, mass: float, factor: float = 1.0) -> float:

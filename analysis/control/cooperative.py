@@ -253,11 +253,6 @@ class CooperativeController:
         moves, n = self._plan.shape
         self._sums = np.asarray(np.kron(np.eye(moves), np.ones((1, n))), dtype=np.float64)
 
-    @property
-    def plan(self) -> FloatArray:
-        """Torques from the last sample on, (control horizon, n) [N m]."""
-        return self._plan.copy()
-
     def torques(
         self,
         speed: float,
@@ -314,17 +309,6 @@ class CooperativeController:
     def guess(self, demand: Demand) -> FloatArray:
         """The plan of the last sample, shifted, and made to keep the limits."""
         return within(np.concatenate([self._plan[1:], self._plan[-1:]]), demand)
-
-    def program(self, state: FloatArray, plan: FloatArray, demand: Demand) -> QPSubproblem:
-        """The program (18), linearised about a plan from a state.
-
-        In changes of its torques over the torque limit; slip speeds count as beyond their bounds
-        where they are now.
-        """
-        task = self._task(state, demand)
-        quadratic = self._quadratic(task, plan)
-        outside = excess_of(quadratic.error, task.margins)
-        return self._subproblem(task, plan, quadratic, outside)
 
     # ---- within a sample --------------------------------------------------------------------
 

@@ -42,8 +42,8 @@ def main() -> None:
             energy = found.trip("a").energy
             if energy is None:
                 continue
-            true = found.trip("b").trip.sums["traction"][-1]
-            off = np.array([energy.recorded, energy.value]) / true - 1.0
+            recorded, true = (found.trip(name).trip.sums["traction"][-1] for name in "ab")
+            off = np.array([recorded, energy.value]) / true - 1.0
             reach = 1.96 * energy.std / true
             rows.append([*off, reach, abs(off[1]) < reach])
     table = np.array(rows, dtype=float)
