@@ -19,7 +19,6 @@ from analysis.control.follow import (
     Follower,
     Observer,
     Odometry,
-    Tuning,
     effort_reversals,
     follow,
     following_line,
@@ -505,10 +504,6 @@ def test_a_map_of_another_line_and_a_layer_it_has_not_are_refused() -> None:
         Follower(trajectory, hilly_line(), train, condition=other)
     with pytest.raises(InputError, match="no layer 'dry'; layers present: wet"):
         Follower(trajectory, hilly_line(), train, condition=map_of(slippery()), layer="dry")
-
-
-def test_a_tuning_that_is_not_positive_is_refused() -> None:
-    refused(InputError, "step: 0", Tuning, step=0.0)
 
 
 def test_a_train_with_curves_follows_within_them() -> None:

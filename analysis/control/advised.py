@@ -100,7 +100,6 @@ class AdvisedDriver:
     attention : Attention
     seed : int
         Of the error with which he reads speeds.
-    departure : float [s]
 
     Raises
     ------
@@ -127,11 +126,10 @@ class AdvisedDriver:
         *,
         attention: Attention = EXACT,
         seed: int = 1,
-        departure: float = DEPARTURE,
     ) -> None:
         run = run_of(trajectory, line, train)
         limits = limits_of(trajectory, line)
-        self.attention, self.train, self._departure = attention, train, departure
+        self.attention, self.train = attention, train
         self._rows = instructions(trajectory, limits)
         self._end = float(trajectory.positions[-1])
         # What the lever does: as on the train that arrives last.
@@ -167,7 +165,7 @@ class AdvisedDriver:
         left = self._end - seen.position
         if seen.speed < ARRIVING and left <= STOPPING_TOLERANCE:
             self._arrived = True
-        if self._arrived or seen.time < self._departure - 1e-9:
+        if self._arrived or seen.time < DEPARTURE - 1e-9:
             return Demand(0.0, HOLDING * self._felt.mass)
         if seen.time - self._looked >= self.attention.reaction - 1e-6:
             self._look(seen)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,7 +43,6 @@ from analysis.control.route import (
 from analysis.trajectory.problem import TrajectoryProblem
 from estimators.odometry import OdometryFilter
 from trainlog.arrays import FloatArray
-from trainlog.declaration import POSITIVE, Number, Positive, check
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
@@ -77,28 +76,13 @@ CREEPING, MOVING_UP = 0.3, 10.0
 """Acceleration [m/s²] with which a train moves up that stands short of its stop by this [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tuning:
-    """Of the controller.
+HORIZON, STEP = 20, 1.0
+"""Steps of the program, and how long each is [s] when the stop is far; tenths of a second."""
 
-    Attributes
-    ----------
-    horizon : int
-        Steps.
-    step : float [s]
-        Of the program, when the stop is far; tenths of a second.
-    every : float [s]
-        Time from one decision to the next.
-    weights : Weights
-    """
+EVERY = 0.5
+"""Time from one decision to the next [s]."""
 
-    horizon: Annotated[int, Number(must=POSITIVE)] = 20
-    step: Positive = 1.0
-    every: Positive = 0.5
-    weights: Weights = field(default=Weights(1.0, 2.0, 20.0))
-
-    def __post_init__(self) -> None:
-        check(self)
+WEIGHTS = Weights(1.0, 2.0, 20.0)
 
 
 class Follower:
@@ -120,7 +104,6 @@ class Follower:
         default: the estimate less standard deviations.
     time : Timestamp, optional
         Of the run: what the map expects then is counted on.
-    tuning : Tuning, optional
     departure : float [s]
         When it departs; the timetable is that of a departure at `DEPARTURE`.
     margin : Margin, optional
@@ -164,12 +147,10 @@ class Follower:
         layer: str = "wet",
         risk: float | None = None,
         time: pd.Timestamp | None = None,
-        tuning: Tuning | None = None,
         departure: float = DEPARTURE,
         margin: Margin | None = None,
     ) -> None:
         run = replace(run_of(trajectory, line, train, condition, layer), risk=risk, time=time)
-        self.tuning = tuning or Tuning()
         self.unsolved = 0
         self._limits = train_limits(run)
         self._margin = margin or Margin()
@@ -184,7 +165,7 @@ class Follower:
         self._friction = 0.0
         self._effort = 0.0
         self._plan = np.zeros(0)
-        self._ticks = round(self.tuning.step / TICK)
+        self._ticks = round(STEP / TICK)
         self._decided = -math.inf
         self._since: tuple[float, float] | None = None
         self._acted: list[float] = []
@@ -209,7 +190,7 @@ class Follower:
             return Demand(0.0, HOLDING * self._limits.mass)
         if observation.time < self._departure - 1e-9:
             return Demand()
-        last = max(min(self.tuning.every, self._ticks * TICK), PERIOD)
+        last = max(min(EVERY, self._ticks * TICK), PERIOD)
         if observation.time - self._decided > last - 1e-6:
             self._observe(observation)
             self._effort = self._decide(observation)
@@ -257,16 +238,16 @@ class Follower:
 
         The first is held until the next decision; the horizon ends at the stop at the latest.
         """
-        tuning, limits, route = self.tuning, self._limits, self._route
+        limits, route = self._limits, self._route
         estimate = self._observer.estimate
         p, v, lasting = seen.position, seen.speed, estimate._replace(drift=0.0)
         left = self._arrival - seen.time
         self._factor, time, count = pace_to_arrive(
             left, self._factor, p, v, self._rows, lasting, route, limits
         )
-        most = round(tuning.step / TICK)
-        ticks = int(np.clip(math.ceil(time / (tuning.horizon * TICK) - 1e-9), 1, most))
-        n = int(np.clip(math.ceil(time / (ticks * TICK)), SHORTEST, tuning.horizon))
+        most = round(STEP / TICK)
+        ticks = int(np.clip(math.ceil(time / (HORIZON * TICK) - 1e-9), 1, most))
+        n = int(np.clip(math.ceil(time / (ticks * TICK)), SHORTEST, HORIZON))
         target, aim = sampled(self._rows, count, n, ticks * TICK)
         aim = aim - estimate.drift / estimate.gain
         plan = self._guess(aim, ticks, seen.time)
@@ -274,7 +255,7 @@ class Follower:
             p, v, self._friction, self._past, plan, ticks, estimate, route, limits
         )
         hessian, gradient, rows, upper, lower = prediction.condensed(
-            states, response, kept, low, high, target, aim, self._effort, tuning.weights,
+            states, response, kept, low, high, target, aim, self._effort, WEIGHTS,
             ticks * TICK, estimate, route,
         )  # fmt: skip
         self._ticks = ticks
@@ -298,7 +279,7 @@ class Follower:
     def _guarded(self, seen: Observation, effort: float) -> float:
         """The effort next to `effort` that is safe until the next decision has taken effect."""
         limits = self._limits
-        held = max(round(min(self.tuning.every, self._ticks * TICK) / TICK), 1)
+        held = max(round(min(EVERY, self._ticks * TICK) / TICK), 1)
         lead = 2
         if dynamic_braking(seen.speed, limits) < limits.braking:
             lead += len(self._past) + round(2.0 * limits.lag / TICK)
@@ -316,7 +297,7 @@ class Follower:
 
     def _guess(self, aim: FloatArray, ticks: int, now: float) -> FloatArray:
         """The last plan at the times of the new one; the reference's efforts without one."""
-        if self._plan.size == 0 or now - self._decided > self.tuning.step:
+        if self._plan.size == 0 or now - self._decided > STEP:
             return np.ascontiguousarray(aim)
         middles = now - self._decided + (np.arange(aim.size) + 0.5) * ticks * TICK
         index = (middles / (self._ticks * TICK)).astype(np.int64)

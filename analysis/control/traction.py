@@ -91,12 +91,6 @@ class CooperativeTraction:
         Of travel against the map's chainage.
     mass : float [kg], optional
         As weighed, without the rotating part; default: the empty train.
-    tuning : Tuning, optional
-    sensors : DriveSensors, optional
-        How well it takes its speeds to be measured.
-    behind : (n,) array [m], optional
-        How far each axle is behind the train's front; default 0, as in the simulation, where the
-        rail under the front counts.
 
     Attributes
     ----------
@@ -134,9 +128,6 @@ class CooperativeTraction:
         layer: str = "wet",
         direction: str = "forward",
         mass: float | None = None,
-        tuning: Tuning | None = None,
-        sensors: DriveSensors | None = None,
-        behind: FloatArray | None = None,
     ) -> None:
         if condition is not None:
             if condition.line != line.name:
@@ -151,13 +142,11 @@ class CooperativeTraction:
         mass = train.mass if mass is None else mass
         self._mass = mass
         self._model = drive_model(train, mass)
-        self._tuning = tuning or TUNING
-        seen = sensors or DriveSensors()
-        self.controller = CooperativeController(self._model, self._tuning)
+        seen = DriveSensors()
+        self.controller = CooperativeController(self._model, TUNING)
         # Wheels that differ in diameter differ in speed at 20 m/s as if by noise.
         wheel = float(np.hypot(seen.wheel_speed_noise, 20.0 * seen.diameter_error))
-        self._estimator = RailEstimator(self._model, self._tuning, seen.speed_noise, wheel)
-        self._behind = np.zeros(train.axles.count) if behind is None else np.asarray(behind)
+        self._estimator = RailEstimator(self._model, TUNING, seen.speed_noise, wheel)
         if condition is not None:
             # Once for the whole line: a decision has a millisecond.
             places = condition.centres
@@ -166,13 +155,13 @@ class CooperativeTraction:
                 for sigmas in (0.0, 1.0)
             )
             self._mean, self._std = mean, mean - low
-        self._ahead = self._tuning.period * (np.arange(self._tuning.horizon) + 0.5)
+        self._ahead = TUNING.period * (np.arange(TUNING.horizon) + 0.5)
         self._direction = 0.0
 
     @property
     def period(self) -> float:
         """Time from one decision to the next [s]."""
-        return self._tuning.period
+        return TUNING.period
 
     @property
     def unsolved(self) -> int:
@@ -185,7 +174,7 @@ class CooperativeTraction:
         wanted = reading.braking_effort if braking else reading.tractive_effort
         if not wanted > 0.0:
             self._direction = 0.0
-            return np.zeros(self._behind.size)
+            return np.zeros(self._train.axles.count)
         direction = -1.0 if braking else 1.0
         here, ahead = self._mapped(reading)
         if direction != self._direction:
@@ -216,12 +205,11 @@ class CooperativeTraction:
         """Mean and deviation of the log maximum under each axle now; ahead the mean."""
         if self._map is None:
             return None, None
-        places = reading.position - self._behind
-        ahead = places + reading.speed * self._ahead[:, None]
-        every = np.concatenate([places[None], ahead])
-        every = np.clip(every, 0.0, self._line.length)
-        own = self._line.length - every if self._reverse else every
-        bins = self._map.bin_of(own)
+        way = reading.position + reading.speed * np.append(0.0, self._ahead)
+        way = np.clip(way, 0.0, self._line.length)
+        own = self._line.length - way if self._reverse else way
+        # The rail under the front counts for all axles.
+        bins = np.repeat(self._map.bin_of(own)[:, None], self._train.axles.count, axis=1)
         mean = self._mean[bins]
         return (mean[0], self._std[bins[0]]), mean[1:]
 
@@ -232,7 +220,7 @@ class CooperativeTraction:
         ahead: FloatArray | None,
     ) -> tuple[FloatArray, FloatArray]:
         """Creep curves and slip speeds to be sought, over the horizon."""
-        horizon = self._tuning.horizon
+        horizon = TUNING.horizon
         reference = np.maximum(found.reference, LEAST_SLIP)
         rail = np.tile(found.rail, (horizon, 1, 1))
         slips = np.tile(reference, (horizon, 1))
@@ -250,7 +238,7 @@ class CooperativeTraction:
 
     def _limits(self, speed: float, wanted: float, braking: bool) -> tuple[FloatArray, float]:
         """The most of each motor, and of all together [N m]."""
-        n, radius = self._behind.size, self._model.wheel_radius
+        n, radius = self._train.axles.count, self._model.wheel_radius
         if braking:
             most = float(self._train.dynamic_braking_effort_limit(speed)) / n
         else:

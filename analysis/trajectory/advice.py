@@ -448,7 +448,7 @@ def driver_table(found: JourneyAdvice) -> WordTable:
     return table
 
 
-def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> Trip:
+def with_advice(trip: Trip, trajectory: Trajectory) -> Trip:
     """A trip with what the trajectory advises beside it, as its ``/reference`` topic.
 
     Parameters
@@ -456,8 +456,7 @@ def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> T
     trip : Trip
         With the train's position; its clock starts with the first movement inside the trajectory.
     trajectory : Trajectory
-    row : int, optional
-        Configuration; the one that arrives last without it.
+        Of which the configuration counts that arrives last.
 
     Raises
     ------
@@ -478,7 +477,7 @@ def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> T
             f"trip '{name}' carries a reference already: it followed a trajectory",
             remedy="give the trip of a driver, without a reference",
         )
-    chosen = trajectory.latest if row is None else row
+    chosen = trajectory.latest
     state = trip[TRAIN_STATE.name]
     position = state["position"].to_numpy(dtype=np.float64)
     first, last = trajectory.positions[[0, -1]]

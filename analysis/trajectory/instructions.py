@@ -338,27 +338,24 @@ def _km(line: Line | None, position: float) -> str:
     return f"{float(in_km(line, position)):.3f}"
 
 
-def instructions(
-    trajectory: Trajectory, limits: StepProfile, row: int | None = None
-) -> tuple[Instruction, ...]:
+def instructions(trajectory: Trajectory, limits: StepProfile) -> tuple[Instruction, ...]:
     """What a driver is to do from place to place, as a trajectory's certificate has it.
 
-    Speeds are whole km/h, rounded down.
+    Speeds are whole km/h, rounded down; they and times are those of the configuration that arrives
+    last.
 
     Parameters
     ----------
     trajectory : Trajectory
     limits : StepProfile [m/s]
         Of the line, in the direction of travel.
-    row : int, optional
-        Configuration whose speeds and times are stated; the one that arrives last without it.
 
     Raises
     ------
     InputError
         If the trajectory does not come from `optimise`.
     """
-    plan = _Plan(trajectory, limits, trajectory.latest if row is None else row)
+    plan = _Plan(trajectory, limits)
     chosen = plan.chosen()
     starts = np.flatnonzero(np.diff(chosen, prepend=-1)).tolist()
     ends = [*starts[1:], chosen.size]
@@ -373,8 +370,8 @@ def instructions(
 class _Plan:
     """The phases and speeds of one configuration, and where any of them brakes."""
 
-    def __init__(self, trajectory: Trajectory, limits: StepProfile, row: int) -> None:
-        self.trajectory, self.limits = trajectory, limits
+    def __init__(self, trajectory: Trajectory, limits: StepProfile) -> None:
+        self.trajectory, self.limits, row = trajectory, limits, trajectory.latest
         self.places, self.times = trajectory.positions, trajectory.times[row]
         self.speeds, self.highest = trajectory.speeds[row], trajectory.speeds.max(axis=0)
         every = np.array([phases_of(trajectory, each) for each in range(len(trajectory.speeds))])

@@ -20,7 +20,7 @@ from benchmark_tracking import own, peer_cvxpy, peer_ipopt, timed
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.follow import MARGIN, Follower, Odometry, outcome, run_of
+from analysis.control.follow import HORIZON, MARGIN, Follower, Odometry, outcome, run_of
 from analysis.control.prediction import QPSubproblem
 from analysis.control.route import Margin
 from analysis.trajectory.envelope import fastest_run
@@ -89,7 +89,7 @@ class Watched:
     def _kept(self, observation: Observation) -> QPSubproblem:
         self._decided = True
         program = self._program(observation)
-        if program.inputs.size == self.follower.tuning.horizon and len(self.spent) % 50 == 10:
+        if program.inputs.size == HORIZON and len(self.spent) % 50 == 10:
             self.programs.append(program)
         return program
 
