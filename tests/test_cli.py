@@ -46,36 +46,28 @@ def broken(tmp_path: Path) -> dict[str, Path]:
 LINE, TRAIN = ["--line", "sample"], ["--train", "sample"]
 BOTH = [*LINE, *TRAIN]
 
-COMMANDS: dict[str, list[str]] = {
-    "fit": ["fit", "BAD", "-o", "OUT.json"],
-    "fit --per-trip": ["fit", "BAD", "-o", "OUT.json", "--per-trip", "OUT"],
-    "estimate": ["estimate", "BAD", "-o", "OUT"],
-    "map update": ["map", "update", "BAD", "--map", "OUT.map"],
-    "map diff": ["map", "diff", "BAD", "--from", "2026-01-01", "--picture", "OUT.png"],
-    "map history": ["map", "show", "BAD", "--km", "1", "--picture", "OUT.png"],
-    "map export": ["map", "export", "BAD", "-o", "OUT.csv"],
-    "map show": ["map", "show", "BAD", "--picture", "OUT.png"],
-    "replay": ["replay", "BAD", "-o", "OUT.rrd"],
-    "compare groups": ["compare", "groups", "BAD", "--with", "BAD"],
-    "compare trips": ["compare", "trips", "BAD"],
-    "ingest": ["ingest", "BAD", "-o", "OUT"],
-    "import": ["import", "BAD", "-o", "OUT"],
-    "optimise": ["plan", "BAD", *BOTH, "-o", "OUT.json"],
-    "simulate --line": ["simulate", "drive", *TRAIN, "--line", "BAD", "-o", "OUT"],
-    "simulate --train": ["simulate", "drive", *LINE, "--train", "BAD", "-o", "OUT"],
-    "simulate --characteristic": [
-        "simulate",
-        "drive",
-        *BOTH,
-        "--characteristic",
-        "BAD",
-        "-o",
-        "OUT",
-    ],
-    "adhesion fit": ["fit", "adhesion", "BAD", "-o", "OUT.json"],
-    "simulate --trajectory": ["simulate", "follow", "BAD", *BOTH, "-o", "OUT"],
-    "report": ["report", "BAD"],
-    "report -o": ["report", "BAD", "-o", "OUT.html"],
+COMMANDS = {
+    "fit": "fit BAD -o OUT.json",
+    "fit --per-trip": "fit BAD -o OUT.json --per-trip OUT",
+    "estimate": "estimate BAD -o OUT",
+    "map update": "map update BAD --map OUT.map",
+    "map diff": "map diff BAD --from 2026-01-01 --picture OUT.png",
+    "map history": "map show BAD --km 1 --picture OUT.png",
+    "map export": "map export BAD -o OUT.csv",
+    "map show": "map show BAD --picture OUT.png",
+    "replay": "replay BAD -o OUT.rrd",
+    "compare groups": "compare groups BAD --with BAD",
+    "compare trips": "compare trips BAD",
+    "ingest": "ingest BAD -o OUT",
+    "import": "import BAD -o OUT",
+    "optimise": "plan BAD BOTH -o OUT.json",
+    "simulate --line": "simulate drive --train sample --line BAD -o OUT",
+    "simulate --train": "simulate drive --line sample --train BAD -o OUT",
+    "simulate --characteristic": "simulate drive BOTH --characteristic BAD -o OUT",
+    "adhesion fit": "fit adhesion BAD -o OUT.json",
+    "simulate --trajectory": "simulate follow BAD BOTH -o OUT",
+    "report": "report BAD",
+    "report -o": "report BAD -o OUT.html",
 }
 
 
@@ -88,9 +80,8 @@ def test_bad_files_are_refused_in_one_line(
 ) -> None:
     bad = broken[kind]
     output = tmp_path / "output"
-    words = [
-        word.replace("BAD", str(bad)).replace("OUT", str(output)) for word in COMMANDS[command]
-    ]
+    words = COMMANDS[command].replace("BOTH", " ".join(BOTH)).split()
+    words = [each.replace("BAD", str(bad)).replace("OUT", str(output)) for each in words]
     status, _, complaint = shell(*words)
     assert status == 2
     assert complaint.count("\n") == 1
@@ -264,16 +255,6 @@ def test_a_damaged_log_is_reported_once_a_command(tmp_path: Path, shell: Shell) 
         assert complaint.startswith(f"trainlog: warning: {half}: is damaged: ")
 
 
-def test_check_goes_on_behind_a_file_that_is_no_log(tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "a.mcap").touch()
-    (tmp_path / "b.mcap").write_bytes(sample("stopping.mcap").read_bytes())
-    status, shown, complaint = shell("show", "--check", tmp_path)
-    assert status == 1
-    assert complaint.count("\n") == 1
-    assert "a.mcap, byte 0: is empty" in complaint
-    assert "b.mcap: is whole" in shown
-
-
 def test_brackets_in_names_and_findings_are_shown(tmp_path: Path, shell: Shell) -> None:
     recording = tmp_path / "run [1].csv"
     recording.write_bytes(sample("gnss.csv").read_bytes())
@@ -324,19 +305,6 @@ def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path: Path, sh
     lines = err.splitlines()
     assert lines[0] == f"trainlog: {light}: 3 problems"
     assert [line.split(":")[0] for line in lines[1:]] == ["  colour", "  max_speed", "  mass"]
-
-
-def test_a_log_that_cannot_be_estimated_does_not_stop_the_others(
-    tmp_path: Path, shell: Shell
-) -> None:
-    (tmp_path / "logs").mkdir()
-    (tmp_path / "logs" / "a.mcap").write_bytes(b"no log")
-    (tmp_path / "logs" / "b.mcap").write_bytes(sample("nonstop.mcap").read_bytes())
-    words = ("estimate", tmp_path / "logs", "-o", tmp_path / "out")
-    status, _, complaint = shell(*words)
-    assert status == 1
-    assert "a.mcap" in complaint
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["b.mcap"]
 
 
 def test_slip_events_of_all_logs_are_tabled(tmp_path: Path, shell: Shell) -> None:

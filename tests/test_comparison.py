@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,7 +15,6 @@ from refusals import refused
 from analysis.comparison.compare import Comparison, compare, section_table, sections_between
 from analysis.comparison.driven import driven_trip
 from trainlog import read_line, read_train
-from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
@@ -143,7 +140,6 @@ def test_two_halves_lose_what_the_whole_loses() -> None:
     whole = found.trip("trip-03").lost.total
     assert sum(each.lost.total for each in parts) == pytest.approx(whole, abs=0.3)
     assert parts[0].common == pytest.approx((0.0, 12_000.0), abs=5.0)
-    assert "% of it" in found._repr_html_()
     work = [each.table["traction"].sum() for each in (*parts, found.trip("trip-03"))]
     assert work[0] + work[1] == pytest.approx(work[2], rel=1e-3)
 
@@ -299,14 +295,6 @@ def test_a_temporary_limit_costs_what_it_costs() -> None:
     assert found.lost.total == pytest.approx(truth, abs=1e-6)
     assert found.lost.by_cause()["limit"] == pytest.approx(truth, abs=2.0)
     assert found.table["excess"].max() == 0.0
-    gained = (
-        compare(
-            [free(), replace(slowed, attachments=attached)], replace(slowed, attachments=attached)
-        )
-        .trip("free")
-        .lost.losses
-    )
-    assert gained["words"].iloc[-1] == "the reference had a lower limit"
 
 
 def test_a_signal_at_stop_costs_the_stand_and_the_way_to_and_from_it() -> None:
@@ -336,9 +324,6 @@ def test_excess_speed_is_stated_with_where_it_was() -> None:
     fast = simulate(replace(scenario(name="fast"), habits=replace(HABITS, margin=-2.0)))
     found = compare([free(), fast])
     table = found.trip("fast").table
-    stated = "Excess speed is over the limit under the whole train"
-    assert stated in " ".join(found.directions[0].notes)
-    assert stated not in " ".join(compare(free()).directions[0].notes)
     assert 1.5 < table["excess"].max() < 3.0
     assert table["excess_distance"].sum() > 3_000.0
     assert compare(free()).trip("free").table["excess_distance"].sum() == 0.0
@@ -416,23 +401,6 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
     own = driven_trip(stopping())
     until = float(own.time[np.searchsorted(own.position, metres - 20.0)])
     assert found.trip("trip-03").lost.total == pytest.approx(until - duration, abs=15.0)
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_the_command_prints_json_and_saves_a_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    logs = [str(sample(name)) for name in ("stopping.mcap", "nonstop.mcap")]
-    picture = tmp_path / "compared.png"
-    assert cli.run(["compare", *logs, "--reference", logs[1], "--picture", str(picture)]) == 0
-    assert "stop that the reference does not make" in " ".join(capsys.readouterr().out.split())
-    assert picture.read_bytes()[:4] == b"\x89PNG"
-    assert cli.run(["compare", *logs, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["references"] == {"forward": "trip-01"}
-    (lost,) = [each["lost_s"] for each in data["trips"] if each["trip"] == "trip-03"]
-    sections = [each["lost_s"] for each in data["sections"] if each["trip"] == "trip-03"]
-    assert sum(sections) == pytest.approx(lost)
 
 
 def test_a_section_ends_where_the_train_stood_not_at_the_station_beside_it() -> None:

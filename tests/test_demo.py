@@ -59,18 +59,6 @@ def logs(results: Path) -> list[Path]:
     return sorted(results.glob("*/*.mcap"))
 
 
-def test_every_command_is_shown_and_the_next_ones_are_named(results: Path) -> None:
-    reported = (results.parent / "reported.txt").read_text("utf-8")
-    for command in demo.commands(results):
-        assert f"$ trainlog {command[0]}" in reported
-    assert reported.rstrip().splitlines()[-4].startswith("Everything is in")
-    assert [line.split()[:2] for line in reported.rstrip().splitlines()[-3:]] == [
-        ["trainlog", "replay"],
-        ["trainlog", "plan"],
-        ["trainlog", "ingest"],
-    ]
-
-
 def test_twelve_trips_two_recordings_and_the_driven_ones_are_logged(
     results: Path, request: pytest.FixtureRequest
 ) -> None:

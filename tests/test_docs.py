@@ -13,7 +13,6 @@ import pytest
 from matplotlib.figure import Figure
 from refusals import refused
 
-from trainlog.cli import main as cli
 from trainlog.documentation import Documentation
 from trainlog.errors import InputError
 from trainlog.formats.samples import copy_samples
@@ -95,24 +94,6 @@ def test_the_notebook_is_the_tutorial() -> None:
     """To renew it: python docs/tools/notebook.py docs/tutorials/developer.md THE_NOTEBOOK."""
     kept = TUTORIAL.with_suffix(".ipynb").read_text("utf-8")
     assert kept == notebook.written(notebook.from_page(TUTORIAL.read_text("utf-8")))
-
-
-@pytest.mark.long
-def test_the_notebook_runs_and_shows_objects_as_html(tmp_path: Path) -> None:
-    import nbformat
-    from nbclient import NotebookClient
-
-    copy_samples(tmp_path / "sample_logs")
-    found = nbformat.read(TUTORIAL.with_suffix(".ipynb"), as_version=4)
-    nbformat.validate(found)
-    NotebookClient(found, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    assert_titles(
-        output.data["text/html"]
-        for cell in found.cells
-        for output in cell.get("outputs", ())
-        if "text/html" in output.get("data", {})
-    )
-    assert_written(TUTORIAL, tmp_path)
 
 
 PACKAGES = ("trainlog", "analysis", "estimators")
@@ -252,13 +233,3 @@ def test_a_site_of_other_files_is_not_put_into_the_wheel(tmp_path: Path) -> None
     assert sources.site_of(tmp_path) == tmp_path / "build" / "site"
     (tmp_path / "docs" / "index.md").write_text("tomorrow", "utf-8")
     assert sources.site_of(tmp_path) is None
-
-
-def test_the_command_prints_where_a_page_is(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("trainlog.documentation.SITES", ())
-    assert cli.run(["docs", "engineer", "--path"]) == 0
-    page, *rest = capsys.readouterr().out.splitlines()
-    assert Path(page) == DOCS / "tutorials" / "engineer.md"
-    assert "'make docs'" in " ".join(rest)

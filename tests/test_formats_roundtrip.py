@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +21,7 @@ from format_examples import (
     maps,
     trajectories,
 )
-from hypothesis import given, settings
+from hypothesis import given, settings, strategies as st
 from map_bytes import opened
 from refusals import refused
 
@@ -63,58 +66,28 @@ ROUNDING = 5e-14
 """Values that no number in the file's unit gives exactly keep 14 significant digits."""
 
 
+SURVIVING: dict[str, tuple[st.SearchStrategy[Any], Callable[..., bytes], Callable[..., Any]]] = {
+    "line": (lines(), line_to_bytes, line_from_bytes),
+    "train": (TRAINS, train_to_bytes, train_from_bytes),
+    "consist": (CONSISTS, thing_to_bytes, partial(thing_from_bytes, Consist)),
+    "journey": (journeys(), thing_to_bytes, partial(thing_from_bytes, Journey)),
+    "parameters": (PARAMETER_SETS, thing_to_bytes, partial(thing_from_bytes, ParameterSet)),
+    "trajectory": (trajectories(), thing_to_bytes, partial(thing_from_bytes, Trajectory)),
+}
+
+
+@pytest.mark.parametrize("kind", SURVIVING)
 @quick
-@given(lines())
-def test_lines_survive(line: Line) -> None:
-    data = line_to_bytes(line)
-    found = line_from_bytes(data)
-    assert_same(found, line, ROUNDING)
-    assert line_to_bytes(found) == data
-
-
-@quick
-@given(CONSISTS)
-def test_consists_survive(consist: Consist) -> None:
-    data = thing_to_bytes(consist)
-    found = thing_from_bytes(Consist, data)
-    assert_same(found, consist, ROUNDING)
-    assert thing_to_bytes(found) == data
-
-
-@quick
-@given(TRAINS)
-def test_trains_survive(train: Train) -> None:
-    data = train_to_bytes(train)
-    found = train_from_bytes(data)
-    assert_same(found, train, ROUNDING)
-    assert train_to_bytes(found) == data
-
-
-@quick
-@given(journeys())
-def test_journeys_survive(journey: Journey) -> None:
-    data = thing_to_bytes(journey)
-    found = thing_from_bytes(Journey, data)
-    assert_same(found, journey, ROUNDING)
-    assert thing_to_bytes(found) == data
-
-
-@quick
-@given(PARAMETER_SETS)
-def test_parameter_sets_survive_to_the_last_bit(parameters: ParameterSet) -> None:
-    data = thing_to_bytes(parameters)
-    found = thing_from_bytes(ParameterSet, data)
-    assert_same(found, parameters)
-    assert thing_to_bytes(found) == data
-
-
-@quick
-@given(trajectories())
-def test_trajectories_survive_to_the_last_bit(trajectory: Trajectory) -> None:
-    data = thing_to_bytes(trajectory)
-    found = thing_from_bytes(Trajectory, data)
-    assert_same(found, trajectory)
-    assert thing_to_bytes(found) == data
+@given(data=st.data())
+def test_what_is_written_survives_and_results_to_the_last_bit(
+    kind: str, data: st.DataObject
+) -> None:
+    drawn, write, read = SURVIVING[kind]
+    thing = data.draw(drawn)
+    written = write(thing)
+    found = read(written)
+    assert_same(found, thing, *() if kind in ("parameters", "trajectory") else (ROUNDING,))
+    assert write(found) == written
 
 
 @quick

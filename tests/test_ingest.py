@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from foreign_recorders import write_recorder_csv, write_ublox_csv
-from ingest_logs import clean_run, plain_profile, write
 from simulated_line import flirt, hilly_line, level_line
 
 from trainlog import __version__
@@ -130,18 +129,6 @@ def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path: Path, dr
     assert kept.attachments[PROFILE_ATTACHMENT] == PROFILE.read_bytes()
     for name in (LINE_ATTACHMENT, TRAIN_ATTACHMENT):
         assert step["inputs"][name] == hashlib.sha256(kept.attachments[name]).hexdigest()
-
-
-def test_the_report_reads_as_text(tmp_path: Path) -> None:
-    rows = clean_run(60, 1.0).rows()
-    damaged = [*rows[:20], rows[19], *rows[20:30], *rows[40:]]
-    report = report_of(ingest(write(tmp_path / "run.csv", damaged), profile=plain_profile()))
-    assert report.lines() == [
-        "51 rows read, 50 kept, 1 dropped",
-        "duplicates: 1 (rows 22)",
-        "gaps: 1 (rows 33); longest 11.0 s, beyond 5 s",
-        "raw values: 3 kept",
-    ]
 
 
 def test_a_line_that_the_train_runs_out_of_is_refused() -> None:

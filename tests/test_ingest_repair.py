@@ -33,7 +33,7 @@ from trainlog.ingest.clock import (
     longest_nondecreasing,
 )
 from trainlog.ingest.jumps import spikes
-from trainlog.ingest.profile import Limits, Repair
+from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import NO_TIME, Table
 from trainlog.trip import Trip
 
@@ -305,10 +305,6 @@ def test_values_stay_when_their_rules_are_off(tmp_path: Path) -> None:
     assert trip["/train/state"]["speed"].iloc[30] == 400.0
     assert report_of(trip).switched_off == ("out_of_limits", "spikes")
     assert trip.metadata["repair.switched_off"] == "out_of_limits, spikes"
-
-
-def test_every_rule_can_be_switched_off() -> None:
-    assert [rule.name for rule in RULES] == list(Repair.model_fields)
 
 
 # ------------------------------------------------------------------ u-blox: parts of a second

@@ -15,7 +15,6 @@ from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 from refusals import refused
 
 import trainlog
-from analysis.charts import draw_charts
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.railway import (
@@ -385,21 +384,3 @@ def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
         trips_on_edges(on_route, Network("other", network.nodes[:2], (
             Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
             Edge("west", WHOLE.section(0.0, 10_000.0), "East", "Mid"))))  # fmt: skip
-
-
-def test_a_picture_of_a_network_with_and_without_coordinates(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    bounds = np.linspace(0.0, 3_000.0, 31)
-    shown = {"trunk": (bounds, np.linspace(0.1, 0.3, 30))}
-    (chart,) = y_network().charts(shown=shown, places=[("trunk", 500.0)])
-    labels = [curve.label for curve in chart.panels[0].curves if curve.label]
-    assert labels == ["0.08 to 0.12", "0.12 to 0.20", "from 0.20"]
-    assert [each.words for each in chart.panels[0].labels][-1].strip() == "1"
-    draw_charts(chart, tmp_path / "y.png")
-    assert (tmp_path / "y.png").stat().st_size > 5_000
-    one = Network("one", (Node("St. Gallen"), Node("Wil")), (
-        Edge("850", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
-    figure = one.plot()
-    assert figure.axes[0].get_xlabel() == "east [km]"
-    assert not caplog.records

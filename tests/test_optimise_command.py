@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 from refusals import refused
 
 from analysis.comparison.driven import driven_trip
-from analysis.reports.summary import report
 from analysis.trajectory.problem import TrajectoryProblem, adhesion_demand, adhesion_words
 from trainlog.cli import main as cli
 from trainlog.cli.options import sections_in
@@ -22,15 +20,12 @@ from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import (
     read_line,
-    read_parameters,
     read_train,
     read_trajectory,
-    write_line,
 )
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Trajectory
-from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH, clock
 
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "unrenewed")
@@ -63,23 +58,6 @@ def test_a_run_begins_and_ends_where_and_as_fast_as_given(observed: Path, tmp_pa
     assert found.speeds[:, 0] == pytest.approx(72 / KMH, abs=1e-9)
     assert np.all(found.speeds[:, -1] <= 36 / KMH + 1e-5)
     assert found.speeds[:, -1] == pytest.approx(36 / KMH, rel=1e-3)
-
-
-def test_a_power_that_no_trip_showed_is_repeated(
-    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked(observed, tmp_path, "--km", ":4")
-    assumed = read_parameters(observed).assumed_power
-    assert ("no trip shows its power" in capsys.readouterr().out) == bool(assumed)
-    noted = json.loads(observed.read_text("utf-8"))
-    for detail in noted["details"]:
-        detail["max_power"] = POWER_OF_FILE
-    folder = tmp_path / "unseen"
-    folder.mkdir()
-    changed = tmp_path / "unseen.json"
-    changed.write_text(json.dumps(noted), "utf-8")
-    asked(changed, folder, "--km", ":4")
-    assert "no trip shows its power: the train file's" in capsys.readouterr().out
 
 
 def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(
@@ -139,30 +117,6 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
     assert max(risky.certificate["least_time"]) < max(careful.certificate["least_time"])
     stated = careful.provenance["settings"]["adhesion"]
     assert stated == {"layer": "wet", "risk": 0.001, "time": "2024-10-08T06:00:00+00:00"}
-
-
-def test_what_is_counted_on_is_stated(
-    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked(observed, tmp_path, "--km", ":4", *MAP)
-    plain = " ".join(capsys.readouterr().out.split())
-    for words in (
-        "no --layer is given: wet",
-        "layer wet, the lasting condition less 2 standard deviations",
-        "of 4.0 km:",
-        "km without a limit, for want of evidence",
-        "risk that a run finds less than it asks for somewhere",
-        "of the adhesion counted on at most",
-    ):
-        assert words in plain
-    assert "promises" not in plain
-    time = ("--at", "2024-10-08T06:00Z", "--set", "assumed-adhesion=0.05", "--layer", "wet")
-    asked(observed, tmp_path, "--km", ":4", *MAP, *time)
-    expected = " ".join(capsys.readouterr().out.split())
-    assert "is expected at 2024-10-08T06:00:00+00:00, with passing spots, less 2" in expected
-    assert "assumed, 0.05" in expected
-    assert "no --layer" not in expected
-    assert "without a limit" not in expected
 
 
 def test_the_risk_of_a_run_is_that_of_what_it_asks_for() -> None:
@@ -283,16 +237,6 @@ def test_a_table_has_the_whole_run_by_kilometre(
     assert cli.run(["advice", folder, "-o", str(tmp_path / "advice.html")]) == 0
     stops = pd.read_csv(tmp_path / "advice.csv").query("event == 'departs'")["station"]
     assert stops.tolist() == ["Wil", "Gossau SG"]
-    results = report(folder).rows
-    assert [row[0] for row in results] == [
-        *(f"{what} {name}" for name in names for what in ("trajectory", "certificate")),
-        "journey",
-    ]
-    total = sum(
-        each.certificate["energy"] for each in map(read_trajectory, Path(folder).glob("*.json"))
-    )
-    assert f"2 sections, {total / 3.6e6:.2f} kWh" in results[-1][1]
-    assert f"{table['time [s]'].iloc[-1]:.0f} s" in results[-1][1]
     (tmp_path / "none").mkdir()
     with pytest.raises(InputError, match="holds no sections of a journey"):
         cli.run(["advice", str(tmp_path / "none"), "-o", str(tmp_path / "a.html")])
@@ -316,43 +260,6 @@ def test_what_ipopt_finds_on_the_same_cells_is_stated(
     assert stated["energy"] == pytest.approx(found["energy"], rel=1e-4)
     assert "IPOPT on the same cells" in capsys.readouterr().out
     assert "referee" not in asked(observed, tmp_path, "--km", ":4").certificate
-
-
-def test_reserves_are_compared(tmp_path: Path) -> None:
-    words = (*SAMPLES, "--set", "cells=40", "--km", ":4", "--reserve", "7%,3%")
-    assert cli.run(["plan", *words, "-o", str(tmp_path / "b.json")]) == 0
-    assert read_trajectory(tmp_path / "b.json").certificate["reserve"] == pytest.approx(0.07)
-    assert {each.name for each in tmp_path.iterdir()} == {
-        *("b.json", "b.png", "b-energy-over-time.png")
-    }
-
-
-def test_a_plan_without_a_map_states_the_adhesion_that_it_asks_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = tmp_path / "plan.json"
-    words = [*SAMPLES, "--km", ":4", "--set", "cells=40", "-o", str(plan)]
-    assert cli.run(["plan", *words]) == 0
-    stated = " ".join(capsys.readouterr().out.split())
-    assert "adhesion not limited, for want of a map" in stated
-    assert "asks for up to 0.2" in stated
-    # The file holds the line: a trip that follows needs no other.
-    driven = ["--train", "sample", "-o", str(tmp_path / "driven")]
-    assert cli.run(["simulate", "follow", str(plan), *driven]) == 0
-    assert "slippery spots are not known" in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.mark.parametrize("cells", [20, 50, 500])
-def test_a_grid_of_more_cells_than_asked_for_is_stated(
-    cells: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = tmp_path / "plan.json"
-    words = ["plan", *SAMPLES, "--stops", "st.gallen,gossau  SG", "--set", f"cells={cells}"]
-    assert cli.run([*words, "-o", str(plan), "--json"]) == 0
-    (notes,) = [json.loads(capsys.readouterr().out)["notes"]]
-    found = read_trajectory(plan).positions.size - 1
-    stated = f"The grid has {found} cells, more than the {cells} asked for"
-    assert any(note.startswith(stated) for note in notes) == (found > 1.5 * cells)
 
 
 @pytest.mark.parametrize(
@@ -394,23 +301,6 @@ def test_the_plan_of_a_journey_is_followed_section_by_section(
 def test_a_reserve_that_may_be_another_is_refused(given: str, said: str, tmp_path: Path) -> None:
     words = ["plan", *SAMPLES, "--km", ":4", "--reserve", given, "-o", str(tmp_path / "p.json")]
     refused(InputError, said, cli.run, words)
-
-
-def test_a_plan_states_where_limits_are_kept_and_what_is_assumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = replace(read_line(sample(DEFAULT_LINE)), assumed=("gradients",))
-    write_line(line, tmp_path / "own.line.json")
-    words = ["plan", "--line", str(tmp_path / "own.line.json"), *SAMPLES[2:], "--km", ":4"]
-    for more, said in (
-        ([], "none, at the train's front"),
-        (["--set", "protect=train"], "none, over "),
-    ):
-        assert cli.run([*words, "--set", "cells=40", *more, "-o", str(tmp_path / "p.json")]) == 0
-        shown = " ".join(capsys.readouterr().out.split())
-        assert said in shown
-        assert "Assumed of the line: gradients." in shown
-    assert "assumed gradients" in " ".join(repr(line).split())
 
 
 @pytest.mark.parametrize("protect", ["front", "train"])

@@ -104,20 +104,6 @@ def test_examples_use_only_public_names_and_what_they_import() -> None:
     assert wrong == {}
 
 
-@pytest.mark.long
-def test_mypy_accepts_public_names_and_refuses_others(tmp_path: Path) -> None:
-    names = [
-        f"{name}.{each}" for name in PACKAGES for each in importlib.import_module(name).__all__
-    ]
-    script = tmp_path / "script.py"
-    script.write_text("import analysis\nimport trainlog\n" + "\n".join(names) + "\ntrainlog.raed\n")
-    checker = [sys.executable, "-m", "mypy", "--strict", "--follow-imports", "silent", str(script)]
-    ended = subprocess.run(checker, capture_output=True, text=True, check=False)
-    errors = [each for each in ended.stdout.splitlines() if ": error:" in each]
-    assert [each for each in errors if '"raed"' not in each] == []
-    assert len(errors) == 1
-
-
 def test_objects_print_in_at_most_ten_lines() -> None:
     trainlog = importlib.import_module("trainlog")
     line = trainlog.read_line(trainlog.sample(trainlog.DEFAULT_LINE))

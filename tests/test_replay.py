@@ -166,16 +166,6 @@ def test_a_held_value_is_the_same_at_every_instant_after_thinning(values: np.nda
     assert kept.time[-1] == time[-1]
 
 
-def test_the_limit_is_held_and_not_averaged(trip: Trip, recording: Path) -> None:
-    entity = "/trips/up/speed/limit"
-    assert static(recording, entity, "SeriesLines:interpolation_mode") == [2]
-    assert static(recording, entity, "SeriesLines:aggregation_policy") == [1]
-    shown = rows(recording, entity)
-    assert len(shown["time"]) < len(trip["/environment"]) / 5
-    changes = np.flatnonzero(np.diff(shown["Scalars:scalars"][1:, 0]))
-    assert (shown["position_m"][1:][changes + 1]).tolist() == [1000]
-
-
 def test_phases_follow_the_lever(recording: Path) -> None:
     found = rows(recording, "/trips/up/phase")
     assert list(found["StateChange:state"]) == [

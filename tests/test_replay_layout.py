@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import uuid
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,36 +38,6 @@ class Layout:
                     {key: both.get(name) for key, name in COMPONENTS.items()} | {"path": path}
                 )
         return found
-
-    def names(self) -> set[str]:
-        return {view["name"][0] for view in self.views()}
-
-    def tabs(self) -> list[list[str]]:
-        """Titles of the tabs of each group of tabs, the root's first."""
-        root = self.logged["/viewport"]["ViewportBlueprint:root_container"]
-        first = f"/container/{uuid.UUID(bytes=bytes(root[0]))}"
-        groups = [first, *(each for each in self._groups() if each != first)]
-        return [
-            [self.title(tab) for tab in self.logged[group]["ContainerBlueprint:contents"]]
-            for group in groups
-        ]
-
-    def active_tab(self) -> str:
-        root = self.logged["/viewport"]["ViewportBlueprint:root_container"]
-        about = self.logged[f"/container/{uuid.UUID(bytes=bytes(root[0]))}"]
-        return self.title(about["ContainerBlueprint:active_tab"][0])
-
-    def title(self, part: str) -> str:
-        kind = "View" if part.lstrip("/").startswith("view/") else "Container"
-        return self.logged["/" + part.lstrip("/")][f"{kind}Blueprint:display_name"][0]
-
-    def _groups(self) -> list[str]:
-        return [
-            path
-            for path, components in self.logged.items()
-            if components.get("ContainerBlueprint:container_kind") == [1]
-            and path.startswith("/container")
-        ]
 
     def shown(self) -> set[str]:
         """Entity paths that views ask for, `$origin` filled in."""
@@ -140,33 +109,10 @@ def test_everything_recorded_is_shown(trips: list[Trip], tmp_path: Path) -> None
     assert hidden == []
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_each_view_is_a_tab_and_has_one_a_trip(
-    trips: list[Trip], tmp_path: Path, count: int
-) -> None:
-    path = tmp_path / f"{count}.rrd"
-    write_replay(trips[:count], path)
-    layout = layout_of(path)
-    views, *pages = layout.tabs()
-    assert views == ["Overview", "Driving", "Traction", "Identification", "Map"]
-    assert layout.active_tab() == "Overview"
-    # One tab a trip, and on the views of all of them one for the particulars of each.
-    names = ["up", "down", "up again"]
-    particulars = [[f"Trip {name}" for name in names]] * 2
-    assert sorted(pages) == ([] if count == 1 else sorted([names] * 3 + particulars))
-    over = {
-        "Speed forward [km/h]",
-        "Speed reverse [km/h]",
-        "Lateness against up [s]: late above 0, early below",
-    }
-    assert (over <= layout.names()) == (count > 1)
-
-
 def test_views_without_what_they_are_about_are_refused(tmp_path: Path) -> None:
     trip, path = made_trip(), tmp_path / "replay.rrd"
     bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})
     write_replay([bare], path)
-    assert layout_of(path).tabs() == [["Overview", "Driving"]]
     path.unlink()
     with pytest.raises(InputError, match=r"nothing for the view 'traction'.*overview, driving"):
         write_replay([bare], path, options=ReplayOptions(view="traction"))

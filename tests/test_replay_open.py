@@ -66,20 +66,6 @@ def test_without_a_display_a_window_is_refused_with_what_else_there_is(
     assert "\n" not in str(refused.value)
 
 
-def test_the_command_without_a_display_draws_nothing(tmp_path: Path) -> None:
-    made = subprocess.run(
-        [sys.executable, "-m", "trainlog", "replay", str(sample("nonstop.mcap"))],
-        env={**without_display(), "TMPDIR": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert made.returncode == 2
-    assert "--web" in made.stderr
-    assert "-o out.png" in made.stderr
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_page_in_the_browser_reaches_this_machine_alone(recording: Path) -> None:
     with web_viewer(recording) as (address, process):
         with direct.open(address) as answer:

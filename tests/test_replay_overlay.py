@@ -13,14 +13,12 @@ from replay_trips import LENGTH, LINE, entities, made_trip, rows, trajectory_of
 
 from trainlog.cli.main import run
 from trainlog.errors import InputError
-from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import stream_log, write_log
-from trainlog.railway import LineReference
 from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.recording import MOST_WHOLE
 from trainlog.replay.samples import clock_of
 from trainlog.replay.survey import OVERVIEW, extremes, thinned_trips
-from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.trip import Trip
 
 
 def unlike(name: str, top: float) -> Trip:
@@ -172,31 +170,6 @@ def test_a_line_on_which_the_trip_was_not_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no chainage"):
         write_replay([without], path, options=ReplayOptions(line=LINE))
     assert not list(tmp_path.iterdir())
-
-
-def test_kilometres_are_written_with_three_decimals_for_each_second(tmp_path: Path) -> None:
-    path, trip = tmp_path / "one.rrd", made_trip()
-    write_replay([trip], path)
-    found = rows(path, "/trips/up/cursor")
-    assert np.diff(found["elapsed"]) == pytest.approx(1e9)
-    state, at = trip["/train/state"], int(np.searchsorted(found["elapsed"], 60 * 10**9))
-    position, speed = state["position"].iloc[600], 3.6 * state["speed"].iloc[600]
-    text = str(found["TextDocument:text"][at])
-    assert text.startswith(f"# km {position / 1e3:.3f}\n\n## {speed:.1f} km/h\n")
-    assert text.endswith("gradient -10.0 ‰\n\nA – B town")
-    assert "limit 108 km/h" in text or "limit 144 km/h" in text
-
-
-def test_blocks_are_named_by_the_operators_kilometre_at_which_they_begin(tmp_path: Path) -> None:
-    """On a line that begins at km 61.33: what is too short for its kilometre has no name."""
-    course = replace(
-        LINE, reference=LineReference("850", *np.array([[0.0], [61.33e3], [61.33e3 + LENGTH]]))
-    )
-    for direction, firsts in (("forward", ["", "km 61.4"]), ("reverse", ["km 63.3", "km 63.2"])):
-        path, trip = tmp_path / f"{direction}.rrd", made_trip("up", direction)
-        attached = trip.attachments | {LINE_ATTACHMENT: line_to_bytes(course)}
-        write_replay([replace(trip, attachments=attached)], path)
-        assert rows(path, "/trips/up/kilometre")["StateChange:state"].tolist()[:2] == firsts
 
 
 # --------------------------------------------------------------------------------- the command

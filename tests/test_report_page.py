@@ -396,14 +396,6 @@ def test_a_doubtful_clock_leaves_the_speed_undecided(rule: str) -> None:
     assert found.level == 1
 
 
-def test_details_fold_and_the_contents_lead_into_them(trip_page: str) -> None:
-    outline = _Outline(trip_page)
-    assert outline.tags.count("details") == outline.tags.count("summary") == 5
-    for folded in re.findall(r"<details>.*?</details>", trip_page, flags=re.S):
-        # The place to which the contents lead is in the folded part: a browser opens it.
-        assert re.search(r'<summary><h2>.*?</h2></summary>\s*<div id="section-\d"', folded)
-
-
 @pytest.mark.usefixtures("unpainted_page")
 def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_path: Path) -> None:
     (tmp_path / "trips").mkdir()
@@ -424,12 +416,3 @@ def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_
     assert [row[0] for row in files.rows] == ["plan.json", "trips/a.mcap", "trips/b.mcap"]
     assert ["trips/a.mcap", "simulate"] in [list(row[:2]) for row in made_of.rows]
     assert not any("{" in cell for row in made_of.rows for cell in row)
-
-
-def test_one_line_draws_a_trip() -> None:
-    trip = read_log(sample("stopping.mcap"))
-    figure = trip.plot(zone=Zone("Europe/Zurich"))
-    assert [axes.get_ylabel() for axes in figure.axes] == ["km/h", "kN", "gradient, ‰", "km/h"]
-    assert figure.axes[-1].get_xlabel() == "minutes since 10:00:00 Europe/Zurich"
-    with pytest.raises(InputError, match="no speed with a position is recorded"):
-        replace(trip, topics={"/events": trip["/events"]}).plot()

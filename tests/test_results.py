@@ -24,11 +24,9 @@ from analysis.adhesion.condition_map import UpdatedMap
 from analysis.fleet.diff import fleet_diff
 from analysis.fleet.trains import fleet_trains
 from analysis.network.maps import NetworkMap
-from analysis.reports.page import Page, Section
 from analysis.trajectory.journey import JourneyPlan
 from analysis.trajectory.optimiser import Front
 from analysis.trajectory.table import PlannedRun
-from trainlog.arrays import same_values
 from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
@@ -50,14 +48,6 @@ def fitted():  # type: ignore[no-untyped-def]
     return analysis.fit([LOG])
 
 
-def test_arrays_of_other_types_shapes_and_values_differ() -> None:
-    assert not same_values(np.zeros(2), [0.0, 0.0])
-    assert not same_values({"a": 1.0}, {"b": 1.0})
-    assert not same_values((1.0, 2.0), (1.0,))
-    assert same_values(np.array(["a"]), np.array(["a"]))
-    assert same_values([float("nan"), None], [float("nan"), None])
-
-
 def test_a_fit_goes_straight_into_set_and_calculation(fitted) -> None:  # type: ignore[no-untyped-def]
     (fit,) = fitted.trips
     wanted = analysis.parameter_set([fit])
@@ -69,14 +59,6 @@ def test_a_fit_goes_straight_into_set_and_calculation(fitted) -> None:  # type: 
         assert calculated.total("calculated_work") == expected.total("calculated_work")
     with pytest.raises(trainlog.InputError, match=r"\(str\) was given where"):
         analysis.calculate(LOG, "params.json")
-
-
-def test_a_page_prints_its_contents_in_few_lines() -> None:
-    picture = "<svg>" + "0" * 100_000
-    page = Page("nonstop", "", [Section("Stops and stations", [picture])])
-    assert "Stops and stations" in repr(page)
-    assert len(repr(page)) < 1_000
-    assert len(repr(page.sections[0])) < 200
 
 
 def test_resistance_at_one_speed_is_a_number_and_at_several_an_array() -> None:

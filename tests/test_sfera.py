@@ -383,16 +383,6 @@ def test_a_line_of_ours_fills_what_the_journey_lacks(tmp_path: Path, found: Sfer
     assert said[1:] == ["level and straight elsewhere", "places by the names of stations"]
 
 
-def test_the_command_writes_line_journey_and_train(tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "in").mkdir()
-    folder_with(tmp_path / "in")
-    status, shown, _ = shell("import", str(tmp_path / "in"), "-o", str(tmp_path / "out"))
-    assert status == 0
-    names = sorted(each.name for each in (tmp_path / "out").iterdir())
-    assert names == [f"1099-4711-2026-05-17.{kind}.json" for kind in ("journey", "line", "train")]
-    assert "not taken over: GuardRails: 1" in " ".join(shown.split())
-
-
 # ------------------------------------------------------------------------------------- messages out
 
 

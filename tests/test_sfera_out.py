@@ -23,7 +23,7 @@ from trainlog.errors import InputError
 from trainlog.formats.railml import Element, parsed_xml
 from trainlog.formats.railway import write_parameters, write_trajectory
 from trainlog.formats.sfera import SferaJourney, read_sfera
-from trainlog.formats.sfera_messages import ADHESION, with_constraints, xml_of
+from trainlog.formats.sfera_messages import with_constraints, xml_of
 from trainlog.ingest import ingest
 from trainlog.railway import (
     Configuration,
@@ -262,12 +262,6 @@ def test_a_forecast_by_conditions_asks_which_one(wil: Path) -> None:
     )
     other = replace(forecast, line="other")
     refused(InputError, "it is of line 'other'", low_adhesion, other, journey, layer="wet")
-
-
-def test_categories_descend() -> None:
-    bounds = [least for least, _ in ADHESION]
-    assert bounds == sorted(bounds, reverse=True)
-    assert bounds[-1] == 0.0
 
 
 def test_a_trip_becomes_reports_and_a_trip_again(wil: Path, tmp_path: Path) -> None:

@@ -14,9 +14,8 @@ from analysis.studies.in_train_forces import simulation as study
 from trainlog.cli.main import run as command
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railway import read_consist, write_consist, write_line
-from trainlog.formats.samples import names, sample
+from trainlog.formats.samples import sample
 from trainlog.railway.train import Consist
-from trainlog.simulation.consist import ConsistPlant
 
 SHORT = replace(
     level_line(2_400.0),
@@ -32,21 +31,6 @@ def passenger(coaches: int = 2) -> Consist:
 @pytest.fixture(scope="module")
 def run() -> study.ConsistRun:
     return study.run(passenger(), SHORT, speed=15.0)
-
-
-@pytest.mark.parametrize("name", [name for name in names() if name.endswith(".consist.json")])
-def test_every_sample_runs_and_accounts_for_its_energy(name: str) -> None:
-    plant = ConsistPlant(read_consist(sample(name)), study.crest_and_sag(), step=0.001)
-    state = plant.at(1_400.0, 20.0)
-    before = plant.energy(state)
-    consist = plant.consist
-    plant.advance(state, consist.max_tractive_effort, 0.0, 20_000)
-    plant.advance(state, 0.0, consist.max_braking_effort, 20_000)
-    works = state.works
-    lost = sum(work for kind, work in works.items() if kind != "traction")
-    unaccounted = plant.energy(state) - before - works["traction"] + lost
-    assert abs(unaccounted) <= 1e-9 * sum(abs(work) for work in works.values())
-    assert state.speeds.max() < 20.0
 
 
 def test_the_train_starts_brakes_halts_and_brakes_in_an_emergency(run: study.ConsistRun) -> None:

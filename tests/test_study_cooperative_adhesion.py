@@ -22,14 +22,11 @@ from analysis.control.cooperative import (
 )
 from analysis.control.rail_estimate import RailEstimator
 from analysis.estimates import with_estimates
-from analysis.studies.report import StudyReport, as_markdown
+from analysis.studies.report import as_markdown
 from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.run import (
-    gain_table,
-    knowledge_table,
     published_table,
     start_table,
-    study_charts,
     torque_table,
     trip_of,
 )
@@ -42,7 +39,6 @@ from analysis.studies.zhao_2025.simulation import (
     rail_ahead,
     runge_kutta,
 )
-from trainlog.cli import terminal
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
@@ -335,21 +331,6 @@ def test_a_run_becomes_a_log_that_the_estimators_read(
         at_rest = (run.time > 15.0) & (run.time < 19.5)
         found = adhesion[f"adhesion_{axle}"].to_numpy()[at_rest]
         assert found == pytest.approx(run.adhesion[at_rest, axle - 1], abs=0.01)
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_tables_and_pictures_are_made(
-    literal: dict[int, study.Run], exact: dict[int, study.Run], tmp_path: Path
-) -> None:
-    compared = {name: [replace(exact[2], total=study.SCARCE)] for name in study.STRATEGIES}
-    pictures = study_charts([literal[2], exact[2]])
-    StudyReport(tmp_path, terminal.console).draw(pictures)
-    assert all((tmp_path / name).exists() for name in pictures)
-    assert len(published_table().rows) == 4
-    assert len(torque_table([exact[2]]).rows) == 4
-    assert len(start_table(literal[1], literal[1]).rows) == 2
-    assert len(gain_table(compared).rows) == 1
-    assert len(knowledge_table({"known": [exact[2]], "map": [None]}).rows) == 1
 
 
 def test_the_page_has_what_the_cases_reach(

@@ -12,24 +12,15 @@ import pytest
 from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.run import (
-    days_table,
     difference_table,
-    gain_table,
-    lateness_table,
-    references_table,
-    study_charts,
-    tracking_table,
 )
 from analysis.studies.hauck_2023.scenarios import Day, day_by_day, least_lateness, replanned
 from analysis.studies.hauck_2023.simulation import trip_of
-from analysis.studies.report import StudyReport
-from trainlog.cli import terminal
 from trainlog.cli.main import run as command
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
 
-BY_NAME = {each.name: each for each in study.SCENARIOS}
 MASSES = (PUBLISHED_TRAIN.light,)
 """The heavier ones are driven over the whole line, in the long test."""
 SLIPPERY = StepProfile(np.array([0.0, 60.0, 200.0, 2_700.0]), np.array([0.07, 0.05, 0.09, 0.045]))
@@ -201,23 +192,6 @@ def test_a_run_is_logged_with_its_levers_reference_and_truth(
 def test_a_mass_the_train_cannot_have_is_refused(known: study.Setup) -> None:
     with pytest.raises(InputError, match="cannot weigh 60 t"):
         driving.run("light", known.plan, known.rails["good"], 60e3)
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_tables_and_pictures_are_made(
-    known: study.Setup,
-    outcomes: dict[tuple[str, float], study.Outcome],
-    days: list[Day],
-    tmp_path: Path,
-) -> None:
-    four = [outcomes[name, PUBLISHED_TRAIN.light] for name in BY_NAME]
-    for table, count in ((tracking_table, 4), (lateness_table, 4), (gain_table, 1)):
-        assert len(table(four).rows) == count
-    assert len(references_table(known.plan).rows) == 1
-    assert len(days_table(days).rows) == 2
-    pictures = study_charts(known, four)
-    StudyReport(tmp_path, terminal.console).draw(pictures)
-    assert all((tmp_path / name).exists() for name in pictures)
 
 
 @pytest.mark.long

@@ -15,7 +15,6 @@ from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.instructions import Phase
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
-from trainlog.formats.railway import read_trajectory
 from trainlog.railway import Trajectory
 
 CELLS = 160
@@ -161,14 +160,3 @@ def test_the_page_has_the_tables_that_the_study_prints(
     ran: Ran, request: pytest.FixtureRequest
 ) -> None:
     check_page("robust-minimax", ran.folder, request)
-
-
-@pytest.mark.long
-def test_the_command_writes_every_answer_with_its_picture(ran: Ran) -> None:
-    for word in ("Price of robustness", "Section 3", "Cruising on level track", "spread"):
-        assert word in ran.printed
-    for name in study.questions(LEVEL, DOWNHILL, CHOSEN):
-        found = read_trajectory(ran.folder / f"{name}.json")
-        assert found.certificate["audit"]["passed"]
-        assert (ran.folder / f"{name}.png").exists()
-    assert (ran.folder / "nominal-driven-by-others.png").exists()

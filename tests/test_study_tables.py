@@ -154,16 +154,3 @@ def test_rows_of_a_table_may_be_left_out_and_none_may_be_added() -> None:
     for row in (["4", "3530"], ["3", "3350"]):
         with pytest.raises(AssertionError, match="torques"):
             check("torques", [*printed[:2], row], printed)
-
-
-def test_nothing_but_the_command_imports_a_study() -> None:
-    """The contract of `lint-imports` lists packages; this covers every module."""
-    root = PAGE.parents[1]
-    using = {
-        str(path.relative_to(root))
-        for package in ("trainlog", "analysis", "estimators")
-        for path in (root / package).rglob("*.py")
-        if re.search(r"^\s*(from|import) analysis\.studies", path.read_text("utf-8"), re.MULTILINE)
-        and "studies" not in path.relative_to(root).parts
-    }
-    assert using == {"trainlog/cli/study.py"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import sys
 from collections.abc import Sequence
@@ -16,18 +15,15 @@ from advice_law import breaches
 from refusals import refused
 from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, optimised, slippery
 
-from analysis.charts import draw
 from analysis.trajectory.advice import (
-    driver_table,
     journey_advice,
     with_advice,
-    write_journey_advice,
 )
 from analysis.trajectory.instructions import Phase, agreement, instructions
 from analysis.trajectory.optimiser import energy_against_time, optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.railway import read_line, read_train, read_trajectory
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, ParameterSet, StepProfile, Trajectory
@@ -215,21 +211,6 @@ def test_the_law_sees_what_is_wrong(hilly: Trajectory) -> None:
     assert any("begins at another speed" in each for each in breaches(hilly, gap))
 
 
-def test_advice_as_a_table(hilly: Trajectory, tmp_path: Path) -> None:
-    found = journey_advice([hilly], hilly_line())
-    write_journey_advice(found, tmp_path / "advice.csv")
-    with (tmp_path / "advice.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["advice"] for row in rows] == [row.words for row in found.rows]
-    assert rows[1]["advice"].startswith("full traction")
-    assert float(rows[-1]["speed_kmh"]) == 0.0
-    printed = [cells[3] for cells in driver_table(found).rows]
-    assert printed[1:-1] == [row["speed_kmh"] for row in rows[2:-1]]
-    assert [f"{3.6 * each['speed_m_s']:.0f}" for each in found.facts()["advice"]] == [
-        row["speed_kmh"] for row in rows
-    ]
-
-
 def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(
     sampled: Trajectory, tmp_path: Path
 ) -> None:
@@ -259,7 +240,7 @@ def test_a_replay_refuses_the_trajectory_of_another_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_slope_of_the_front_is_the_price_of_a_second(tmp_path: Path) -> None:
+def test_the_slope_of_the_front_is_the_price_of_a_second() -> None:
     problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05))
     front = energy_against_time(problem, (0.2, 0.05, 0.1, 0.15), OptimiserOptions(80))
     assert np.all(np.diff(front.times) > 0.0)
@@ -269,9 +250,6 @@ def test_the_slope_of_the_front_is_the_price_of_a_second(tmp_path: Path) -> None
     # The front is convex: each secant lies between the prices at its ends.
     assert np.all(slopes <= 1.01 * front.prices[:-1])
     assert np.all(slopes >= 0.99 * front.prices[1:])
-    for name in ("a.png", "b.png"):
-        draw(front, tmp_path / name)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_a_front_of_nothing_is_refused() -> None:
@@ -316,49 +294,6 @@ def test_agreement_counts_the_cells_that_do_otherwise() -> None:
     worth = np.array([0.5, -0.5, 0.0, 0.5, 0.5])
     assert agreement(efforts, most, worth) == pytest.approx(3 / 5)
     assert agreement(efforts, most, -worth) == pytest.approx(2 / 5)
-
-
-def test_speeds_of_advice_agree_as_printed(sampled: Trajectory) -> None:
-    reached, speeds = None, []
-    for *_, speed, _, words in driver_table(journey_advice([sampled])).words:
-        speeds.append(words)
-        if reached is not None and words.startswith("hold"):
-            assert speed == reached, words
-        found = re.match(r"(?:departs: )?(?:full traction to|hold) (\d+) km/h", words)
-        reached = found[1] if found else None
-    assert any(each.startswith("hold") for each in speeds)
-
-
-@pytest.mark.usefixtures("unpainted", "unrenewed")
-def test_commands_write_sections_a_front_and_advice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from trainlog.cli.main import main
-    from trainlog.formats.railway import write_journey
-    from trainlog.railway import Journey, TimingPoint
-
-    def run(*words: object) -> None:
-        monkeypatch.setattr("sys.argv", ["trainlog", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert ended.value.code in (0, None), capsys.readouterr().err
-
-    parameters, journey = tmp_path / "parameters.json", tmp_path / "journey.json"
-    run("fit", sample("nonstop.mcap"), "-o", parameters)
-    points = [TimingPoint(place, None, None, 0.0, 0.0) for place in (0.0, 9_000.0, 20_000.0)]
-    write_journey(Journey("one stop", "CH_StGallen_Wil", tuple(points)), journey)
-    samples = ("--line", "sample", "--train", "sample")
-    options = (*samples, "--set", "dwell=30", "--set", "cells=60", "--reserve", 15)
-    run("plan", parameters, "--stops", journey, *options, "-o", tmp_path / "a")
-    for number in (1, 2):
-        for suffix in ("json", "png"):
-            assert (tmp_path / "a" / f"section-{number}.{suffix}").exists()
-    assert "Journey one stop" in capsys.readouterr().out
-    expected = (*samples, "--reverse", "--set", "cells=60", "--set", "objective=expected")
-    run("plan", parameters, *expected, "-o", tmp_path / "b.json")
-    settings = read_trajectory(tmp_path / "b.json").provenance["settings"]
-    assert read_trajectory(tmp_path / "b.json").direction == "reverse"
-    assert settings["weights"] == [1.0]  # the trip that the set was observed on
 
 
 def test_a_set_knows_how_many_trips_each_configuration_stands_for() -> None:
