@@ -259,31 +259,6 @@ def with_summary_moved(data: bytes, start: int, end: int, chunk: bytes) -> bytes
     return bytes(moved)
 
 
-def assert_part(part: Trip, trip: Trip) -> None:
-    """Every row that was read is one that was written."""
-    for name, frame in part.topics.items():
-        rows = trip[name].index.get_indexer(frame.index)
-        assert (rows >= 0).all()
-        assert_same(Trip({name: trip[name].iloc[rows]}), Trip({name: frame}))
-
-
-@pytest.mark.parametrize("count", TRIES)
-def test_flipped_bytes_are_noticed(trip: Trip, data: bytes, tmp_path: Path, count: int) -> None:
-    random = np.random.default_rng(3)
-    path = tmp_path / "flipped.mcap"
-    for _ in range(count):
-        flipped = bytearray(data)
-        flipped[random.integers(len(data))] ^= int(random.integers(1, 256))
-        path.write_bytes(flipped)
-        found = outcome(read_with_account, path)
-        if isinstance(found, LogError):
-            assert found.place
-        else:
-            part, account = found
-            assert account is not None
-            assert_part(part, trip)
-
-
 CLAIMED = (0xFFFFFFFF, 0x7FFFFFFF, 0x00FFFFFF, 0)
 
 

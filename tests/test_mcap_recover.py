@@ -14,7 +14,6 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from command import run
 from mcap.reader import SeekingReader
 from mcap.writer import CompressionType
 from mcap_judge import Specimen, foreign, messages_in, specimen, specimens, time_limit
@@ -374,32 +373,6 @@ def test_what_could_not_be_read_is_not_written(whole: Specimen, tmp_path: Path) 
 
 
 # --------------------------------------------------------------------------------- command line
-
-
-def test_check_and_recover_from_the_command_line(
-    whole: Specimen,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    (logs / "cut.mcap").write_bytes(whole.data[:-50])
-    (logs / "whole.mcap").write_bytes(whole.data)
-    status, printed, _ = run(monkeypatch, capsys, "show", "--check", logs)
-    assert status == 1
-    assert "cut.mcap: is damaged: 120 messages are readable" in printed
-    assert "whole.mcap: is whole: 120 messages in 3 chunks" in printed
-    status, printed, _ = run(monkeypatch, capsys, "convert", logs, "-o", tmp_path / "again")
-    assert status == 0
-    assert "wrote" in printed
-    status, printed, _ = run(monkeypatch, capsys, "show", "--check", tmp_path / "again")
-    assert status == 0
-    assert printed.count("is whole") == 2
-    single = tmp_path / "one.mcap"
-    status, _, _ = run(monkeypatch, capsys, "convert", logs / "cut.mcap", "-o", single)
-    assert status == 0
-    assert account_of(single).whole
 
 
 def test_a_recording_that_lacks_only_its_end_is_not_called_damaged() -> None:
