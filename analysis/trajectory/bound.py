@@ -39,7 +39,7 @@ from trainlog.arrays import BoolArray, FloatArray
 
 _NEWTON_STEPS = 8
 
-_REACH, _ROUNDING = 2e-4, 1e-6
+_REACH, _ROUNDING = 1e-5, 1e-6
 """By which the fastest run may be faster than its grid has it, relative and [m/s]."""
 
 LEAST_SPEED = 1e-6
@@ -439,6 +439,7 @@ def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
     partial, alone = partial_cells(hamiltonian, mean)
     flat = alone | (held & (shape.mean(axis=2) < 0.0))
     flat |= _standing(hamiltonian)
+    creeping = _creeping(problem, hamiltonian.fastest, plan)
     base = np.where(flat[:, :, None], 0.0, shape)
     base, even = _together(base, mean, problem.gain, (partial & ~alone, alone, held))
     flat |= even
@@ -448,7 +449,7 @@ def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
     begin = mean - (gathered * whole.weights).sum(axis=2) / step
     end = begin + change
     # Between two cells; the one that follows the adjoint equation knows better.
-    trust = np.where(partial, 1e-6, 1.0) / step**2
+    trust = np.where(partial, 1e-6, 1.0) * np.where(creeping, 1e-12, 1.0) / step**2
     left, right = end[:, :-1], begin[:, 1:]
     middle = (trust[:, :-1] * left + trust[:, 1:] * right) / (trust[:, :-1] + trust[:, 1:])
     free = limited[:, 1:-1] & (right > left)
@@ -456,7 +457,7 @@ def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
     free |= slow[:, 1:-1] & (right < left)
     first = np.column_stack((begin[:, :1], np.where(free, right, middle)))
     last = np.column_stack((np.where(free, left, middle), end[:, -1:]))
-    creeping = _creep(problem, hamiltonian.fastest, plan, first, last)
+    _level_out(creeping, first, last)
     jump = first[:, 1:] - last[:, :-1]
     added = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1]).sum()
     added -= float((first[:, 0] * problem.initial).sum())
@@ -534,10 +535,8 @@ def _standing(hamiltonian: Hamiltonian) -> BoolArray:
     return np.asarray(found[:, 1:] | found[:, :-1])
 
 
-def _creep(
-    problem: DiscreteProblem, fastest: Envelope, plan: Plan, first: FloatArray, last: FloatArray
-) -> BoolArray:
-    """Keep the costate level, in place, where a train starts or stops at its fastest.
+def _creeping(problem: DiscreteProblem, fastest: Envelope, plan: Plan) -> BoolArray:
+    """Cells in which a train starts or stops at its fastest, (q, n).
 
     There any costate that falls less than the adjoint equation asks for leads to the same speed; by
     the equation it grows beyond all bounds towards a standstill.
@@ -550,14 +549,23 @@ def _creep(
     for row in np.flatnonzero(free[:, 1:-1].any(axis=1)).tolist():
         nodes = np.flatnonzero(free[row])
         if problem.initial == 0.0:
-            begins = min(max(int(nodes[0]) - 1, 1), n - 1)
-            found[row, :begins] = True
-            first[row, :begins] = last[row, :begins] = first[row, begins]
+            found[row, : min(max(int(nodes[0]) - 1, 1), n - 1)] = True
         if problem.final == 0.0:
-            ends = max(min(int(nodes[-1]) + 1, n - 1), 1)
-            found[row, ends:] = True
-            first[row, ends:] = last[row, ends:] = last[row, ends - 1]
+            found[row, max(min(int(nodes[-1]) + 1, n - 1), 1) :] = True
     return found
+
+
+def _level_out(creeping: BoolArray, first: FloatArray, last: FloatArray) -> None:
+    """Keep the costate level where a train creeps, as it is beside, in place."""
+    n = creeping.shape[1]
+    for row in np.flatnonzero(creeping.any(axis=1)).tolist():
+        moves = np.flatnonzero(~creeping[row])
+        if not moves.size:
+            continue
+        begins, ends = int(moves[0]), int(moves[-1]) + 1
+        first[row, :begins] = last[row, :begins] = first[row, begins]
+        if ends < n:
+            first[row, ends:] = last[row, ends:] = last[row, ends - 1]
 
 
 _POINTS = 4
@@ -601,7 +609,7 @@ def continuous_bound(
     multipliers : Multipliers
         Its multipliers.
     fastest : Envelope
-        Of the same configurations; no trajectory is faster anywhere.
+        Of the same configurations, on close cells (`closer`); no trajectory is faster anywhere.
     running_time : float [s]
     run : TrajectoryProblem
         With all configurations, whose traction is one; the problem may be of some of them.

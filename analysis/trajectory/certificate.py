@@ -20,7 +20,7 @@ from analysis.trajectory.convex import (
     time_limit,
 )
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
-from analysis.trajectory.envelope import Envelope, Floor, floor_of
+from analysis.trajectory.envelope import Envelope, Floor, closer, floor_of
 from analysis.trajectory.instructions import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY
@@ -49,7 +49,7 @@ def best_bound(
     """
     problem, solution, rows = answer.problem, answer.solution, list(answer.active)
     part, speeds = problem.select(rows), fastest.at(problem.positions)[rows]
-    own = replace(fastest, speeds=fastest.speeds[rows], elapsed=fastest.elapsed[rows])
+    own = closer(problem.run, fastest, tuple(rows))
     counted = problem.weights > 0.0
     counted[rows] = False
     stand_in = problem.run.objective == "expected" and bool(counted.any())
@@ -59,7 +59,8 @@ def best_bound(
     ) -> ContinuousBound:
         if stand_in:
             every = _of_all(problem, rows, multipliers)
-            return continuous_bound(problem, answer.plan, every, fastest, running_time, problem.run)
+            whole = closer(problem.run, fastest, tuple(range(problem.shape[0])))
+            return continuous_bound(problem, answer.plan, every, whole, running_time, problem.run)
         return continuous_bound(part, plan, multipliers, own, running_time, problem.run, floor)
 
     found = bound(solution.multipliers)

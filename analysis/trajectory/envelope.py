@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -64,6 +65,11 @@ class Envelope:
         """Least time from start to end, (q,) [s]."""
         return self.elapsed[:, -1]
 
+    def select(self, rows: Sequence[int]) -> Envelope:
+        """That of some of the configurations."""
+        some = list(rows)
+        return Envelope(self.positions, self.speeds[some], self.elapsed[some], self.pulling[some])
+
     def at(self, positions: FloatArray) -> FloatArray:
         """Speeds at other positions, (q, n + 1) [m/s]."""
         right = np.clip(np.searchsorted(self.positions, positions), 1, self.positions.size - 1)
@@ -114,14 +120,57 @@ def fastest_run(run: TrajectoryProblem, cruising: float = np.inf) -> Envelope:
     InfeasibleError
         If a configuration cannot climb the line, or cannot brake for a limit or for the end.
     """
-    problem = discretise(run, _fine_grid(run))
+    return _fastest_on(run, _fine_grid(run), cruising)
+
+
+@lru_cache(maxsize=4)
+def closer(run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...]) -> Envelope:
+    """The fastest run of some on cells split where its speed changes much or a curve ends another.
+
+    Parameters
+    ----------
+    run : TrajectoryProblem
+    fastest : Envelope
+        Of all its configurations.
+    rows : tuple of int
+        Which of them.
+    """
+    # The lightest has the least traction, which all have in common.
+    lightest = int(np.argmin([each.inertia for each in run.configurations]))
+    some = [*rows, *{lightest}.difference(rows)]
+    run = replace(run, configurations=[run.configurations[row] for row in some], weights=())
+    fastest = fastest.select(some)
+    for _ in range(_SPLITS):
+        z, s = 0.5 * fastest.speeds**2, fastest.positions
+        step, slopes = np.diff(s), np.diff(z, axis=1) / np.diff(s)
+        least = np.maximum(np.minimum(z[:, 1:], z[:, :-1]), _LEAST)
+        turn = np.abs(np.diff(slopes, axis=1))
+        turn = np.maximum(np.pad(turn, ((0, 0), (1, 0))), np.pad(turn, ((0, 0), (0, 1))))
+        # Where full traction hardly keeps a limit the order of the slopes in a cell counts.
+        uneven = np.ptp(discretise(run, s).drag0, axis=2) * fastest.pulling
+        parts = np.sqrt(np.maximum(0.25 * turn, 0.125 * uneven) * step / least / _TURN).max(axis=0)
+        parts = np.maximum(parts, (np.abs(slopes) * step / least).max(axis=0) / _CHANGE)
+        parts = np.where(step > _SHORTEST, np.clip(np.ceil(parts), 1, _MOST_PARTS), 1).astype(int)
+        if parts.max() == 1:
+            break
+        cell = np.repeat(np.arange(parts.size), parts)
+        share = np.concatenate([np.arange(count) / count for count in parts.tolist()])
+        fastest = _fastest_on(run, np.append(s[cell] + share * step[cell], s[-1]))
+    return fastest.select(range(len(rows)))
+
+
+def _fastest_on(run: TrajectoryProblem, grid: FloatArray, cruising: float = np.inf) -> Envelope:
+    problem = discretise(run, grid)
     traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
     if problem.curves is not None:
         # As published, not as plans keep to it: no trajectory is faster.
         traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
     middles = problem.positions[:-1] + 0.5 * problem.step
     limits = 0.5 * np.minimum(run.permitted_speed(middles), cruising) ** 2
-    ceiling, brakes = np.minimum(problem.ceiling, 0.5 * cruising**2), _brakes_of(problem)
+    # What a cell's constant efforts would have the speed rise above its ends does not count here.
+    bulge = np.maximum(np.append(problem.bulge, 0.0), np.insert(problem.bulge, 0, 0.0))
+    ceiling = np.minimum(problem.ceiling + bulge, 0.5 * cruising**2)
+    brakes = _brakes_of(problem)
     ends = problem.initial, problem.final
     curve, z, seconds = fastest_below(ceiling, limits, ends, traction, brakes, motion)
     _check_brakes(run, problem, curve)
@@ -334,6 +383,16 @@ def _fine_grid(run: TrajectoryProblem) -> FloatArray:
     below = np.abs(points - edges[(np.searchsorted(edges, points) - 1).clip(0)])
     return np.unique(np.concatenate((edges, points[np.minimum(gap, below) > 5e-3])))
 
+
+_SPLITS, _MOST_PARTS = 3, 8
+"""How often the cells of a closer run are split, and into how many parts at most."""
+
+_TURN, _CHANGE, _LEAST = 1e-5, 0.1, 1e-4
+"""By what part of its ``z`` a run may leave the line between two nodes, and by what part it may
+change in a cell; and the least ``z`` that counts [m²/s²]."""
+
+_SHORTEST = 0.01
+"""Length of a cell that is split no further [m]."""
 
 _HELD = 1e-5
 """Part of a limit's ``z`` within which a train is held by it through a cell."""

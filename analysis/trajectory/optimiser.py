@@ -324,6 +324,8 @@ def _renewed(
         enough = options.tolerance * max(abs(bound.value), NEGLIGIBLE_ENERGY)
         if number >= RENEWALS and not lower:
             enough = max(enough, tolerated(bound.value, fastest))
+        if lower:
+            enough = min(enough, _LOWER * abs(bound.value))
         now = worked()
         if missing <= enough or time_left() <= 0.0 or now - begun + taken > EFFORT:
             break

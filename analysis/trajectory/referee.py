@@ -265,17 +265,21 @@ def _solved(
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.max_iter": 300,
-        # The other strategy ended without an optimum on half of the runs from a standstill.
-        "ipopt.mu_strategy": "adaptive",
         "ipopt.max_cpu_time": LONGEST,
     }
-    solver = ca.nlpsol("referee", "ipopt", program, settings)
-    found = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
-    values, statistics = np.asarray(found["x"]).ravel(), solver.stats()
-    return IpoptResult(
-        energy=float(values[-1]),
-        z=values[: q * (n + 1)].reshape(q, n + 1),
-        traction=values[q * (n + 1) : q * (n + 1) + n],
-        status=str(statistics["return_status"]),
-        iterations=int(statistics["iter_count"]),
-    )
+    # From a standstill either strategy ends without an optimum on some lines.
+    for barrier in ("adaptive", "monotone"):
+        settings["ipopt.mu_strategy"] = barrier
+        solver = ca.nlpsol("referee", "ipopt", program, settings)
+        found = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
+        values, statistics = np.asarray(found["x"]).ravel(), solver.stats()
+        result = IpoptResult(
+            energy=float(values[-1]),
+            z=values[: q * (n + 1)].reshape(q, n + 1),
+            traction=values[q * (n + 1) : q * (n + 1) + n],
+            status=str(statistics["return_status"]),
+            iterations=int(statistics["iter_count"]),
+        )
+        if result.solved:
+            break
+    return result
