@@ -109,6 +109,28 @@ def test_everything_recorded_is_shown(trips: list[Trip], tmp_path: Path) -> None
     assert hidden == []
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_several_trips_have_a_tab_each_and_views_over_all(
+    trips: list[Trip], tmp_path: Path, count: int
+) -> None:
+    path = tmp_path / f"{count}.rrd"
+    write_replay(trips[:count], path)
+    logged = layout_of(path).logged.values()
+    tabs = [each for each in logged if each.get("ContainerBlueprint:container_kind") == [1]]
+    assert tabs
+    assert all(len(each["ContainerBlueprint:contents"]) > 1 for each in tabs), "none alone"
+    titles = {
+        value[0]
+        for components in logged
+        for name, value in components.items()
+        if name.endswith(":display_name")
+    }
+    for several in ("up", "Speed forward [km/h]", "Lateness against up [s]: late above 0, early"):
+        assert any(title.startswith(several) for title in titles - {"up: speed [km/h]"}) == (
+            count > 1
+        )
+
+
 def test_views_without_what_they_are_about_are_refused(tmp_path: Path) -> None:
     trip, path = made_trip(), tmp_path / "replay.rrd"
     bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})
