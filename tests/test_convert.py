@@ -17,7 +17,6 @@ from refusals import refused
 
 from tests.foreign_logs import json_log
 from tests.mcap_trips import START, assert_same, trip_of
-from trainlog.cli.main import run
 from trainlog.cli.options import stretch, times
 from trainlog.errors import InputError, LogError
 from trainlog.formats.trip_tables import CsvTripIndex, folder_writer, read_parquet, write_parquet
@@ -272,20 +271,6 @@ def test_stretches_are_kilometres() -> None:
             InputError, match=r"section of the line in km; write|is not a valid kilometre; write"
         ):
             stretch(wrong)
-
-
-def test_the_command_converts_and_cuts(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, part = tmp_path / "trip.parquet", tmp_path / "part.mcap"
-    assert run(["convert", str(log), "-o", str(folder)]) == 0
-    words = ["convert", str(folder), "-o", str(part), "--km", "1.2:1.5", "--to", "end-1s"]
-    assert run([*words, "--topic", TRAIN_STATE.name]) == 0
-    assert "31 rows in 1 topic" in capsys.readouterr().out
-    # A section that is none is stated as it was given, in kilometres.
-    with pytest.raises(InputError, match=r"no stretch from km 5\.000 to km 3\.000; give the lower"):
-        run([*words[:-4], "--km", "5:3"])
-    assert read_log(part)[TRAIN_STATE.name]["position"].iloc[[0, -1]].tolist() == [1200.0, 1500.0]
 
 
 def test_a_stretch_of_a_folder_without_positions_is_refused(tmp_path: Path) -> None:

@@ -315,10 +315,8 @@ def test_parameters_that_change_the_bins_of_a_map(
     words += ("-o", tmp_path / "changes")
     status, shown, _ = shell("fleet", "diff", "now", "adhesion.bin_length=50", *words)
     assert status == 0, "no estimate moved beyond its band"
-    assert "nothing moved beyond its band on 1 trip; not compared" in shown
     assert "as the parameters change it: number of bins." in shown
     assert "weighted_log" not in shown, "sums over other bins differ by definition"
-    assert "adhesion.bin_length=50 against now (" in shown
     assert "resistance" not in shown, "the other analyses have no other parameters"
     assert "<h2>" in (tmp_path / "changes" / "diff.html").read_text("utf-8")
 

@@ -9,13 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import run
-from matplotlib.figure import Figure
 from refusals import refused
 
-from analysis import charts
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.reports import trip as report
-from analysis.reports.page import Page
 from trainlog.cli.options import part_of
 from trainlog.errors import InputError
 from trainlog.formats.railway import line_to_bytes, read_line, write_line
@@ -126,38 +123,9 @@ def test_a_kilometre_that_a_jump_leaves_out_is_refused() -> None:
     refused(InputError, r"no km 52\.7; .* jump from 52\.000 to 53\.500", position_of, line, 52.7)
 
 
-plotting_write = charts.write_figure
-
-
-@pytest.fixture
-def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """Figures that commands write."""
-    found = list[Figure]()
-
-    def written(figure: Figure, path: str | Path) -> None:
-        found.append(figure)
-        plotting_write(figure, path)
-
-    monkeypatch.setattr(charts, "write_figure", written)
-    return found
-
-
-def ticks(figure: Figure) -> list[list[tuple[float, float]]]:
-    """Of each axis of a figure, what stands at each tick that is labelled: chainage, label [km]."""
-    figure.canvas.draw()
-    found = []
-    for axes in figure.axes:
-        low, high = axes.get_xlim()
-        labels = [each.get_text() for each in axes.get_xticklabels()]
-        if labels:  # of panels above each other the lowest has them
-            shown = zip(axes.get_xticks(), labels, strict=True)
-            found.append([(x, float(y)) for x, y in shown if y and low <= x <= high])
-    return found
-
-
 @pytest.mark.parametrize("counted", ["jump"], indirect=True)
 def test_a_report_names_a_place_by_the_same_kilometre(
-    counted: Counted, figures: list[Figure], monkeypatch: pytest.MonkeyPatch
+    counted: Counted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, _, expected = counted
     found = list[SlipAnalysis]()
@@ -176,8 +144,3 @@ def test_a_report_names_a_place_by_the_same_kilometre(
     places = [expected(each) for each in found[0].events["position"]]
     assert listed
     assert all(min(abs(each - place) for place in places) < 0.001 for each in listed)
-    Page("trip", "", sections).to_html(interactive=False)
-    (labelled,) = ticks(figures[0])
-    assert len(labelled) > 4
-    for place, label in labelled:
-        assert label == pytest.approx(expected(1e3 * place), abs=1e-6)
