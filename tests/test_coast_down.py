@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 from refusals import refused
 
-from analysis.charts import draw
 from analysis.resistance.coast_down import (
     CoastDown,
     coast_down,
@@ -341,14 +340,6 @@ def test_unknown_gradients_are_not_guessed() -> None:
     same = [on_day(same[0], k) for k in range(4)]
     with pytest.raises(NotIdentifiableError, match="at one and the same speed"):
         coast_down_without_gradient(same[:2], spans=spans)
-
-
-def test_the_picture_of_unknown_gradients_is_drawn(tmp_path: Path) -> None:
-    trips, spans = coasting_over(8, both=True)
-    result = coast_down_without_gradient(trips, HILLY, spans)
-    draw(result, tmp_path / "both.png")
-    assert (tmp_path / "both.png").stat().st_size > 10_000
-    assert result.tables()[0].rows
 
 
 # ---------------------------------------------------------------------------------- real phones
