@@ -31,18 +31,14 @@ from analysis.studies.zhao_2025.run import (
     trip_of,
 )
 from analysis.studies.zhao_2025.simulation import (
-    STEEP,
     coefficients,
     demand_on,
-    driven,
     euler,
-    rail_ahead,
     runge_kutta,
 )
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import StepProfile
-from trainlog.railway.adhesion import DRY, WET, creep_coefficients
+from trainlog.railway.adhesion import DRY, WET
 
 LOCOMOTIVE = study.PUBLISHED_LOCOMOTIVE
 STILL_DRY, WET_AT_REST = (5.0, 10.0), (15.0, 20.0)
@@ -368,35 +364,6 @@ def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:
     for each, curve in ((dry, DRY), (wet, WET)):
         assert each.adhesion == pytest.approx(curve.peak, abs=0.02)
         assert np.all((each.low <= each.maximum) & (each.maximum <= each.high))
-
-
-@pytest.mark.long
-def test_a_rail_that_is_learnt_pulls_nearly_as_much_as_one_that_is_known() -> None:
-    case, total = study.CASES[1], study.SCARCE
-    pulled = {}
-    for name in ("known", "learnt", "taken for wet"):
-        run = driven(name, case, total if name != "taken for wet" else 28_000.0, seed=1)
-        assert run is not None
-        pulled[name] = float(run.mean(run.force, *WET_AT_REST))
-    assert pulled["learnt"] > 0.98 * pulled["known"]
-    # A dry rail that is run at the slip speed of a wet one gives much less.
-    assert pulled["taken for wet"] < 160e3
-
-
-def test_learning_saves_from_a_rail_that_no_assumption_fits() -> None:
-    steep = {name: driven(name, STEEP, 28_000.0, seed=1) for name in ("learnt", "taken for dry")}
-    pulled = {name: float(run.mean(run.force, *WET_AT_REST)) for name, run in steep.items() if run}
-    assert pulled["learnt"] > 1.05 * pulled["taken for dry"]
-
-
-def test_a_map_gives_the_rail_under_each_axle_ahead() -> None:
-    places = StepProfile(np.array([0.0, 100.0]), np.array([0.25, 0.10]))
-    rail = rail_ahead(places, 99.0, 20.0, [0.0, 10.0], Tuning())
-    wet = creep_coefficients(0.10)
-    # Half a period ahead the first axle is at 100 m, the second at 90 m.
-    np.testing.assert_array_equal(rail[0], [wet, creep_coefficients(0.25)])
-    np.testing.assert_array_equal(rail[-1], [wet, wet])
-    assert driven("map", study.CASES[0], 28_000.0, seed=1) is None
 
 
 @pytest.mark.parametrize(

@@ -143,19 +143,6 @@ def test_who_coasts_too_long_comes_to_a_stand_and_is_located() -> None:
 
 
 @pytest.mark.long
-def test_a_wider_set_ends_faster_under_one_brake() -> None:
-    slow, fast = (
-        study.lowest_common_end_speed(LEVEL, study.evenly_spread(share), cells=30)
-        for share in (0.01, 0.03)
-    )
-    assert slow is not None
-    assert fast is not None
-    assert 5.0 <= slow < fast <= 10.0
-    short = study.Instance("short", LEVEL.line, 1_300.0)
-    assert study.lowest_common_end_speed(short, CHOSEN, cells=30) is None
-
-
-@pytest.mark.long
 def test_the_page_has_the_tables_that_the_study_prints(
     ran: Ran, request: pytest.FixtureRequest
 ) -> None:

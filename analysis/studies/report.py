@@ -7,17 +7,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from analysis.charts import Chart, draw_all
 from trainlog import __version__
+from trainlog.arrays import FloatArray
 from trainlog.formats.files import atomic_write, made_folder, sha256
 from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import write_log
 from trainlog.presentation import WordTable
 from trainlog.progress import track
 from trainlog.railway import Line
-from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.topics import EVENTS, Topic
+from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
+from trainlog.units import NANOSECONDS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,6 +31,9 @@ Item = TypeVar("Item")
 
 START = 1_735_689_600 * 10**9
 """When the runs begin [ns]: 2025-01-01, so that the same run gives the same bytes."""
+
+INFO = 2
+"""Level of an event, see `trainlog.topics.EVENTS`."""
 
 TABLES = "tables.md"
 """All tables of a study, in its folder."""
@@ -73,9 +81,9 @@ class StudyReport:
             temporary.write_text("\n".join(self._parts.values()), encoding="utf-8")
         self.keep(path)
 
-    def log(self, trip: Trip) -> Path:
-        """Write a trip under its name."""
-        path = self.folder / f"{trip.metadata['trip']}.mcap"
+    def log(self, trip: Trip, name: str = "") -> Path:
+        """Write a trip under a name, by default its own."""
+        path = self.folder / f"{name or trip.metadata['trip']}.mcap"
         write_log(trip, path)
         self.keep(path)
         return path
@@ -115,11 +123,13 @@ def study_trip(
     name: str,
     train: str,
     line: Line,
-    frames: Sequence[pd.DataFrame],
+    time: FloatArray,
+    topics: Mapping[Topic, Mapping[str, ArrayLike]],
     step: tuple[str, Mapping[str, Any]],
     *,
     attachments: Mapping[str, bytes],
     metadata: Mapping[str, str] | None = None,
+    events: Sequence[tuple[float, str, str]] = (),
 ) -> Trip:
     """The trip of a simulated run.
 
@@ -127,14 +137,17 @@ def study_trip(
     ----------
     name, train : str
     line : Line
-    frames : sequence of DataFrame
-        Topics.
+    time : (n,) array [s]
+    topics : mapping of Topic to mapping of str to array_like
+        Fields of each; a single value holds throughout.
     step : (str, mapping)
         The command that made it and its settings, for the provenance.
     attachments : mapping of str to bytes
         Besides the line.
     metadata : mapping of str to str, optional
         Beyond what every run has.
+    events : sequence of (float, str, str)
+        Time [s], message, and who says so.
     """
     everything = {LINE_ATTACHMENT: line_to_bytes(line), **attachments}
     facts = {
@@ -146,12 +159,22 @@ def study_trip(
         "start": "2025-01-01T00:00:00+00:00",
         "software": f"trainlog {__version__}",
     }
-    topics = {frame.attrs["topic"]: frame for frame in frames}
-    trip = Trip(topics, facts | dict(metadata or {}), (), everything)
+    frames = {topic.name: _frame(topic, time, fields) for topic, fields in topics.items()}
+    if events:
+        when, messages, names = (np.array(each) for each in zip(*events, strict=True))
+        words = {"message": messages.astype(object), "name": names.astype(object)}
+        frames[EVENTS.name] = _frame(EVENTS, when, {"level": INFO, **words})
     command, settings = step
-    return trip.with_step(
+    return Trip(frames, facts | dict(metadata or {}), (), everything).with_step(
         command,
         software=f"trainlog {__version__}",
         **settings,
         inputs={key: sha256(data) for key, data in everything.items()},
     )
+
+
+def _frame(topic: Topic, time: FloatArray, fields: Mapping[str, ArrayLike]) -> pd.DataFrame:
+    values = {
+        key: value if np.ndim(value) else np.full(time.size, value) for key, value in fields.items()
+    }
+    return frame_of(topic, START + np.round(time * NANOSECONDS).astype(np.int64), values)

@@ -151,11 +151,11 @@ def robust_minimax(
 
 
 @study_app.command("cooperative-adhesion")
-def cooperative_adhesion(*, output: Path, seed: Seed = 1) -> None:
+def cooperative_adhesion(*, output: Path) -> None:
     """Share torque among four motors while the rail under them changes (Zhao et al., 2025).
 
     Runs the paper's four cases with its parameters, with the paper's integration and an accurate
-    one, and with those of a locomotive of 85 t; then without cooperation, and with unknown rail.
+    one, and with those of a locomotive of 85 t; then without cooperation.
     Writes logs and the paper's figures, and prints results and published values.
 
     Example: trainlog study cooperative-adhesion -o results/cooperative-adhesion
@@ -168,4 +168,4 @@ def cooperative_adhesion(*, output: Path, seed: Seed = 1) -> None:
     from analysis.studies.zhao_2025.run import main
 
     with _reported(output) as report:
-        main(report, seed)
+        main(report)

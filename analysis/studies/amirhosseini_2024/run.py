@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pandas as pd
+from numpy.typing import ArrayLike
 
 from analysis.charts import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, Chart, Curve, Panel
 from analysis.studies.amirhosseini_2024 import simulation as study
 from analysis.studies.amirhosseini_2024.simulation import PERIOD, SPEED_NOISE, VARIANTS, Run, worst
-from analysis.studies.report import START, StudyReport, study_trip
+from analysis.studies.report import StudyReport, study_trip
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.presentation import Columns, WordTable, new_table, word_table
@@ -23,9 +23,10 @@ from trainlog.topics import (
     TRAIN_COUPLERS,
     TRAIN_STATE,
     TRUTH,
+    Topic,
 )
-from trainlog.trip import Trip, frame_of
-from trainlog.units import KMH, NANOSECONDS
+from trainlog.trip import Trip
+from trainlog.units import KMH
 
 Figures = tuple[float | None, float | None, float | None]
 
@@ -343,7 +344,6 @@ def trip_of(run: Run, seed: int) -> Trip:
     In ``/estimates/running_resistance`` ``r0`` is the estimate of a0 + f2, the slope included, as
     eq. (24) has it; the scalar variant knows only the sum, which stands in ``resistance``.
     """
-    time = START + np.round(run.time * NANOSECONDS).astype(np.int64)
     slopes = run.track
     estimates = {"resistance": run.estimate}
     if run.variant.parameters == 3:
@@ -354,57 +354,38 @@ def trip_of(run: Run, seed: int) -> Trip:
     running = run.resistance - run.slope_force
     targets = [study.target(now) for now in run.time]
     needed = study.MASS * np.array([each.acceleration for each in targets]) + run.resistance
-    frames: tuple[pd.DataFrame, ...] = (
-        frame_of(TRAIN_STATE, time, {"position": run.position, "speed": run.measured_speed}),
-        frame_of(
-            TRAIN_CONTROLS,
-            time,
-            {
-                "tractive_effort_demand": traction,
-                "braking_effort_demand": braking,
-                "tractive_effort": traction,
-                "dynamic_braking_effort": braking,
-                "pneumatic_braking_effort": np.zeros_like(braking),
-            },
-        ),
-        frame_of(
-            ENVIRONMENT,
-            time,
-            {
-                "gradient": slopes.gradient(run.position),
-                "speed_limit": slopes.speed_limit(run.position),
-            },
-        ),
-        frame_of(ESTIMATED_RESISTANCE, time, estimates | {"mass": np.full(time.size, study.MASS)}),
-        frame_of(
-            REFERENCE,
-            time,
-            {
-                "speed": run.target_speed,
-                "tractive_effort": np.maximum(needed, 0.0),
-                "braking_effort": np.maximum(-needed, 0.0),
-            },
-        ),
-        frame_of(
-            TRUTH,
-            time,
-            {"position": run.position, "speed": run.speed, "running_resistance": running},
-        ),
-    )
+    topics: dict[Topic, dict[str, ArrayLike]] = {
+        TRAIN_STATE: {"position": run.position, "speed": run.measured_speed},
+        TRAIN_CONTROLS: {
+            "tractive_effort_demand": traction,
+            "braking_effort_demand": braking,
+            "tractive_effort": traction,
+            "dynamic_braking_effort": braking,
+            "pneumatic_braking_effort": 0.0,
+        },
+        ENVIRONMENT: {
+            "gradient": slopes.gradient(run.position),
+            "speed_limit": slopes.speed_limit(run.position),
+        },
+        ESTIMATED_RESISTANCE: {**estimates, "mass": study.MASS},
+        REFERENCE: {
+            "speed": run.target_speed,
+            "tractive_effort": np.maximum(needed, 0.0),
+            "braking_effort": np.maximum(-needed, 0.0),
+        },
+        TRUTH: {"position": run.position, "speed": run.speed, "running_resistance": running},
+    }
     if run.train.couplers:
-        frames += (frame_of(TRAIN_COUPLERS, time, {"force": run.coupler_forces}),)
+        topics[TRAIN_COUPLERS] = {"force": run.coupler_forces}
     return study_trip(
         name_of(run),
         run.train.name,
         slopes,
-        frames,
+        run.time,
+        topics,
         (
             "study rls-sliding-mode",
-            {
-                "seed": seed,
-                "variant": run.variant.name,
-                "speed_noise": run.noise,
-            },
+            {"seed": seed, "variant": run.variant.name, "speed_noise": run.noise},
         ),
         attachments={"consist.json": thing_to_bytes(run.train)},
         metadata={"seed": str(seed), "study": "Amirhosseini et al. (2024), section 5"},

@@ -12,15 +12,14 @@ is divided by the inertia: efforts are accelerations, powers W/kg, energies J/kg
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
 from numba import njit
 
-from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
-from analysis.trajectory.envelope import braking_curves, fastest_run
-from analysis.trajectory.feasibility import lowest_end_speed
+from analysis.trajectory.discretisation import DiscreteProblem, discretise
+from analysis.trajectory.envelope import braking_curves
 from analysis.trajectory.instructions import Phase, phases_of
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import Braking, OptimiserOptions, TrajectoryProblem
@@ -60,9 +59,6 @@ SPREAD = {
     "hard": ((1.03, 1.0, 1.015), 0.98),
 }
 """Factors on the coefficients and on p_max: alpha of the paper, chosen here."""
-
-SHARES = (0.01, 0.03, 0.05, 0.1)
-"""Of the running resistance, by which even sets differ."""
 
 SUBSTEPS = 20
 """Runge-Kutta sub-steps a cell of `driven`."""
@@ -142,12 +138,6 @@ def configurations(spread: Mapping[str, tuple[tuple[float, float, float], float]
     )  # fmt: skip
 
 
-def evenly_spread(share: float) -> tuple[Configuration, ...]:
-    """Three configurations whose running resistance differs by `share` from the train's own."""
-    factors = {"easy": 1.0 - share, NOMINAL: 1.0, "hard": 1.0 + share}
-    return configurations({name: ((f, f, f), 1.0) for name, f in factors.items()})
-
-
 def level() -> Instance:
     """The level reference: 48.531 km, 140 km/h, 1541 s, from 1 to 10 m/s."""
     line = Line(
@@ -197,15 +187,6 @@ def questions(
         for instance in (first, second)
         for braking in get_args(Braking)
     }
-
-
-def end_of(
-    instance: Instance, share: float, *, cells: int = 500
-) -> tuple[float, float | None, Trajectory]:
-    """An even set: its spread, its lowest common end speed [m/s], its trajectory by recourse."""
-    chosen = evenly_spread(share)
-    lowest = lowest_common_end_speed(instance, chosen)
-    return share, lowest, solved(instance, chosen, "recourse", cells=cells)
 
 
 def driven(
@@ -284,21 +265,6 @@ def _driven(
                 break
             speeds[a, k + 1], times[a, k + 1] = v, t
     return speeds, times, energy, most, stands
-
-
-def lowest_common_end_speed(
-    instance: Instance, chosen: Sequence[Configuration], *, cells: int = 120
-) -> float | None:
-    """The lowest v_e [m/s] that one braking effort for all allows; None if the time is too short.
-
-    See `analysis.trajectory.feasibility.lowest_end_speed`.
-    """
-    run = replace(instance, final_speed=1e-3).run(chosen, "common")
-    fastest = fastest_run(run)
-    speeds = fastest.speeds[int(np.argmax(fastest.times))]
-    positions = graded_mesh(run.breakpoints, fastest.positions, speeds, cells)
-    problem = discretise(run, positions)
-    return lowest_end_speed(problem, fastest.at(positions), instance.running_time)
 
 
 def phase_durations(trajectory: Trajectory, row: int = 0) -> dict[Phase, float]:

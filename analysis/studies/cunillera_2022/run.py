@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
-from analysis.charts import BLUE, GREEN, GREY, RED, Chart, Curve, Panel, Rule
 from analysis.studies.cunillera_2022 import model as study
-from analysis.studies.cunillera_2022.model import Instance, driven
 from analysis.studies.report import StudyReport
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.instructions import Phase
@@ -16,24 +12,6 @@ from trainlog.formats.railway import write_trajectory
 from trainlog.presentation import Columns, WordTable, new_table, word_table
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH
-
-
-def configurations_table(instance: study.Instance) -> WordTable:
-    """The observed set, per unit mass as the paper has it.
-
-    Parameters
-    ----------
-    instance : Instance
-    """
-    of: Columns[Configuration] = {
-        "alpha": lambda each: each.name,
-        "r0 [mm/s²]": lambda each: f"{1e3 * each.resistance.r0 / each.inertia:.3f}",
-        "r1 [1e-4/s]": lambda each: f"{1e4 * each.resistance.r1 / each.inertia:.3f}",
-        "r2 [1e-5/m]": lambda each: f"{1e5 * each.resistance.r2 / each.inertia:.3f}",
-        "p_max [W/kg]": lambda each: f"{each.max_power / each.inertia:.3f}",
-    }
-    title = f"Configurations, unit mass ({instance.line.source}; spread chosen here)"
-    return word_table(title, study.configurations(), of)
 
 
 def price_table(
@@ -173,25 +151,6 @@ def others_table(
     return word_table(title, range(len(chosen)), of)
 
 
-def ends_table(ends: Sequence[tuple[float, float | None, Trajectory]]) -> WordTable:
-    """What a wider observed set costs, and how slow one brake for all can make it.
-
-    Parameters
-    ----------
-    ends : sequence of (float, float or None, Trajectory)
-        Spread of the running resistance, lowest common end speed [m/s], and the trajectory with
-        a brake each.
-    """
-    of: Columns[tuple[float, float | None, Trajectory]] = {
-        "spread": lambda row: f"±{row[0]:.0%}",
-        "lowest end speed, common braking": lambda row: (
-            "none in this time" if row[1] is None else f"{KMH * row[1]:.1f} km/h"
-        ),
-        "robust, recourse [J/kg]": lambda row: f"{_per_mass(row[2]):.2f}",
-    }
-    return word_table("Sets whose running resistance differs evenly", ends, of)
-
-
 def _per_mass(found: Trajectory, key: str = "energy") -> float:
     """J/kg, the paper's unit mass; these configurations have one inertia."""
     return float(found.certificate[key]) / found.configurations[0].inertia
@@ -205,45 +164,6 @@ def _late(found: study.Driven, row: int, running_time: float) -> str:
 
 def _end(found: study.Driven, row: int) -> str:
     return f"{KMH * found.speeds[row, -1]:.1f}"
-
-
-def others_charts(
-    instance: Instance, nominal: Trajectory, robust: Trajectory, chosen: Sequence[Configuration]
-) -> list[Chart]:
-    """How far each configuration falls behind under either trajectory's efforts.
-
-    Parameters
-    ----------
-    instance : Instance
-    nominal, robust : Trajectory
-        For the nominal configuration alone, and for all.
-    chosen : sequence of Configuration
-    """
-    charts = list[Chart]()
-    colours = dict(zip((each.name for each in chosen), (GREEN, BLUE, RED), strict=False))
-    for plan, what in ((nominal, "the nominal configuration alone"), (robust, "all")):
-        found = driven(instance, plan, chosen)
-        km = plan.positions / 1e3
-        # Behind the nominal configuration on its own optimum.
-        timetable = np.interp(plan.positions, nominal.positions, nominal.times[0])
-        late = [
-            Curve(name, km, times - timetable, colour)
-            for times, (name, colour) in zip(found.times, colours.items(), strict=False)
-        ]
-        speeds = [
-            Curve("", km, KMH * speed, colour)
-            for speed, colour in zip(found.speeds, colours.values(), strict=False)
-        ]
-        limit = [KMH * instance.final_speed]
-        speeds.append(Curve("at most", km[-1:], limit, GREY, "points", width=3.0, mark="v"))
-        title = f"Optimal for {what}: behind the timetable"
-        rules = [Rule(0.0, GREY, dash="--")]
-        charts += [
-            Chart("km", [Panel("s", late, 1.2, title, rules=rules)], width=0.7),
-            Chart("km", [Panel("km/h", speeds, 1.2, "the last kilometre", limits=(0.0, 100.0))],
-                  span=(km[-1] - 1.0, km[-1] + 0.05), beside=True, width=0.3),
-        ]  # fmt: skip
-    return charts
 
 
 def main(report: StudyReport, cells: int) -> None:
@@ -264,21 +184,14 @@ def main(report: StudyReport, cells: int) -> None:
         write_trajectory(found, path)
         report.keep(path)
         report.draw({f"{name}.png": found.charts(line=instance.line)})
-    ends = [
-        study.end_of(level, share, cells=cells)
-        for share in report.track(study.SHARES, "lowest common end speeds")
-    ]
     alone = {each.name: answers[f"level-{each.name}"] for each in chosen}
     common, recourse = answers["level-common"], answers["level-recourse"]
     nominal = alone[study.NOMINAL]
-    report.draw({"nominal-driven-by-others.png": others_charts(level, nominal, common, chosen)})
     on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
     report.show(
-        configurations_table(level),
         price_table(alone, common, recourse),
         printed_table(level, common),
         phases_table(list(answers.items())),
         cruise_table(on_level),
         others_table(level, nominal, common, chosen),
-        ends_table(ends),
     )

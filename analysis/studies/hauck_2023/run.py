@@ -84,8 +84,6 @@ def references_table(plan: Plan) -> WordTable:
 def tracking_table(outcomes: Sequence[Outcome]) -> WordTable:
     """Errors of the trips with the map, the least there could be, and what was left of the limits.
 
-    The lever changes from traction to braking or back; the reference's changes stand beside.
-
     Parameters
     ----------
     outcomes : sequence of Outcome
@@ -98,10 +96,6 @@ def tracking_table(outcomes: Sequence[Outcome]) -> WordTable:
         "left of adhesion m/s²": lambda each: f"{-each.informed.worst[1]:.3f}",
         "left of speed limit km/h": lambda each: f"{-KMH * each.informed.worst[2]:.2f}",
         "stops off by m": lambda each: _most(each.informed.stop_error),
-        "changes of the lever, all / most (reference)": lambda each: (
-            f"{each.informed.lever_changes.sum()} / {each.informed.lever_changes.max()}"
-            f" ({each.informed.planned_changes.sum()} / {each.informed.planned_changes.max()})"
-        ),
     }
     title = "With the map: largest errors, and what was left of each limit at any mass"
     return word_table(f"{title} (negative: broken)", outcomes, of)

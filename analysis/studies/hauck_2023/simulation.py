@@ -57,9 +57,6 @@ DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
 AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
 """Of the six axles over the rail's: each cleans it for the next."""
 
-COASTING = 0.02
-"""A lever below this is neither traction nor braking."""
-
 Plan = tuple[Reference, ...]
 
 
@@ -149,24 +146,9 @@ class Run:
         return np.asarray(self.arrivals[1:] - planned)
 
     @property
-    def lever_changes(self) -> IntArray:
-        """How often the lever went from traction to braking or back, by section; (k - 1,)."""
-        return self._by_section(self.lever)
-
-    @property
-    def planned_changes(self) -> IntArray:
-        """`lever_changes` of the reference."""
-        full = np.asarray(self.train.full_effort(self.target[:, 1]), dtype=np.float64)
-        return self._by_section(self.target[:, 2] / full)
-
-    @property
     def stop_error(self) -> FloatArray:
         """Where the train stood beyond its stops [m]."""
         return np.asarray(self.places[1:] - [stop.position for stop in self.stops[1:]])
-
-    def _by_section(self, lever: FloatArray) -> IntArray:
-        count = len(self.stops) - 1
-        return np.array([changes(lever[self.section == k]) for k in range(count)], dtype=np.int64)
 
     @cached_property
     def constraints(self) -> FloatArray:
@@ -222,12 +204,6 @@ class Run:
         """How often the slip protection of the drive took hold of an axle."""
         active = self.column("protected_axles")
         return int(np.maximum(np.diff(active, prepend=0.0), 0.0).sum())
-
-
-def changes(lever: FloatArray) -> int:
-    """How often a lever goes from traction to braking or back, whatever it coasts between."""
-    at_work = np.sign(lever[np.abs(lever) > COASTING])
-    return int(np.count_nonzero(np.diff(at_work)))
 
 
 def with_map(plan: Plan, rail: StepProfile) -> Plan:

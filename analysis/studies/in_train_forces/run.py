@@ -23,23 +23,21 @@ from analysis.charts import (
     shades,
 )
 from analysis.studies.in_train_forces.simulation import STEP, ConsistRun, crest_and_sag, run
-from analysis.studies.report import START, StudyReport, study_trip
+from analysis.studies.report import StudyReport, study_trip
 from trainlog.arrays import FloatArray
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.railway import read_consist, read_line
 from trainlog.formats.samples import sample
-from trainlog.mcap import write_log
 from trainlog.presentation import WordTable, new_table
 from trainlog.topics import (
     ENVIRONMENT,
-    EVENTS,
     TRAIN_CONTROLS,
     TRAIN_COUPLERS,
     TRAIN_STATE,
     TRAIN_VEHICLES,
 )
-from trainlog.trip import Trip, frame_of
-from trainlog.units import KMH, NANOSECONDS, PER_MILLE
+from trainlog.trip import Trip
+from trainlog.units import KMH, PER_MILLE
 
 
 def forces_tables(run: ConsistRun) -> tuple[WordTable, WordTable]:
@@ -163,9 +161,6 @@ DEFAULT_CONSIST = "freight_24_wagons.consist.json"
 CONSIST_ATTACHMENT = "consist.json"
 """The consist that a trip was simulated with."""
 
-INFO = 2
-"""Level of an event, see `trainlog.topics.EVENTS`."""
-
 
 @dataclass(frozen=True)
 class ConsistOptions:
@@ -192,8 +187,7 @@ def main(report: StudyReport, options: ConsistOptions) -> None:
     for _ in report.track([train], f"driving {train.name}"):
         found = run(train, line, speed=options.speed)
     name = source.name.removesuffix(".json").removesuffix(".consist")
-    write_log(consist_trip(found), report.folder / f"{name}.mcap")
-    report.keep(report.folder / f"{name}.mcap")
+    report.log(consist_trip(found), name)
     report.draw({f"{name}.png": run_charts(found)})
     report.show(*forces_tables(found))
 
@@ -201,52 +195,31 @@ def main(report: StudyReport, options: ConsistOptions) -> None:
 def consist_trip(run: ConsistRun) -> Trip:
     """The log of a consist's run: vehicles and couplers one by one, and the train as a whole."""
     consist, line = run.consist, run.line
-    time = START + np.round(run.time * NANOSECONDS).astype(np.int64)
     front = np.minimum(run.front, line.length)
-    frames = (
-        frame_of(TRAIN_STATE, time, {"position": run.front, "speed": run.speeds[:, 0]}),
-        frame_of(
-            TRAIN_CONTROLS,
-            time,
-            {
+    return study_trip(
+        consist.name,
+        consist.name,
+        line,
+        run.time,
+        {
+            TRAIN_STATE: {"position": run.front, "speed": run.speeds[:, 0]},
+            TRAIN_CONTROLS: {
                 "tractive_effort_demand": run.tractive_demand,
                 "braking_effort_demand": run.braking_demand,
                 "tractive_effort": run.tractive_efforts.sum(axis=1),
-                "dynamic_braking_effort": np.zeros(time.size),
+                "dynamic_braking_effort": 0.0,
                 "pneumatic_braking_effort": run.braking_efforts.sum(axis=1),
             },
-        ),
-        frame_of(
-            TRAIN_VEHICLES,
-            time,
-            {
+            TRAIN_VEHICLES: {
                 "chainage": run.positions,
                 "speed": run.speeds,
                 "tractive_effort": run.tractive_efforts,
                 "braking_effort": run.braking_efforts,
             },
-        ),
-        frame_of(TRAIN_COUPLERS, time, {"force": run.forces, "stretch": run.stretches}),
-        frame_of(
-            ENVIRONMENT,
-            time,
-            {"gradient": line.gradient(front), "speed_limit": line.speed_limit(front)},
-        ),
-        frame_of(
-            EVENTS,
-            time[[first for first, _ in run.phases]],
-            {
-                "level": np.full(len(run.phases), INFO),
-                "message": np.array([name for _, name in run.phases], dtype=object),
-                "name": np.full(len(run.phases), "driver", dtype=object),
-            },
-        ),
-    )
-    return study_trip(
-        consist.name,
-        consist.name,
-        line,
-        frames,
+            TRAIN_COUPLERS: {"force": run.forces, "stretch": run.stretches},
+            ENVIRONMENT: {"gradient": line.gradient(front), "speed_limit": line.speed_limit(front)},
+        },
         ("study consist", {"speed": run.speed_to_keep, "integration_step": STEP}),
+        events=[(float(run.time[first]), name, "driver") for first, name in run.phases],
         attachments={CONSIST_ATTACHMENT: thing_to_bytes(consist)},
     )

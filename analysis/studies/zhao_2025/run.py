@@ -7,7 +7,6 @@ from itertools import groupby
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 
 from analysis.charts import (
     BLUE,
@@ -24,18 +23,15 @@ from analysis.charts import (
     Rule,
     Span,
 )
-from analysis.studies.report import START, StudyReport, study_trip
+from analysis.studies.report import StudyReport, study_trip
 from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.simulation import (
     CASES,
-    DURATION,
-    RAIL_SOURCES,
     RESTORED,
     WET_SPAN,
     Case,
     Preset,
     Run,
-    by_knowledge,
 )
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import train_to_bytes
@@ -46,15 +42,14 @@ from trainlog.railway.train import Axles, Train
 from trainlog.topics import (
     ENVIRONMENT,
     ESTIMATED_ADHESION,
-    EVENTS,
     GNSS_MOTION,
     TRAIN_AXLES,
     TRAIN_CONTROLS,
     TRAIN_STATE,
     TRUTH,
 )
-from trainlog.trip import TRAIN_ATTACHMENT, Trip, frame_of
-from trainlog.units import GRAVITY, KMH, NANOSECONDS
+from trainlog.trip import TRAIN_ATTACHMENT, Trip
+from trainlog.units import GRAVITY, KMH
 
 SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
 """In which the axles have come to rest at their slip speeds [s]."""
@@ -149,35 +144,7 @@ def gain_table(runs: Mapping[str, Sequence[Run]]) -> WordTable:
     return word_table(title, rows, of)
 
 
-def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> WordTable:
-    """What it is worth to know the rail.
-
-    Parameters
-    ----------
-    runs : mapping of str to sequence of Run or None
-        By what is known of the rail; the same runs in the same order.
-    """
-
-    def first(found: Sequence[Run | None]) -> Run:
-        return next(run for run in found if run is not None)
-
-    def figures(number: int) -> Callable[[Sequence[Run | None]], str]:
-        return lambda found: _force_and_way(found[number])
-
-    of: Columns[Sequence[Run | None]] = {
-        "case": lambda found: first(found).case.number,
-        "": lambda found: first(found).case.name,
-        "asked N m": lambda found: f"{first(found).total:.0f}",
-        **{name: figures(number) for number, name in enumerate(runs)},
-    }
-    rows: Iterable[Sequence[Run | None]] = zip(*runs.values(), strict=True)
-    title = "By what is known of the rail: force on it kN, 15-20 s / way m, 30 s; speeds measured"
-    return word_table(title, rows, of)
-
-
-def _force_and_way(run: Run | None) -> str:
-    if run is None:
-        return ""
+def _force_and_way(run: Run) -> str:
     return f"{run.mean(run.force, 15.0, 20.0) / 1e3:.1f} / {run.position[-1]:.1f}"
 
 
@@ -284,12 +251,9 @@ TOP_SPEED = 200.0 / KMH
 SPEED_STD = 0.01
 """Stated of the train speed [m/s], which the controller knows exactly."""
 
-INFO, WARNING = 2, 3
-"""Levels of foxglove.Log."""
 
-
-def main(report: StudyReport, seed: int) -> None:
-    """Run the cases as published, without cooperation, and on rails that are not known."""
+def main(report: StudyReport) -> None:
+    """Run the cases as published, and without cooperation."""
     runs = [
         study.run(case, preset, integration=integration)
         for case, preset, integration in report.track(study.PLANS, "driving")
@@ -301,15 +265,10 @@ def main(report: StudyReport, seed: int) -> None:
         strategy: [study.run(*plan, strategy=strategy) for plan in study.COMPARED]
         for strategy in report.track(study.STRATEGIES, "comparing")
     }
-    known = {
-        name: by_knowledge(name, seed)
-        for name in report.track(RAIL_SOURCES, "driving on rails that are not known")
-    }
     report.draw(study_charts(runs))
     report.show(
-        published_table(), start_table(runs[0], assumed), torque_table(runs), gain_table(compared),
-        knowledge_table(known),
-    )  # fmt: skip
+        published_table(), start_table(runs[0], assumed), torque_table(runs), gain_table(compared)
+    )
 
 
 def trip_of(run: Run) -> Trip:
@@ -320,51 +279,32 @@ def trip_of(run: Run) -> Trip:
     controller knows, here the truth.
     """
     locomotive = run.preset.locomotive
-    time = START + np.round(run.time * NANOSECONDS).astype(np.int64)
     effort = locomotive.effort_per_torque * run.torque
-    total = effort.sum(axis=1)
-    asked = np.full(time.size, locomotive.effort_per_torque * locomotive.total_torque)
-    zero = np.zeros(time.size)
     rate = np.diff(run.time, prepend=0.0)
     energy = np.cumsum(np.r_[0.0, (effort * run.wheel_speed).sum(axis=1)[:-1]] * rate)
-    frames = (
-        frame_of(
-            TRAIN_STATE,
-            time,
-            {
+    return study_trip(
+        name_of(run),
+        locomotive.name,
+        line(),
+        run.time,
+        {
+            TRAIN_STATE: {
                 "position": run.position,
                 "speed": run.wheel_speed.mean(axis=1),
                 "acceleration": run.acceleration,
             },
-        ),
-        frame_of(
-            TRAIN_CONTROLS,
-            time,
-            {
-                "tractive_effort_demand": asked,
-                "braking_effort_demand": zero,
-                "tractive_effort": total,
-                "dynamic_braking_effort": zero,
-                "pneumatic_braking_effort": zero,
+            TRAIN_CONTROLS: {
+                "tractive_effort_demand": locomotive.effort_per_torque * locomotive.total_torque,
+                "braking_effort_demand": 0.0,
+                "tractive_effort": effort.sum(axis=1),
+                "dynamic_braking_effort": 0.0,
+                "pneumatic_braking_effort": 0.0,
             },
-        ),
-        frame_of(TRAIN_AXLES, time, {"wheel_speed": run.wheel_speed, "wheel_effort": effort}),
-        frame_of(
-            GNSS_MOTION,
-            time,
-            {"speed": run.speed, "speed_accuracy": np.full(time.size, SPEED_STD)},
-        ),
-        frame_of(
-            ENVIRONMENT,
-            time,
-            {"speed_limit": np.full(time.size, TOP_SPEED), "gradient": zero, "curvature": zero},
-        ),
-        _events(run),
-        frame_of(ESTIMATED_ADHESION, time, {"adhesion": run.adhesion, "slip_speed": run.slip}),
-        frame_of(
-            TRUTH,
-            time,
-            {
+            TRAIN_AXLES: {"wheel_speed": run.wheel_speed, "wheel_effort": effort},
+            GNSS_MOTION: {"speed": run.speed, "speed_accuracy": SPEED_STD},
+            ENVIRONMENT: {"speed_limit": TOP_SPEED, "gradient": 0.0, "curvature": 0.0},
+            ESTIMATED_ADHESION: {"adhesion": run.adhesion, "slip_speed": run.slip},
+            TRUTH: {
                 "position": run.position,
                 "speed": run.speed,
                 "acceleration": run.acceleration,
@@ -372,13 +312,7 @@ def trip_of(run: Run) -> Trip:
                 "maximum_adhesion": run.maximum_adhesion.mean(axis=1),
                 "energy": energy,
             },
-        ),
-    )
-    return study_trip(
-        name_of(run),
-        locomotive.name,
-        line(),
-        frames,
+        },
         (
             "study cooperative-adhesion",
             {
@@ -396,6 +330,7 @@ def trip_of(run: Run) -> Trip:
             "traction_unsolved": str(run.unsolved),
             "study": "Zhao et al. (2025), section 4",
         },
+        events=_events(run.case),
     )
 
 
@@ -446,31 +381,15 @@ def train(preset: Preset) -> Train:
     )
 
 
-def _events(run: Run) -> pd.DataFrame:
-    found = _event_rows(run.case)
-    when = START + np.round(np.array([time for time, *_ in found]) * NANOSECONDS).astype(np.int64)
-    return frame_of(
-        EVENTS,
-        when,
-        {
-            "level": np.array([level for _, level, *_ in found]),
-            "message": np.array([text for *_, text, _ in found], dtype=object),
-            "name": np.array([name for *_, name in found], dtype=object),
-        },
-    )
-
-
-def _event_rows(case: Case) -> list[tuple[float, int, str, str]]:
+def _events(case: Case) -> list[tuple[float, str, str]]:
     axles = "axle" if len(case.wet) == 1 else "axles"
     which = f"{axles} {', '.join(str(axle) for axle in case.wet)}"
     found = [
-        (0.0, INFO, "departure", "train"),
-        (WET_SPAN[0], WARNING, f"wet rail under {which}", "rail"),
-        (WET_SPAN[1], INFO, f"dry rail under {which}", "rail"),
+        (0.0, "departure", "train"),
+        (WET_SPAN[0], f"wet rail under {which}", "rail"),
+        (WET_SPAN[1], f"dry rail under {which}", "rail"),
     ]
     if case.fails:
-        found += [
-            (WET_SPAN[0], WARNING, "motor 4 fails", "drive"),
-            (RESTORED, INFO, "motor 4 works again", "drive"),
-        ]
-    return sorted(each for each in found if each[0] < DURATION)
+        found.append((WET_SPAN[0], "motor 4 fails", "drive"))
+        found.append((RESTORED, "motor 4 works again", "drive"))
+    return sorted(found)

@@ -8,13 +8,12 @@ plants: one explicit Euler step of 0.1 s, as eq. (15) has it, and Runge-Kutta.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
 
 from analysis.control.cooperative import (
     CooperativeController,
@@ -24,11 +23,10 @@ from analysis.control.cooperative import (
     peak_slips,
 )
 from analysis.control.multi_motor import MultiMotorLocomotive, creep
-from analysis.control.rail_estimate import RailEstimator
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.railway import RunningResistance, StepProfile
-from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
+from trainlog.railway import RunningResistance
+from trainlog.railway.adhesion import DRY, WET, CreepCurve
 
 Integration = Literal["euler", "runge-kutta"]
 
@@ -43,9 +41,6 @@ SAMPLE = 0.02
 
 WET_SPAN, RESTORED = (10.0, 20.0), 25.0
 """When the rail is wet, and when the failed motor of case 4 is back [s]."""
-
-AXLES = np.array([2.9, 5.5, 12.8, 15.4])
-"""How far the axles are behind the train's front [m]."""
 
 GRAVITY = 9.8
 """As the paper's table 2 has it [m/s²]."""
@@ -151,10 +146,6 @@ class Case:
         Whether the motor of axle 4 fails at 10 s and is back at 25 s.
     published : str
         What the paper states.
-    wet_curve : CreepCurve
-        Of the wet rail.
-    places : StepProfile, optional
-        Maximum adhesion by chainage, of a rail that changes with the place instead of with time.
     """
 
     number: int
@@ -162,22 +153,11 @@ class Case:
     wet: tuple[int, ...]
     fails: bool
     published: str
-    wet_curve: CreepCurve = WET
-    places: StepProfile | None = None
 
-    def rail(self, time: float, position: float = 0.0) -> FloatArray:
-        """Creep curves under the four axles, (4, 3).
-
-        Parameters
-        ----------
-        time : float [s]
-        position : float [m]
-            Of the train's front.
-        """
-        if self.places is not None:
-            return creep_coefficients(self.places(np.maximum(position - AXLES, 0.0)))
+    def rail(self, time: float) -> FloatArray:
+        """Creep curves under the four axles at a time [s], (4, 3)."""
         wet = self.wet if WET_SPAN[0] <= time < WET_SPAN[1] else ()
-        return coefficients([self.wet_curve if axle in wet else DRY for axle in range(1, 5)])
+        return coefficients([WET if axle in wet else DRY for axle in range(1, 5)])
 
     def limits(self, time: float, preset: Preset) -> FloatArray:
         """The most that each motor gives, (4,) [N m]."""
@@ -209,66 +189,6 @@ CASES = (
 
 SCARCE = 20_000.0
 """Total torque [N m] at which sharing it matters: less than its share is what a wet axle bears."""
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Of what the controller sees: standard deviations of train and wheel speeds [m/s]."""
-
-    speed: float = 0.0
-    wheel_speed: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """What a controller sees at a sample.
-
-    Attributes
-    ----------
-    time, position, speed : float [s], [m], [m/s]
-    wheel_speeds : (4,) array [m/s]
-    torques : (4,) array [N m]
-        At work since the last sample.
-    """
-
-    time: float
-    position: float
-    speed: float
-    wheel_speeds: FloatArray
-    torques: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class AssumedRail:
-    """What a controller takes the rail for.
-
-    Attributes
-    ----------
-    rail : (4, 3) or (horizon, 4, 3) array
-        Creep curves under the axles.
-    maximum : (4,) array
-        Maximum adhesion now.
-    reference : (4,) array [m/s], optional
-        Slip speeds to be sought; default: those of the curves' maxima.
-    """
-
-    rail: FloatArray
-    maximum: FloatArray
-    reference: FloatArray | None = None
-
-
-RailSource = Callable[[Measurement], AssumedRail]
-"""From where a controller knows the rail at a sample."""
-
-
-def known_rail(case: Case) -> RailSource:
-    """The rail under each axle is known, as in the paper."""
-
-    def rail(measured: Measurement) -> AssumedRail:
-        curves = case.rail(measured.time, measured.position)
-        return AssumedRail(curves, adhesion_at(peak_slips(curves), curves))
-
-    return rail
 
 
 STRATEGIES: dict[str, Callable[[Preset], CooperativeController | SlipControl]] = {
@@ -316,8 +236,6 @@ class Run:
         At work from the sample on.
     reference : (m, 4) array [m/s]
         Slip speeds that the controller sought.
-    assumed : (m, 4) array
-        What the controller took the maximum adhesion to be.
     adhesion, maximum_adhesion : (m, 4) arrays
         In use, and the most that the rail under the axle gives.
     decisions, unsolved : int
@@ -335,7 +253,6 @@ class Run:
     wheel_speed: FloatArray
     torque: FloatArray
     reference: FloatArray
-    assumed: FloatArray
     adhesion: FloatArray
     maximum_adhesion: FloatArray
     decisions: int = 0
@@ -380,7 +297,6 @@ def demand_on(
     rail: FloatArray,
     limits: FloatArray | None = None,
     total: float | None = None,
-    reference: FloatArray | None = None,
 ) -> Demand:
     """What is asked of the motors on a rail.
 
@@ -388,20 +304,18 @@ def demand_on(
     ----------
     asked : Preset or CooperativeController
         Whose locomotive and horizon count.
-    rail : (n, 3) or (horizon, n, 3) array
-        Creep curves under the axles now, or over the horizon.
+    rail : (n, 3) array
+        Creep curves under the axles.
     limits : (n,) array [N m], optional
         Of the motors; default: the torque limit.
     total : float [N m], optional
         Of all motors; default: that of the locomotive.
-    reference : (n,) array [m/s], optional
-        Slip speeds; default: those of the maximum adhesion of the curves.
     """
     locomotive, horizon = asked.locomotive, asked.tuning.horizon
     curves = np.ascontiguousarray(np.broadcast_to(rail, (horizon, locomotive.axles, 3)))
     return Demand(
         curves,
-        peak_slips(curves) if reference is None else np.tile(reference, (horizon, 1)),
+        peak_slips(curves),
         np.full(locomotive.axles, locomotive.torque_limit) if limits is None else limits,
         locomotive.total_torque if total is None else total,
     )
@@ -414,9 +328,6 @@ def run(
     *,
     strategy: str = "cooperative",
     integration: Integration = "runge-kutta",
-    knowledge: RailSource | None = None,
-    noise: Noise | None = None,
-    seed: int = 1,
     first: float | None = None,
 ) -> Run:
     """Drive one case from a stand.
@@ -431,12 +342,6 @@ def run(
         One of `STRATEGIES`.
     integration : {"euler", "runge-kutta"}
         One explicit step a period, as in the paper, or steps of 2 ms.
-    knowledge : RailSource, optional
-        Of the rail; default: all of it.
-    noise : Noise, optional
-        Of the speeds that are seen; default: none.
-    seed : int
-        Of the noise.
     first : float [N m], optional
         Torque of every motor in the first period, u(0) of eq. (19): the paper's algorithm assumes
         it and solves from the second sample on. Default: solved from the first.
@@ -454,20 +359,16 @@ def run(
         locomotive.torque_limit, asked / locomotive.axles
     ):
         raise InputError(f"first torque {first} N m is not within the limits of the motors")
-    known, errors = knowledge or known_rail(case), noise or Noise()
-    random = np.random.default_rng(seed)
     controller = STRATEGIES[strategy](preset)
     plant = _Plant(case, preset, integration)
     torques = np.zeros(locomotive.axles)
     for k in range(round(DURATION / period)):
-        measured = plant.measured(k * period, torques, errors, random)
-        assumed = known(measured)
-        limits = case.limits(measured.time, preset)
-        demand = demand_on(preset, assumed.rail, limits, asked, assumed.reference)
-        torques = controller.torques(measured.speed, measured.wheel_speeds, demand)
+        now, speed, wheel_speeds = k * period, float(plant.state[0]), plant.state[1:].copy()
+        demand = demand_on(preset, case.rail(now), case.limits(now, preset), asked)
+        torques = controller.torques(speed, wheel_speeds, demand)
         if k == 0 and first is not None:
             torques = np.full(locomotive.axles, first)
-        plant.advance(measured.time, torques, demand.reference[0], assumed.maximum)
+        plant.advance(now, torques, demand.reference[0])
     return Run(
         case, preset, strategy, integration, asked,
         decisions=k + 1,
@@ -484,40 +385,29 @@ class _Plant:
         literal = integration == "euler"
         self._step, self._each = (self._period, 1) if literal else (STEP, round(SAMPLE / STEP))
         self._integrate = euler if literal else runge_kutta
-        self._state = np.zeros(1 + self._locomotive.axles)
+        self.state = np.zeros(1 + self._locomotive.axles)
         self._position = 0.0
         self.rows: list[FloatArray] = []
 
-    def measured(
-        self, time: float, torques: FloatArray, noise: Noise, random: np.random.Generator
-    ) -> Measurement:
-        """What the controller sees now; what stands is seen to stand."""
-        std = np.array([noise.speed] + [noise.wheel_speed] * self._locomotive.axles)
-        errors = std * random.standard_normal(std.size)
-        speeds = np.where(self._state > 0.0, np.maximum(self._state + errors, 0.0), 0.0)
-        return Measurement(time, self._position, float(speeds[0]), speeds[1:], torques)
-
-    def advance(
-        self, time: float, torques: FloatArray, reference: FloatArray, assumed: FloatArray
-    ) -> None:
+    def advance(self, time: float, torques: FloatArray, reference: FloatArray) -> None:
         """Record, and let a period pass."""
         locomotive = self._locomotive
         span = self._step * self._each
         for part in range(round(self._period / span)):
-            rail, before = self._case.rail(time, self._position), float(self._state[0])
-            parts = (self._state, torques, reference, assumed, *rail.T)
+            rail, before = self._case.rail(time), float(self.state[0])
+            parts = (self.state, torques, reference, *rail.T)
             self.rows.append(np.concatenate([[time + part * span, self._position], *parts]))
             self._integrate(
-                self._state, torques, rail, locomotive.loads, locomotive.constants,
+                self.state, torques, rail, locomotive.loads, locomotive.constants,
                 self._step, self._each,
             )  # fmt: skip
-            self._position += 0.5 * span * (before + float(self._state[0]))
+            self._position += 0.5 * span * (before + float(self.state[0]))
 
 
 def _columns(rows: FloatArray) -> dict[str, FloatArray]:
     """The arrays of `Run` from its recorded rows."""
     time, position, speed = rows[:, :3].T
-    wheels, torque, reference, assumed, *curves = np.split(rows[:, 3:], 7, axis=1)
+    wheels, torque, reference, *curves = np.split(rows[:, 3:], 6, axis=1)
     rail = np.stack(curves, axis=-1)
     return {
         "time": time,
@@ -526,7 +416,6 @@ def _columns(rows: FloatArray) -> dict[str, FloatArray]:
         "wheel_speed": wheels,
         "torque": torque,
         "reference": reference,
-        "assumed": assumed,
         "adhesion": adhesion_at(wheels - speed[:, None], rail),
         "maximum_adhesion": adhesion_at(peak_slips(rail), rail),
     }
@@ -573,128 +462,3 @@ class SlipControl:
         # Beyond a limit the memory may only move back.
         self._memory = np.where((asked - torque) * error > 0.0, self._memory, grown)
         return np.full(self.locomotive.axles, torque)
-
-
-MEASURED = Noise(speed=0.05, wheel_speed=0.02)
-"""A radar or satellites for the train speed, a pulse encoder for each wheel [m/s]."""
-
-LEAVES = Case(
-    number=5,
-    name="leaves on the rail, here and there",
-    wet=(),
-    fails=False,
-    published="",
-    places=StepProfile(
-        np.array([0.0, 25.0, 37.0, 60.0, 66.0, 90.0, 115.0, 140.0, 152.0]),
-        np.array([DRY.peak, 0.10, DRY.peak, 0.08, DRY.peak, 0.12, DRY.peak, 0.08, DRY.peak]),
-    ),
-)
-"""Patches of which some are shorter than the locomotive; not of the paper."""
-
-
-STEEP = replace(
-    CASES[2],
-    number=6,
-    name="axles 3 and 4 dry, another wet, dry",
-    published="",
-    wet_curve=CreepCurve(a=0.8, b=3.5, c=0.2935, d=0.2935),
-)
-"""Case 3 on a wet rail whose peak lies at 0.55 m/s instead of 3 m/s; not of the paper."""
-
-
-def learnt_rail(preset: Preset) -> RailSource:
-    """The rail is learnt while driving."""
-    noise = MEASURED.speed, MEASURED.wheel_speed
-    estimator = RailEstimator(preset.locomotive, preset.tuning, *noise)
-
-    def rail(measured: Measurement) -> AssumedRail:
-        found = estimator.update(measured.speed, measured.wheel_speeds, measured.torques)
-        return AssumedRail(found.rail, found.maximum, found.reference)
-
-    return rail
-
-
-def rail_ahead(
-    maximum_adhesion: StepProfile, position: float, speed: float, axles: ArrayLike, tuning: Tuning
-) -> FloatArray:
-    """Creep curves under each axle over the horizon, from a map; (horizon, n, 3) array.
-
-    Parameters
-    ----------
-    maximum_adhesion : StepProfile
-        By chainage in the direction of travel.
-    position, speed : float [m], [m/s]
-        Of the train's front.
-    axles : (n,) array [m]
-        How far behind the front each axle is.
-    tuning : Tuning
-    """
-    middles = tuning.period * (np.arange(tuning.horizon) + 0.5)
-    places = position + speed * middles[:, None] - np.asarray(axles, dtype=np.float64)
-    return creep_coefficients(maximum_adhesion(np.maximum(places, 0.0)))
-
-
-def mapped_rail(case: Case, preset: Preset) -> RailSource:
-    """A map gives the maximum adhesion ahead.
-
-    Raises
-    ------
-    InputError
-        If the rail of the case changes with time: no map holds that.
-    """
-    places = case.places
-    if places is None:
-        raise InputError(f"case {case.number}: its rail changes with time, no map holds that")
-
-    def rail(measured: Measurement) -> AssumedRail:
-        ahead = rail_ahead(places, measured.position, measured.speed, AXLES, preset.tuning)
-        return AssumedRail(ahead, adhesion_at(peak_slips(ahead[0]), ahead[0]))
-
-    return rail
-
-
-def uniform_rail(curve: CreepCurve) -> RailSource:
-    """The rail is taken for one and the same everywhere."""
-    return lambda _: AssumedRail(coefficients([curve] * 4), np.full(4, curve.peak))
-
-
-RAIL_SOURCES: dict[str, Callable[[Case, Preset], RailSource]] = {
-    "known": lambda case, _: known_rail(case),
-    "map": mapped_rail,
-    "learnt": lambda _, preset: learnt_rail(preset),
-    "taken for dry": lambda *_: uniform_rail(DRY),
-    "taken for wet": lambda *_: uniform_rail(WET),
-}
-"""From where a controller may know the rail, by name."""
-
-UNKNOWN = (CASES[0], CASES[1], LEAVES, STEEP)
-"""Cases in which the rail is not known."""
-
-ASKED = (SENSIBLE.locomotive.total_torque, SCARCE)
-"""Of all motors together [N m]."""
-
-
-def by_knowledge(name: str, seed: int) -> list[Run | None]:
-    """The cases with 85 t and speeds that are measured, by what is known of the rail.
-
-    Parameters
-    ----------
-    name : str
-        One of `RAIL_SOURCES`.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    list of Run or None
-        None where no map can hold the rail.
-    """
-    return [driven(name, case, total, seed) for total in ASKED for case in UNKNOWN]
-
-
-def driven(name: str, case: Case, total: float, seed: int) -> Run | None:
-    """One run with 85 t and one way to know the rail; see `by_knowledge`."""
-    if name == "map" and case.places is None:
-        return None
-    known = RAIL_SOURCES[name](case, SENSIBLE)
-    return run(case, SENSIBLE, total, knowledge=known, noise=MEASURED, seed=seed)
