@@ -317,7 +317,7 @@ def reports_of(
         If the trip holds no position or speed, or none on the journey.
     """
     if TRAIN_STATE.name not in trip:
-        raise LogError(f"holds no {TRAIN_STATE.name}", remedy="give a log of a train's motion")
+        raise LogError(f"has no {TRAIN_STATE.name}", remedy="give a log of a train's motion")
     state = trip[TRAIN_STATE.name][["position", "speed"]].dropna()
     along = _along(journey, trip.metadata.get("line"), own)
     state = state.assign(position=along(state.position.to_numpy())).dropna()
@@ -464,7 +464,7 @@ def _with_learned(sources: Sequence[Path], own: SferaJourney, _: SferaOptions) -
     learned = read_parameters(sources[0])
     if learned.common is None:
         raise InputError(
-            "the parameter set holds no fit of all trips together",
+            "the parameter set has no fit of all trips together",
             remedy="fit two trips or more with 'trainlog fit'",
         )
     if own.characteristics is None:

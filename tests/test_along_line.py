@@ -73,7 +73,7 @@ def test_a_plan_is_passed_as_constant_effort_moves_a_train() -> None:
 
 
 def test_grids_that_cannot_be_are_refused() -> None:
-    refused(InputError, "no trip knows where it was", grid_over, [curve(np.empty(0), np.empty(0))])
+    refused(InputError, "no trip has a position", grid_over, [curve(np.empty(0), np.empty(0))])
     refused(InputError, "steps of 0 m", grid_over, [curve(np.array([0.0]), np.array([0.0]))], 0.0)
     one = on_grid(curve(np.array([0.0, 1.0]), np.array([0.0, 10.0])), np.array([0.0, 10.0]))
     with pytest.raises(InputError, match="different grids"):

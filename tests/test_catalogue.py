@@ -358,7 +358,7 @@ def test_many_files_are_read_by_several_processes_with_the_same_result(
 
 
 def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no catalogue"):
+    with pytest.raises(InputError, match="has no catalogue"):
         open_catalogue(tmp_path / "none", create=False)
     with pytest.raises(InputError, match=r"holds a catalogue|is not a database") as refused:
         open_catalogue("oracle://me:secret@host/database")

@@ -193,9 +193,9 @@ REFUSED = {
     "simulate drive -o x": "no line and no train are given; give --line FILE --train FILE; for a t",
     "simulate drive --line sample -o x": "no train is given; give --train FILE; for a trial --trai",
     "simulate drive --train sample -o x": "no line is given; give --line FILE; for a trial --line",
-    "fit none -o x.json": "the folder holds no logs (*.mcap); name another folder, or make logs",
+    "fit none -o x.json": "the folder has no logs (*.mcap); name another folder, or make logs",
     "report gone": "does not exist; name the folder",
-    "report none": "holds no results; they are looked for as",
+    "report none": "has no results; they are looked for as",
     # files of another kind
     "ingest new.xlsx -o x": "save its sheet as CSV",
     "fit new.xlsx -o x.json": "save its sheet as CSV",

@@ -132,7 +132,7 @@ def test_what_is_missing_is_named() -> None:
     refused(NotIdentifiableError, "no speed was recorded", coast_down, [fixes])
     unplaced = replace(trip, topics={"/gnss/motion": trip["/gnss/motion"]})
     refused(NotIdentifiableError, r"where on the line .* ingest", coast_down, [unplaced])
-    refused(LogError, r"carries no line\.json", coast_down, [replace(trip, attachments={})])
+    refused(LogError, r"has no line\.json", coast_down, [replace(trip, attachments={})])
     rare = recorded(time, position, speed, line=HILLY, every=50)
     refused(NotIdentifiableError, r"a speed every 5\.0 s only", coast_down, [rare])
     twice = coast_down([trip, trip])

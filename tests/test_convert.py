@@ -195,7 +195,7 @@ def test_a_log_without_one_readable_message_is_refused(
             "part.mcap",
             {"topics": ["/mood"]},
             LogError,
-            "holds no topic /mood; it holds",
+            "has no topic /mood; it holds",
         ),
         ("part.zip", {}, InputError, r"end it in .mcap, .mf4, .parquet or .csv"),
         ("trip.mcap", {}, InputError, "would be overwritten"),

@@ -194,9 +194,7 @@ def test_a_trip_gives_its_line_in_the_direction_of_travel() -> None:
 
 
 def test_a_trip_without_line_or_with_a_damaged_one_is_refused() -> None:
-    with pytest.raises(
-        LogError, match=r"trip 't1' carries no line\.json; attachments present: none"
-    ):
+    with pytest.raises(LogError, match=r"trip 't1' has no line\.json; attachments present: none"):
         line_of(Trip({}, {"trip": "t1"}))
     refused(LogError, "direction is 'backwards'", line_of, trip(direction="backwards"))
     damaged = Trip({}, {"trip": "t1"}, attachments={"train.json": b'{"format": '})

@@ -33,10 +33,10 @@ def refused(path: Path, message: str, **options: object) -> str:
     ("data", "message"),
     [
         (b"", "is empty"),
-        (b"\n\n \n", "(is empty|holds no row)"),
+        (b"\n\n \n", "(is empty|has no row)"),
         (b"\0" * 3000, "is empty"),
-        (b"t,v,s\n", "row 1: holds no row of data, only its header"),
-        (b"t,v,s", "row 1: holds no row of data, only its header"),
+        (b"t,v,s\n", "row 1: has no row of data, only its header"),
+        (b"t,v,s", "row 1: has no row of data, only its header"),
         (b"# nothing\n# but comments\n", "has no header"),
         (
             bytes(range(256)) * 8,

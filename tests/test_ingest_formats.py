@@ -64,7 +64,7 @@ def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     pa.parquet.write_table(pa.table({"t": stamps, "w": run.speed, "s": run.position}), path)
     refused(InputError, "no column 'v'; columns: t, w, s", ingest, path, profile=plain_profile())
     pa.parquet.write_table(pa.table({"t": stamps[:0], "v": [], "s": []}), path)
-    refused(InputError, "holds no row of data", ingest, path, profile=plain_profile())
+    refused(InputError, "has no row of data", ingest, path, profile=plain_profile())
 
 
 # ------------------------------------------------------------------ odd but good text files

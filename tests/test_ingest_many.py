@@ -215,7 +215,7 @@ def test_a_reader_that_breaks_stops_no_other_file(
 
 def test_what_cannot_be_used_at_all_is_refused(tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
-    with pytest.raises(InputError, match="holds no files"):
+    with pytest.raises(InputError, match="has no files"):
         ingest_all(tmp_path / "none", tmp_path / "logs")
     with pytest.raises(InputError, match="does not exist"):
         ingest_all(sample("gnss.csv"), tmp_path / "logs", tmp_path / "absent.toml")

@@ -126,7 +126,7 @@ def test_no_fix_and_void_sentences_say_nothing(tmp_path: Path) -> None:
     ("lines", "message"),
     [
         (nmea_lines(drive(20, 1.0), ("GGA", "VTG")), "row 1: gives the time of day, but no date"),
-        ([checked("GPGSV,1,1,01,07,79,048,42")] * 9, "holds no RMC, GGA or GNS sentence"),
+        ([checked("GPGSV,1,1,01,07,79,048,42")] * 9, "has no RMC, GGA or GNS sentence"),
         ([line[:-1] + "G" for line in nmea_lines(drive(9, 1.0))], "45 of 45 messages are damaged"),
     ],
 )

@@ -241,7 +241,7 @@ def test_a_capture_that_is_cut_off_gives_its_whole_packets(tmp_path: Path) -> No
     assert len(trip[STATE]) == 59
     assert trip.metadata["repair.truncated_rows"] == "1"
     path.write_bytes(whole[:40])
-    refused(InputError, "holds no telegram|cannot be read", ingest, path, profile=profile())
+    refused(InputError, "has no telegram|cannot be read", ingest, path, profile=profile())
 
 
 def test_live_datagrams_give_what_their_file_gives(tmp_path: Path) -> None:
@@ -340,7 +340,7 @@ def test_a_file_without_a_profile_or_of_another_length_is_refused(tmp_path: Path
     path = tmp_path / "run.bin"
     path.write_bytes(b"\x00" * 20)
     refused(InputError, "no profile describes", ingest, path, format="telegrams")
-    refused(InputError, "holds no telegram of 24 bytes", ingest, path, profile=profile(mark=""))
+    refused(InputError, "has no telegram of 24 bytes", ingest, path, profile=profile(mark=""))
     pcap = capture(tmp_path / "run.pcap", [(START, udp(b"x" * 20))])
     refused(InputError, "no profile describes", ingest, pcap)
 

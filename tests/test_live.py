@@ -218,7 +218,7 @@ WRONG = {
     b'{"topic": "/train/state", "time": 1714543200, "sped": 1}': "did you mean 'speed'",
     b'{"topic": "/train/state", "time": 1714543200, "speed": "fast"}': "is 'fast', no number",
     b'{"topic": "/train/state", "time": "soon", "speed": 1}': "is not a time; write ISO 8601",
-    b'{"topic": "/train/state", "time": 1714543200}': "holds no values",
+    b'{"topic": "/train/state", "time": 1714543200}': "has no values",
     b'{"topic": "/train/axles", "time": 1714543200, "wheel_speed": 1}': "must be a list",
     b'{"speed": 1': "no JSON",
     b"[1]": "no JSON object",

@@ -146,7 +146,7 @@ class TestSet:
         path = tmp_path / "a.map"
         given_to(path, [piece(1), piece(2)])
         with MapFile(path) as file:
-            with pytest.raises(InputError, match=r"a\.map: the map holds no trip 'nobody'"):
+            with pytest.raises(InputError, match=r"a\.map: the map has no trip 'nobody'"):
                 file.remove([piece(1).trip, "nobody"])
             file.compact(40_000)
             with pytest.raises(InputError, match="was compacted"):
@@ -406,8 +406,8 @@ class TestOtherFiles:
         database.execute("CREATE TABLE messages (data BLOB)")
         database.close()
         before = path.read_bytes()
-        assert "is an SQLite database, but holds no track-condition map" in self.refused(path)
-        with pytest.raises(InputError, match="holds no track-condition map"):
+        assert "is an SQLite database, but has no track-condition map" in self.refused(path)
+        with pytest.raises(InputError, match="has no track-condition map"):
             MapFile(path, empty_map(LINE))
         assert path.read_bytes() == before
 

@@ -107,7 +107,7 @@ def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -
         lambda: analysis.export_map(longer, tmp_path / "none.csv", at=early),
         lambda: draw(longer, tmp_path / "none.png", at=early),
     ):
-        refused(InputError, "holds no evidence of a day before 2024-10-07", view)
+        refused(InputError, "has no evidence of a day before 2024-10-07", view)
     assert not list(tmp_path.glob("none*"))
 
 

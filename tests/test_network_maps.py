@@ -189,7 +189,7 @@ def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path: Path) ->
         update_network_map(
             sample("nonstop.mcap"), tmp_path / "other", replace(network(), source="else")
         )
-    with pytest.raises(InputError, match="holds no track-condition maps"):
+    with pytest.raises(InputError, match="has no track-condition maps"):
         network_map(tmp_path / "other")
 
 

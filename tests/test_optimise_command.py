@@ -238,7 +238,7 @@ def test_a_table_has_the_whole_run_by_kilometre(
     stops = pd.read_csv(tmp_path / "advice.csv").query("event == 'departs'")["station"]
     assert stops.tolist() == ["Wil", "Gossau SG"]
     (tmp_path / "none").mkdir()
-    with pytest.raises(InputError, match="holds no sections of a journey"):
+    with pytest.raises(InputError, match="has no sections of a journey"):
         cli.run(["advice", str(tmp_path / "none"), "-o", str(tmp_path / "a.html")])
     sections = [read_trajectory(tmp_path / "run" / f"section-{each}.json") for each in (1, 2)]
     energy = sum(each.certificate["wheel_energy"][0] for each in sections) / 3.6e6

@@ -199,7 +199,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
     (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(99))
     (tmp_path / "none.json").write_text('{"format": "trainlog/trajectory", "version": 1}')
     for name, words in (
-        ("empty", "holds no result"),
+        ("empty", "has no result"),
         ("notes.txt", "is not a result for a report"),
         ("broken.mcap", "broken.mcap"),
         ("none.json", "none.json"),

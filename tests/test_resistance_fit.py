@@ -283,7 +283,7 @@ def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], fac
 
 def test_bad_trips_are_refused() -> None:
     made = trip()
-    refused(LogError, "carries no line", fit_trip, replace(made, attachments={}))
+    refused(LogError, "has no line", fit_trip, replace(made, attachments={}))
     state = made["/train/state"]
     backwards = state.iloc[np.r_[0:100, 50 : len(state)]]
     refused(LogError, "time does not increase", fit_trip, made.with_topic(backwards))

@@ -259,7 +259,7 @@ def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
             {"condition_map": slippery(hilly_line()), "sigmas": -2.0},
             "map must be 0 or more, not -2.0",
         ),
-        ({"condition_map": unreadable(hilly_line())}, r"holds no adhesion at km 0\.\d+, which it"),
+        ({"condition_map": unreadable(hilly_line())}, r"has no adhesion at km 0\.\d+, which it"),
         ({"protected_length": -1.0}, "the protected length must be 0 or more, not -1.0 m"),
         ({"running_time": 1e9}, r"is 3\.\d+e\+06 times the least, .*let it wait at a station"),
         ({"objective": "expected", "weights": [1.0, 2.0]}, "2 weights for 1 configuration"),

@@ -60,7 +60,7 @@ def test_a_missing_topic_is_named_with_those_present() -> None:
 def test_span_of_a_trip() -> None:
     trip = Trip({"/train/state": state([10, 12.5], [1.0, 2.0])})
     assert trip.duration == 2.5
-    with pytest.raises(LogError, match="holds no samples"):
+    with pytest.raises(LogError, match="has no samples"):
         _ = Trip({}).start
 
 

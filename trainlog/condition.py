@@ -135,8 +135,7 @@ def known_before(track: TrackConditionMap, time: Timestamp) -> TrackConditionMap
     if not layers:
         first = int(track.days[0])
         raise InputError(
-            f"map of line '{track.line}' holds no evidence of a day before"
-            f" {np.datetime64(day, 'D')}",
+            f"map of line '{track.line}' has no evidence of a day before {np.datetime64(day, 'D')}",
             remedy=f"give {np.datetime64(first + 1, 'D')} or later, or no time",
         )
     trips = tuple(each for each in track.trips if (ran := day_of_trip(each)) and ran < day)

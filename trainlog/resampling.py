@@ -598,7 +598,7 @@ def grid_over(curves: list[TimeDistance], step: float = 10.0) -> FloatArray:
         raise InputError(f"a grid cannot have steps of {step:g} m", remedy="give metres above 0")
     ends = np.array([curve.covered for curve in curves if curve.position.size])
     if ends.size == 0:
-        raise InputError("no trip knows where it was", remedy="give trips with a position")
+        raise InputError("no trip has a position", remedy="give trips with a position")
     first, last = np.ceil(ends[:, 0].min() / step), np.floor(ends[:, 1].max() / step)
     return np.asarray(step * np.arange(first, last + 1.0))
 

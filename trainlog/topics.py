@@ -198,7 +198,7 @@ class Topic:
 TRAIN_STATE = Topic(
     "/train/state",
     "trainlog.TrainState",
-    "What the train's own odometry says.",
+    "The train's own odometry.",
     (
         Field(
             "position",
@@ -226,7 +226,7 @@ TRAIN_STATE = Topic(
 TRAIN_CONTROLS = Topic(
     "/train/controls",
     "trainlog.TrainControls",
-    "What the driver asked for and what the train gave.",
+    "Demands of the driver, and efforts of the train.",
     (
         Field(
             "lever",
@@ -305,7 +305,7 @@ TRAIN_AXLES = Topic(
 TRAIN_SLIP_PROTECTION = Topic(
     "/train/slip_protection",
     "trainlog.SlipProtection",
-    "Whether the slip protection of the powered axles acts.",
+    "Action of the slip protection of the powered axles.",
     (
         Field(
             "active",
@@ -509,7 +509,7 @@ ENVIRONMENT = Topic(
 EVENTS = Topic(
     "/events",
     "foxglove.Log",
-    "What happened, as text.",
+    "Events, as text.",
     (
         Field("level", "", "foxglove.Log level: 1 debug, 2 info, 3 warning, 4 error", "none"),
         Field(
@@ -618,7 +618,7 @@ REFERENCE = Topic(
 TRUTH = Topic(
     "/truth",
     "trainlog.Truth",
-    "Simulated trips only: what no sensor shows, to judge estimators by.",
+    "Simulated trips only: the truth, for comparison with estimates.",
     (
         Field("position", "m", "true chainage of the train's front"),
         Field("speed", "m/s", "true speed over ground"),
@@ -664,7 +664,7 @@ IMU = Topic(
 TRAIN_SUPPLY = Topic(
     "/train/supply",
     "trainlog.TrainSupply",
-    "What the train draws from the line, at the pantograph or the collector shoe.",
+    "Electrical supply at the pantograph or the collector shoe.",
     (
         Field(
             "line_voltage",

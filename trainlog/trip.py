@@ -315,7 +315,7 @@ class Trip(Presented):
         frames = [frame for frame in self.topics.values() if len(frame)]
         if not frames:
             raise LogError(
-                f"trip '{self.name}' holds no samples",
+                f"trip '{self.name}' has no samples",
                 remedy="record it again, or choose a longer span of time",
             )
         return frames

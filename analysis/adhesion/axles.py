@@ -280,7 +280,7 @@ def _speeds(
     count = train.axles.count
     if not recorded:
         raise NotRecordedError(
-            f"trip '{trip.name}': /train/axles holds no axle speed",
+            f"trip '{trip.name}': /train/axles has no axle speed",
             remedy="slip needs the speed of one powered axle at least",
         )
     if recorded[-1] > count:

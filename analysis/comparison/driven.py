@@ -359,7 +359,7 @@ def samples_of(trip: Trip) -> Samples:
         silences = _silences(trip, silent, pd.Timestamp(frame.index[0]))
         return _thinned(frame, state, (*gaps, *silences))
     raise LogError(
-        f"trip '{trip.name}' knows no chainage",
+        f"trip '{trip.name}' has no chainage",
         place="topics /estimates/state and /train/state",
         remedy="ingest it with its line (--line), which finds the chainage of its fixes",
     )
@@ -744,7 +744,7 @@ def _line_as_travelled(bare: Trip, line: Line | None) -> Line:
     if line is None:
         if LINE_ATTACHMENT not in bare.attachments:
             raise InputError(
-                f"trip '{bare.name}' carries no line",
+                f"trip '{bare.name}' has no line",
                 remedy="give it with --line (line= in Python)",
             )
         return line_of(bare)

@@ -214,7 +214,7 @@ def network_map(folder: str | Path) -> NetworkMap:
     files = map_files(place)
     if not files:
         raise InputError(
-            f"holds no track-condition maps (*{SUFFIX})",
+            f"has no track-condition maps (*{SUFFIX})",
             file=place,
             remedy="add trips with 'trainlog map update LOGS --network NETWORK --map FOLDER'",
         )

@@ -247,7 +247,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
     if not sections:
         what = "; ".join(f"{name}: {words}" for name, words in problems.items())
         raise InputError(
-            "holds no result that can be read" + (f" ({what})" if what else ""),
+            "has no result that can be read" + (f" ({what})" if what else ""),
             file=folder,
             remedy="logs (.mcap), parameter sets, maps, trajectories, coast-downs and studies are"
             " shown, in the folder and in those in it",

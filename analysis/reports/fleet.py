@@ -771,7 +771,7 @@ def known_maps(
         if each.layers
     ]
     before = f" of days before {at:%Y-%m-%d}" if 0 <= at.timestamp() // 86_400 <= last else ""
-    nothing = "" if tables else f"The maps hold no evidence{before} yet."
+    nothing = "" if tables else f"The maps have no evidence{before} yet."
     if not paths:
         nothing = "No trip's evidence is in a map yet: 'trainlog fleet update' adds it."
     bad = [f"Not used: {each}." for each in problems]

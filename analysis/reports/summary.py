@@ -129,7 +129,7 @@ def report(folder: str | Path) -> Report:
     found = [row for row in rows if row is not None]
     if not found:
         raise InputError(
-            "holds no results",
+            "has no results",
             file=folder,
             remedy="they are looked for as 'trainlog demo' leaves them: logs in trips/ and driven/,"
             " parameters.json, a map (.map), trajectory.json; or by any other name",

@@ -284,7 +284,7 @@ def fit(
     summaries = merged([*read.earlier, summarised([]), *read.rows])
     if summaries.empty:
         raise NotIdentifiableError(
-            "the summaries that were given hold no trip" if read.earlier else "no log was given",
+            "the summaries that were given have no trip" if read.earlier else "no log was given",
             remedy="give logs, folders of logs, or summaries of earlier fits",
         )
     if not (summaries["refused"] == "").any():

@@ -126,7 +126,7 @@ OUTLIER = 5.0
 SHARPER = 0.6
 """Gain and load count as estimated where the trip leaves less of their standard deviation."""
 
-NO_TRAIN = Quantity(np.nan, np.nan, "assumed", "the trip carries no train")
+NO_TRAIN = Quantity(np.nan, np.nan, "assumed", "the trip has no train")
 """Load and mass of a trip of no train."""
 
 NO_LEAD = Quantity(0.0, 0.0, "recorded")
@@ -362,7 +362,7 @@ def _delay_and_ratio(
             (LINE_ATTACHMENT, "line, whose gradients are needed"),
         ):
             if attachment not in view.trip.attachments:
-                raise NotIdentifiableError(f"the trip carries no {what}")
+                raise NotIdentifiableError(f"the trip has no {what}")
         check_recorded(view.trip)
         return _Motion(view, noise).quantities()
     except NotIdentifiableError as error:

@@ -120,7 +120,7 @@ def phases_of(trajectory: Trajectory, row: int) -> IntArray:
         letters = trajectory.certificate["phases"][row]
     except (KeyError, IndexError):
         raise InputError(
-            "the trajectory carries no phases", remedy="make it with `trainlog plan`"
+            "the trajectory has no phases", remedy="make it with `trainlog plan`"
         ) from None
     codes = {phase.letter: int(phase) for phase in Phase}
     return np.array([codes[letter] for letter in letters], dtype=np.int64)

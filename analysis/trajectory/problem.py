@@ -363,7 +363,7 @@ class TrajectoryProblem:
         wrong = np.flatnonzero(~((lower > 0.0) & (self._usable > 0.0)))
         if wrong.size:
             raise InputError(
-                f"{where}: the track-condition map holds no adhesion at"
+                f"{where}: the track-condition map has no adhesion at"
                 f" {self._km(self.condition_map.centres[wrong[0]])}, which it marks as observed",
                 remedy="build the map again; places not observed are left out, not guessed",
             )

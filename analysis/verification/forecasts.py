@@ -219,7 +219,7 @@ def first_free(track: TrackConditionMap) -> pd.Timestamp:
     free = last_evidence(track)
     if free is None:
         raise InputError(
-            f"map of line '{track.line}' holds no evidence to forecast from",
+            f"map of line '{track.line}' has no evidence to forecast from",
             remedy="count a trip in first",
         )
     return free

@@ -439,7 +439,7 @@ class Database:
             self.folder = Path(where).expanduser().absolute()
             if not create and not (self.folder / DATABASE).is_file():
                 raise InputError(
-                    "holds no catalogue",
+                    "has no catalogue",
                     file=where,
                     remedy="make one with 'trainlog fleet add', or name another",
                 )
@@ -577,7 +577,7 @@ class Database:
         found = self._header()
         if not found:
             if not create:
-                raise InputError("holds no catalogue", file=self.place, remedy="name another")
+                raise InputError("has no catalogue", file=self.place, remedy="name another")
             self._make(results)
             found = self._header()
         check(found, self.place)
@@ -614,7 +614,7 @@ class Database:
     def _make(self, results: str | Path | None) -> None:
         if self.is_server and results is None:
             raise InputError(
-                "the database holds no catalogue yet, and a new one needs a folder for its results",
+                "the database has no catalogue yet, and a new one needs a folder for its results",
                 file=self.place,
                 remedy="name one that all computers see with --results",
             )

@@ -480,7 +480,7 @@ def sections_in(paths: list[Path]) -> list[Path]:
         files = sorted(inside, key=lambda each: (len(each.name), each.name))
         if not files:
             raise InputError(
-                "holds no sections of a journey",
+                "has no sections of a journey",
                 file=path,
                 remedy="name a folder that 'trainlog plan --stops' wrote, or its files",
             )

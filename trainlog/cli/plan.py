@@ -337,7 +337,7 @@ def _configurations(
     observed.check_train(train.name)
     if not observed.configurations:
         raise InputError(
-            "holds no configuration",
+            "has no configuration",
             file=parameters,
             remedy="'trainlog fit' makes a set from trips; without a set the train's file is taken",
         )

@@ -281,7 +281,7 @@ def logs_of(path: Path) -> list[Path]:
     found = (sorted(path.glob("*.mcap")) or logs_below(path)) if path.is_dir() else [path]
     if not found:
         raise InputError(
-            "the folder holds no logs (*.mcap)",
+            "the folder has no logs (*.mcap)",
             file=path,
             remedy="name another folder, or make logs of recordings with 'trainlog ingest'",
         )

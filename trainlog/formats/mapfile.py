@@ -904,7 +904,7 @@ class MapFile:
             rows = [row for row in self.rows() if row.known.name in wanted]
             for name in sorted(wanted - {row.known.name for row in rows}):
                 raise InputError(
-                    f"the map holds no trip '{name}'",
+                    f"the map has no trip '{name}'",
                     file=self.path,
                     remedy=f"trainlog show {self.path} --all lists its trips",
                 )
@@ -1360,7 +1360,7 @@ def _check_kind(database: sqlite3.Connection, file: str | Path) -> None:
     (version,) = database.execute("PRAGMA user_version").fetchone()
     if application != APPLICATION:
         raise InputError(
-            "is an SQLite database, but holds no track-condition map",
+            "is an SQLite database, but has no track-condition map",
             file=file,
             remedy="name a map that 'trainlog map update' made",
         )

@@ -750,7 +750,7 @@ def _attachment(trip: Trip, name: str) -> bytes:
         return trip.attachments[name]
     except KeyError:
         raise LogError(
-            f"trip '{trip.name}' carries no {name}",
+            f"trip '{trip.name}' has no {name}",
             remedy=f"attachments present: {', '.join(trip.attachments) or 'none'};"
             " 'trainlog ingest --line FILE --train FILE' attaches them when it makes the log",
         ) from None

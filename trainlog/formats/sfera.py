@@ -203,7 +203,7 @@ def read_sfera(
     documents = Documents.of(path)
     if not documents.journeys:
         raise InputError(
-            "holds no journey (JourneyProfile)",
+            "has no journey (JourneyProfile)",
             file=path,
             remedy="give the journey and its segments as files of one folder or archive",
         )

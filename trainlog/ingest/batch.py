@@ -363,7 +363,7 @@ def files_of(paths: Iterable[Path], output: Path) -> list[tuple[Path, str]]:
         held = [(file, no_recording(file)) for file in _files_in(path, output.resolve())]
         if not held:
             raise InputError(
-                "the folder holds no files", file=path, remedy="name files, or another folder"
+                "the folder has no files", file=path, remedy="name files, or another folder"
             )
         for file, reason in held:
             found.setdefault(file.resolve(), (file, reason))

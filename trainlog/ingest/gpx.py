@@ -180,7 +180,7 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
     if not filled:
         others = ", ".join(f"{count} {kind}" for kind, count in reader.others.items())
         raise InputError(
-            f"holds no track point{f', but {others}' if others else ''}",
+            f"has no track point{f', but {others}' if others else ''}",
             file=path,
             remedy="give the track that was recorded, not waypoints or a planned route",
         )

@@ -155,7 +155,7 @@ class Epochs:
         """
         if not self.rows:
             raise InputError(
-                "holds no RMC, GGA or GNS sentence with a time",
+                "has no RMC, GGA or GNS sentence with a time",
                 remedy="have the receiver write them, and give its log",
             )
         columns = {

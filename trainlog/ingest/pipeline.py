@@ -389,7 +389,7 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
     )
     if not recordings:
         raise InputError(
-            "holds no recording", file=source, remedy="was the recorder stopped at once?"
+            "has no recording", file=source, remedy="was the recorder stopped at once?"
         )
     if chosen.layout == "own" and rules is not None:
         idle = {"[time]": int(rules.time is not None), "[columns]": len(rules.columns)}

@@ -49,13 +49,13 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
     holds = any(name == str(path) for name, _ in documents.journeys.values())
     if path.suffix.lower() != ".zip" and not holds:
         raise InputError(
-            "holds no journey, which the places of reports refer to",
+            "has no journey, which the places of reports refer to",
             file=path,
             remedy="pack the journey, its segments and the reports into one zip archive",
         )
     if not documents.reports:
         raise InputError(
-            "holds no status report (B2G_StatusReport)",
+            "has no status report (B2G_StatusReport)",
             file=path,
             remedy="give the reports with their journey and its segments, as one zip archive",
         )

@@ -510,7 +510,7 @@ def _sample(each: dict[str, Any], sequence: str) -> tuple[int, dict[str, Any]]:
         if key not in ("time", "topic") and (key != sequence or topic.endswith(key)):
             values |= _values(key if key.startswith("/") else f"{topic}.{key}", value)
     if not values:
-        raise ValueError("holds no values")
+        raise ValueError("has no values")
     return (time_of(each["time"]) if "time" in each else NO_TIME), values
 
 

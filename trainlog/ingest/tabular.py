@@ -306,7 +306,7 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
     body, rows = _data_lines(data, position, first_row, options.comment)
     if not rows.size:
         raise InputError(
-            "holds no row of data" + (", only its header" if header else ""),
+            "has no row of data" + (", only its header" if header else ""),
             file=path,
             place=f"row {header}" if header else None,
             remedy="record again; was the recorder stopped at once?",
@@ -565,7 +565,7 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
             remedy="copy the file again; was the recorder stopped while writing?",
         ) from error
     if not table.num_rows:
-        raise InputError("holds no row of data", file=path, remedy="record again")
+        raise InputError("has no row of data", file=path, remedy="record again")
     rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
     found = recording_of(Cells(table, rows, rows.size), profile, path)
     return replace(found, not_used=found.not_used | columns_left(profile, names))

@@ -78,7 +78,7 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
             )
     if not len(octets):
         raise InputError(
-            f"holds no telegram of {options.length} bytes",
+            f"has no telegram of {options.length} bytes",
             file=path,
             remedy="check length under [telegram] of the profile",
         )

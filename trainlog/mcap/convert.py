@@ -148,7 +148,7 @@ def convert(
                 raise nothing_of(source)
             if done.left_out:
                 raise LogError(
-                    f"holds no message that can be read: {done.left_out[0]}",
+                    f"has no message that can be read: {done.left_out[0]}",
                     file=source,
                     remedy=f"see 'trainlog show {source}' for what it holds",
                 )
@@ -224,7 +224,7 @@ def _check_known(held: Sequence[str], topics: Sequence[str] | None, source: Path
     for name in topics or ():
         if name not in held:
             raise LogError(
-                f"holds no topic {name}", file=source, remedy=f"it holds {', '.join(held)}"
+                f"has no topic {name}", file=source, remedy=f"it holds {', '.join(held)}"
             )
 
 

@@ -226,7 +226,7 @@ def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:
     for name in sorted(asked - set(held)):
         named = ", ".join(shown(topic) for topic in held[:_MOST_NAMED]) or "none at all"
         more = f" and {len(held) - _MOST_NAMED} more" if len(held) > _MOST_NAMED else ""
-        raise LogError(f"holds no topic {shown(name)}", remedy=f"topics are {named}{more}")
+        raise LogError(f"has no topic {shown(name)}", remedy=f"topics are {named}{more}")
     return [channel for channel in channels if channel.topic in asked]
 
 

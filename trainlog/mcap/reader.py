@@ -326,7 +326,7 @@ def _check_version(
     if FORMAT_RECORD not in metadata and not channels:
         held = sorted({shown(channel.topic) for channel in contents.channels.values()})
         raise LogError(
-            f"holds no topic of trainlog, but {', '.join(held[:_MOST_NAMED]) or 'none at all'}"
+            f"has no topic of trainlog, but {', '.join(held[:_MOST_NAMED]) or 'none at all'}"
             + (f" and {len(held) - _MOST_NAMED} more" if len(held) > _MOST_NAMED else ""),
             remedy="bring it in (trainlog ingest), or read its tables (trainlog.mcap.frames_of)",
         )

@@ -275,7 +275,7 @@ def _content(layout: Layout, name: str) -> tuple[FloatArray | None, str]:
     if texts and pc.any(pc.match_substring_regex(column, r"^-?\d{1,3}[ ',.]\d{3}\b")).as_py():
         why = f"{1.0 - share:.0%} of its cells are not numbers: marks between thousands?"
         return None, f"{why} Then state thousands under [file]"
-    return None, "holds words" if texts else "holds no numbers"
+    return None, "holds words" if texts else "has no numbers"
 
 
 def _sort_roles(work: Work) -> None:
