@@ -22,17 +22,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cvxpy as cp
 import numpy as np
 import piqp
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d
 
 from analysis.trajectory.discretisation import SPARE, Bounds, Curves, DiscreteProblem, Plan
 from analysis.trajectory.rollout import dynamic_share
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 SLOW = 0.2
 """Speeds below this are scaled as if they were this [m/s]."""
@@ -51,6 +52,21 @@ _SETTINGS: dict[str, Any] = {
 
 _LONGEST = 15.0
 """Time after which a program with cones is given up [s]: it has no inside, or nearly none."""
+
+_FEW = 2_000
+"""Unknowns up to which a program is solved as a whole whatever is known of its optimum."""
+
+_AT_BOUND, _AROUND_CELLS = 1e-4, 3
+"""Part of its range within which an effort counts as at a bound; and to how many cells on either
+side the same has to apply."""
+
+_NEAR_BOUND, _NEAR_ROW, _NEAR_EFFORT, _DENSE = 0.05, 0.2, 0.02, 4
+"""Distances within which bounds of the speed count, relative, and rows: part of their right-hand
+side, and effort [m/s²]. Rows of more entries count always."""
+
+_ROUNDS, _EXCEEDED, _LOST = 3, 1e-7, 3e-7
+"""How often what was fixed or left out wrongly is added; by how much bounds and rows may be
+exceeded, and what fixed efforts may cost, relative."""
 
 _ROUNDING = 1e-9
 """By which rounding may have a lower bound exceed the upper one."""
@@ -72,6 +88,9 @@ class OutOfTimeError(Exception):
         super().__init__("time limit")
         self.found = found
 
+
+_Optimum = tuple[FloatArray, FloatArray, FloatArray]
+"""The unknowns, and the duals of equations and of inequalities."""
 
 _DEADLINE = ContextVar("deadline", default=np.inf)
 
@@ -181,6 +200,12 @@ class Unknowns:
         self.regained = int(self.more((1,))[0]) if worst else None
 
     @property
+    def efforts(self) -> tuple[IntArray, IntArray]:
+        """Of the traction, (1, 1, n), and of each configuration's brakes, (1 or 2, q, n)."""
+        brakes = (self.braking,) if self.dynamic is None else (self.braking, self.dynamic)
+        return self.traction[None, None], np.stack(brakes)
+
+    @property
     def size(self) -> int:
         """How many there are."""
         return self.low.size
@@ -215,10 +240,16 @@ def solve(
     curvature: sp.csc_array | None = None,
     cones: Sequence[Any] = (),
     variable: cp.Variable | None = None,
+    near: FloatArray | None = None,
 ) -> ProgramSolution:
     """Minimise ``cost x + x curvature x / 2``, and accept nothing but a solution.
 
     Programs without cones go to PIQP, and to Clarabel where PIQP does not end with an optimum.
+
+    Parameters
+    ----------
+    near : (size,) array, optional
+        A point that is likely to be near the optimum; it costs nothing but time where it is not.
 
     Raises
     ------
@@ -229,7 +260,7 @@ def solve(
     """
     begun = time.process_time()
     try:
-        return _solved(unknowns, cost, equal, below, curvature, cones, variable)
+        return _solved(unknowns, cost, equal, below, curvature, cones, variable, near)
     finally:
         _WORKED.set(_WORKED.get() + time.process_time() - begun)
 
@@ -242,16 +273,15 @@ def _solved(
     curvature: sp.csc_array | None,
     cones: Sequence[Any],
     variable: cp.Variable | None,
+    near: FloatArray | None,
 ) -> ProgramSolution:
     # PIQP cannot be stopped, Clarabel can.
     if time_left() <= (0.0 if cones else _PACE.get() * unknowns.size):
         raise OutOfTimeError
     begin, stated = time.monotonic(), not cones and _STATED.get()
     if stated:
-        busy = time.process_time()
-        found = _by_piqp(unknowns, cost, equal, below, curvature)
+        found = _by_piqp(unknowns, cost, equal, below, curvature, near)
         _PACE.set((time.monotonic() - begin) / unknowns.size)
-        _SPENT.set((time.process_time() - busy) / unknowns.size)
         if found is not None:
             return found
     x = bounded(unknowns) if variable is None else variable
@@ -296,39 +326,142 @@ def _solved(
     raise NoSolutionError(status)
 
 
+class _Program(NamedTuple):
+    """Minimise ``c x + x P x / 2`` where ``A x = b``, ``G x <= h_u`` and ``x_l <= x <= x_u``."""
+
+    P: sp.csc_array
+    c: FloatArray
+    A: sp.csc_array
+    b: FloatArray
+    G: sp.csc_array
+    h_u: FloatArray
+    x_l: FloatArray
+    x_u: FloatArray
+
+    def optimum(self) -> _Optimum | None:
+        """By PIQP; None if it finds none."""
+        busy = time.process_time()
+        solver = piqp.SparseSolver()
+        for name, value in _SETTINGS.items():
+            setattr(solver.settings, name, value)
+        solver.setup(**self._asdict())
+        status, result = solver.solve(), solver.result
+        _SPENT.set((time.process_time() - busy) / self.c.size)
+        x = np.clip(result.x, self.x_l, self.x_u)
+        if status != piqp.PIQP_SOLVED or not np.all(np.isfinite(x)):
+            return None
+        return x, np.array(result.y), np.array(result.z_u)
+
+    def value(self, x: FloatArray) -> float:
+        """What is minimised."""
+        return float(self.c @ x + 0.5 * (x @ (self.P @ x)))
+
+    def optimum_near(
+        self, near: FloatArray, efforts: Sequence[IntArray], z: IntArray
+    ) -> _Optimum | None:
+        """The same, where a point near the optimum tells most of the bounds that it is at.
+
+        Efforts at a bound there, in the cells around too, stay at it; other bounds and rows that
+        are far away are left out. The optimum of what remains is checked: reduced costs bound what
+        fixed efforts cost, and what is exceeded or costs anything is added.
+
+        Parameters
+        ----------
+        near : (size,) array
+        efforts : sequence of (k, q, n) array of int
+            Of k efforts in the same cells, which are fixed together.
+        z : (q, n + 1) array of int
+
+        Returns
+        -------
+        _Optimum or None
+            None if there is none, or it is not the whole program's after some rounds.
+        """
+        low, high, width = self.x_l, self.x_u, self.x_u - self.x_l
+        rows, sizes, positive = self.G.tocsr(), abs(self.G).tocsr(), self.G.tocsr().maximum(0.0)
+        side = np.zeros(low.size)
+        for sign, away in ((-1.0, near - low), (1.0, high - near)):
+            for each in efforts:
+                apart = np.any(away[each] > _AT_BOUND * width[each], axis=0)
+                side[each[:, ~_widened(apart)]] = sign
+        bounded = np.minimum(near - low, high - near) < _NEAR_BOUND
+        bounded[np.concatenate([each.ravel() for each in efforts])] = True
+        kept = self.h_u - rows @ near < _NEAR_ROW * np.abs(self.h_u) + _NEAR_EFFORT
+        kept |= np.diff(rows.indptr) > _DENSE
+        for _ in range(_ROUNDS):
+            fixed = (side != 0.0) | (width <= 0.0)
+            x, free = np.where(fixed, np.where(side > 0.0, high, low), 0.0), np.flatnonzero(~fixed)
+            open_ = sizes @ ~fixed > 0.0
+            some = kept & open_
+            found = _Program(
+                self.P[:, free][free],
+                (self.c + self.P @ x)[free],
+                self.A[:, free],
+                self.b - self.A @ x,
+                rows[some][:, free].tocsc(),
+                (self.h_u - rows @ x)[some],
+                np.where(bounded, low, -np.inf)[free],
+                np.where(bounded, high, np.inf)[free],
+            ).optimum()
+            if found is None:
+                return None
+            below = np.zeros(kept.size)
+            x[free], y, below[some] = found
+            over = rows @ x - self.h_u
+            reduced = self.c + self.P @ x + self.A.T @ y + self.G.T @ below
+            # A row between efforts that are all fixed has the dual that the one at 0 needs.
+            tight = ~open_ & (over > -_EXCEEDED)
+            below[tight] = positive[tight] @ np.where(side < 0.0, np.maximum(-reduced, 0.0), 0.0)
+            reduced += self.G.T @ np.where(tight, below, 0.0)
+            wrong = side * reduced > 0.0
+            outside = ~bounded & (np.maximum(low - x, x - high) > _EXCEEDED)
+            exceeded = ~some & (over > _EXCEEDED)
+            lost = float(np.abs(reduced[wrong]) @ width[wrong])
+            if not (outside.any() or exceeded.any()) and lost <= _LOST * abs(self.value(x)):
+                return x, y, below
+            for each in efforts:
+                side[each[:, _widened(np.any(wrong[each], axis=0))]] = 0.0
+            bounded[z[_widened(outside[z])]] = True
+            kept |= _widened(exceeded)
+        return None
+
+
+def _widened(marked: BoolArray) -> BoolArray:
+    """What is marked along the last axis, and the cells around."""
+    return np.asarray(maximum_filter1d(marked, 2 * _AROUND_CELLS + 1, mode="constant"))
+
+
 def _by_piqp(
     unknowns: Unknowns,
     cost: FloatArray,
     equal: Rows,
     below: Rows,
     curvature: sp.csc_array | None,
+    near: FloatArray | None,
 ) -> ProgramSolution | None:
     """The optimum of a program as CVXPY has stated one before; None if PIQP finds none."""
     _settle_bounds(unknowns)
     size = unknowns.size
-    solver = piqp.SparseSolver()
-    for name, value in _SETTINGS.items():
-        setattr(solver.settings, name, value)
-    given = {
-        "P": sp.csc_array((size, size)) if curvature is None else curvature,
-        "c": cost,
-        "A": equal.matrix(size),
-        "b": equal.right,
-        "G": below.matrix(size),
-        "h_u": below.right,
-    }
-    entries = (value.data if sp.issparse(value) else value for value in given.values())
+    program = _Program(
+        sp.csc_array((size, size)) if curvature is None else curvature,
+        cost,
+        equal.matrix(size),
+        equal.right,
+        below.matrix(size),
+        below.right,
+        unknowns.low,
+        unknowns.high,
+    )
+    entries = (value.data if sp.issparse(value) else value for value in program[:6])
     if not all(np.all(np.isfinite(each)) for each in entries):
         return None
-    solver.setup(**given, x_l=unknowns.low, x_u=unknowns.high)
-    if solver.solve() != piqp.PIQP_SOLVED:
+    found = None
+    if near is not None and size > _FEW:
+        found = program.optimum_near(near, unknowns.efforts, unknowns.z)
+    found = found or program.optimum()
+    if found is None:
         return None
-    result = solver.result
-    x = np.clip(result.x, unknowns.low, unknowns.high)
-    if not np.all(np.isfinite(x)):
-        return None
-    duals, value = (np.array(result.y), np.array(result.z_u)), float(result.info.primal_obj)
-    return ProgramSolution(x, *duals, value, "PIQP optimal")
+    return ProgramSolution(*found, program.value(found[0]), "PIQP optimal")
 
 
 def bounded(unknowns: Unknowns) -> cp.Variable:

@@ -402,19 +402,42 @@ _PARTS = 64
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
+def _pulling(
+    z: float, limit: float, power: float, speeds: FloatArray, efforts: FloatArray, gain: float,
+    drag0: float, drag1: float, drag2: float,
+) -> float:  # fmt: skip
+    """Slope of ``z`` under full traction."""
+    v = speed_of(z)
+    effort = min(limit, power / v) if v > 0.0 else limit
+    effort = min(effort, effort_at(v, speeds, efforts))
+    return float(gain * effort - drag0 - drag1 * v - drag2 * v * v)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _pulled(
     z: float, h: float, limit: float, power: float, speeds: FloatArray, efforts: FloatArray,
     gain: float, drag0: float, drag1: float, drag2: float,
 ) -> float:  # fmt: skip
     """``z`` after `h` metres of full traction: Runge-Kutta of order four."""
-    k = np.empty(4)
-    for j in range(4):
-        y = z if j == 0 else z + (1.0 if j == 3 else 0.5) * h * k[j - 1]
-        v = speed_of(y)
-        effort = min(limit, power / v) if v > 0.0 else limit
-        effort = min(effort, effort_at(v, speeds, efforts))
-        k[j] = gain * effort - drag0 - drag1 * v - drag2 * v * v
-    return float(z + h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3]))
+    cell = limit, power, speeds, efforts, gain, drag0, drag1, drag2
+    k1 = _pulling(z, *cell)
+    k2 = _pulling(z + 0.5 * h * k1, *cell)
+    k3 = _pulling(z + 0.5 * h * k2, *cell)
+    k4 = _pulling(z + h * k3, *cell)
+    return float(z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _braking(
+    z: float, limit: float, friction: float, dynamic: float, power: float, speeds: FloatArray,
+    efforts: FloatArray, gain: float, drag0: float, drag1: float, drag2: float,
+) -> float:  # fmt: skip
+    """Slope of ``z`` backwards along the line under full braking."""
+    v = speed_of(z)
+    by_speed = min(dynamic, power / v) if v > 0.0 else dynamic
+    if speeds.size > 1:
+        by_speed = min(by_speed, effort_at(v, speeds, efforts))
+    return float(gain * min(limit, friction + by_speed) + drag0 + drag1 * v + drag2 * v * v)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -423,15 +446,12 @@ def _braked(
     speeds: FloatArray, efforts: FloatArray, gain: float, drag0: float, drag1: float, drag2: float,
 ) -> float:  # fmt: skip
     """``z`` so many metres before, under full braking from there: Runge-Kutta of order four."""
-    k = np.empty(4)
-    for j in range(4):
-        y = z if j == 0 else z + (1.0 if j == 3 else 0.5) * h * k[j - 1]
-        v = speed_of(y)
-        by_speed = min(dynamic, power / v) if v > 0.0 else dynamic
-        if speeds.size > 1:
-            by_speed = min(by_speed, effort_at(v, speeds, efforts))
-        k[j] = gain * min(limit, friction + by_speed) + drag0 + drag1 * v + drag2 * v * v
-    return float(z + h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3]))
+    cell = limit, friction, dynamic, power, speeds, efforts, gain, drag0, drag1, drag2
+    k1 = _braking(z, *cell)
+    k2 = _braking(z + 0.5 * h * k1, *cell)
+    k3 = _braking(z + 0.5 * h * k2, *cell)
+    k4 = _braking(z + h * k3, *cell)
+    return float(z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

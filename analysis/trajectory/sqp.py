@@ -226,7 +226,9 @@ class QPSubproblem:
         priced = cost.copy()
         priced[self.late] = lateness_price
         bends = curvature + smoothing * self._effort_changes()
-        found = solve(unknowns, priced, self.equal, self.below, curvature=bends)
+        found = solve(
+            unknowns, priced, self.equal, self.below, curvature=bends, near=self._planned()
+        )
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
         share = braking
@@ -256,6 +258,17 @@ class QPSubproblem:
             moved=float(0.5 * (x @ (curvature @ x))),
             statuses=(found.status,),
         )
+
+    def _planned(self) -> FloatArray:
+        """The unknowns as they are planned: no change of speed."""
+        plan, unknowns = self.plan, self.unknowns
+        planned = np.zeros(unknowns.size)
+        planned[unknowns.traction], planned[unknowns.braking] = plan.traction, plan.braking
+        if unknowns.dynamic is not None:
+            planned[unknowns.dynamic] = plan.dynamic
+        if unknowns.regained is not None:
+            planned[unknowns.regained] = (plan.dynamic @ self.problem.step).min()
+        return planned
 
     def _not_after(self, node: int, latest: float, gradient: FloatArray) -> IntArray:
         """Eq. (3) and (8), linearised: no configuration passes `node` later than it may."""
