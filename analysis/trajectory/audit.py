@@ -228,7 +228,7 @@ def _force(v: float, constant: float, linear: float, quadratic: float) -> float:
     return constant + (linear + quadratic * v) * v
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _roll(
     initial_speed: float, step: FloatArray, traction: FloatArray, taper: FloatArray,
     braking: FloatArray, constants: FloatArray, brakes: FloatArray, track: FloatArray,
@@ -239,79 +239,83 @@ def _roll(
     q, n = braking.shape
     substeps = tunnel.shape[1]
     speeds, times = np.zeros((q, n + 1)), np.zeros((q, n + 1))
-    found = np.zeros((q, 7))
-    for a in range(q):
-        mass, inertia, still, linear, square, power, adhesive, weight, pull, brake = constants[
-            a, :10
-        ]
-        most, least = constants[a, 10], -constants[a, 11]
-        found[a, 1] = -np.inf
-        half, time, stopped = 0.5 * initial_speed**2, 0.0, False
-        speeds[a, 0] = initial_speed
-        for k in range(n):
-            h = step[k] / substeps
-            found[a, 3] = max(found[a, 3], (traction[k] + abs(taper[k])) / pull)
-            fall = 2.0 * taper[k] / substeps
-            for j in range(substeps):
-                if stopped:
-                    found[a, 0] += h
+    found = np.zeros((7, q))
+    found[1] = -np.inf
+    speeds[:, 0] = initial_speed
+    mass, inertia, still, linear, square, power, adhesive, weight, pull, brake, most, least = (
+        constants.T.copy()
+    )
+    per = 1.0 / inertia
+    half, time, moving = np.full(q, 0.5 * initial_speed**2), np.zeros(q), np.ones(q)
+    v, after, k1, part, b = np.empty(q), np.empty(q), np.empty(q), np.empty(q), np.empty(q)
+    for k in range(n):
+        h, fall = step[k] / substeps, 2.0 * taper[k] / substeps
+        b[:] = braking[:, k]
+        for j in range(substeps):
+            begun = traction[k] + taper[k] - j * fall
+            ended = begun - fall
+            t0, t1, t2 = track[k, 2 * j], track[k, 2 * j + 1], track[k, 2 * j + 2]
+            tun = tunnel[k, j]
+            # All configurations in turn: the processor works at several of them at once.
+            for a in range(q):
+                effort = begun - b[a]
+                first = effort - mass[a] * t0 - still[a]
+                middle = effort - 0.5 * fall - mass[a] * t1 - still[a]
+                last = effort - fall - mass[a] * t2 - still[a]
+                drag = square[a] + tun
+                y = 2.0 * half[a]
+                w = np.sqrt(y)
+                c1 = (first - (linear[a] + drag * w) * w) * per[a]
+                u = np.sqrt(max(y + h * c1, 0.0))
+                c2 = (middle - (linear[a] + drag * u) * u) * per[a]
+                u = np.sqrt(max(y + h * c2, 0.0))
+                c3 = (middle - (linear[a] + drag * u) * u) * per[a]
+                u = np.sqrt(max(y + 2.0 * h * c3, 0.0))
+                c4 = (last - (linear[a] + drag * u) * u) * per[a]
+                change = h / 6.0 * (c1 + 2.0 * c2 + 2.0 * c3 + c4)
+                # It stops within this sub-step: the rest of the way is not travelled.
+                stops = half[a] + change <= 0.0
+                share = half[a] / -change if change < 0.0 else 0.0
+                part[a] = (share if stops else 1.0) * moving[a]
+                z = (half[a] + change if half[a] + change > 0.0 else 0.0) * moving[a]
+                moving[a] = 1.0 if part[a] >= 1.0 else 0.0
+                x = np.sqrt(2.0 * z)
+                whole = 2.0 * h / (w + x)
+                inside = 0.25 * (y + 2.0 * z) + 0.125 * h * (c1 - c4)
+                between = np.sqrt(2.0 * max(inside, 0.0))
+                halves = h / (w + between) + h / (between + x)
+                halves = halves if inside > 0.0 and part[a] == 1.0 else whole
+                whole = part[a] * whole + 4.0 / 3.0 * (halves - whole)
+                time[a] += whole if w + x > 0.0 else 0.0
+                half[a] = z
+                v[a], after[a], k1[a] = w, x, c1
+                found[0, a] += (1.0 - part[a]) * h
+                fast = w if w > x else x
+                fast -= limit[k, j]
+                found[1, a] = fast if fast > found[1, a] else found[1, a]
+            for a in range(q):
+                if part[a] <= 0.0:
                     continue
-                begun = traction[k] + taper[k] - j * fall
-                effort = begun - braking[a, k]
-                first = effort - mass * track[k, 2 * j]
-                middle = effort - 0.5 * fall - mass * track[k, 2 * j + 1]
-                last = effort - fall - mass * track[k, 2 * j + 2]
-                drag = square + tunnel[k, j]
-                v = np.sqrt(2.0 * half)
-                k1 = (first - _force(v, still, linear, drag)) / inertia
                 if begun > 1.0:
-                    found[a, 3] = max(found[a, 3], k1 / most)
-                if braking[a, k] > 1e-6 * brake:
-                    found[a, 4] = max(found[a, 4], k1 / least)
-                u = np.sqrt(max(v * v + h * k1, 0.0))
-                k2 = (middle - _force(u, still, linear, drag)) / inertia
-                u = np.sqrt(max(v * v + h * k2, 0.0))
-                k3 = (middle - _force(u, still, linear, drag)) / inertia
-                u = np.sqrt(max(v * v + 2.0 * h * k3, 0.0))
-                k4 = (last - _force(u, still, linear, drag)) / inertia
-                change = h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-                part = 1.0
-                if half + change <= 0.0:
-                    # It stops within this sub-step: the rest of the way is not travelled.
-                    part = half / -change if change < 0.0 else 0.0
-                    stopped = part < 1.0
-                    found[a, 0] += (1.0 - part) * h
-                half = max(half + change, 0.0)
-                after = np.sqrt(2.0 * half)
-                if v + after > 0.0:
-                    spent = 2.0 * part * h / (v + after)
-                    # Constant acceleration in either half; what a whole differs by shows the rest.
-                    inside = 0.25 * (v * v + after * after) + 0.125 * h * (k1 - k4)
-                    if part == 1.0 and inside > 0.0:
-                        between = np.sqrt(2.0 * inside)
-                        halves = h / (v + between) + h / (between + after)
-                        spent += 4.0 / 3.0 * (halves - spent)
-                    time += spent
-                fastest = max(v, after)
-                dynamic = min(brakes[0], brakes[1] / max(fastest, 1e-6), adhesion[k, j] * adhesive)
-                for each in (v, after):
-                    dynamic = min(dynamic, _in_table(each, brake_table[0], brake_table[1]))
-                found[a, 1] = max(found[a, 1], fastest - limit[k, j])
-                found[a, 2] = max(found[a, 2], begun * v / power, (begun - fall) * after / power)
-                if begun > 0.0:
-                    given = _in_table(v, pull_speeds[a], pull_efforts)
-                    found[a, 3] = max(found[a, 3], begun / max(given, 1.0))
-                if begun > fall:
-                    given = _in_table(after, pull_speeds[a], pull_efforts)
-                    found[a, 3] = max(found[a, 3], (begun - fall) / max(given, 1.0))
-                found[a, 4] = max(
-                    found[a, 4], braking[a, k] / max(min(brake, dynamic + brakes[2]), 1.0)
-                )
-                found[a, 5] = max(
-                    found[a, 5],
-                    max(begun, begun - fall) / (adhesion[k, j] * adhesive),
-                    braking[a, k] / (adhesion[k, j] * weight),
-                )
-                found[a, 6] += min(braking[a, k], dynamic) * h * part
-            speeds[a, k + 1], times[a, k + 1] = np.sqrt(2.0 * half), time
-    return speeds, times, found
+                    found[3, a] = max(found[3, a], k1[a] / most[a])
+                if max(begun, ended) > 0.0:
+                    found[2, a] = max(found[2, a], max(begun * v[a], ended * after[a]) / power[a])
+                    found[3, a] = max(found[3, a], (traction[k] + abs(taper[k])) / pull[a])
+                    for value, speed in ((begun, v[a]), (ended, after[a])):
+                        given = _in_table(speed, pull_speeds[a], pull_efforts)
+                        found[3, a] = max(found[3, a], value / max(given, 1.0))
+                    used = max(begun, ended) / (adhesion[k, j] * adhesive[a])
+                    found[5, a] = max(found[5, a], used)
+                if b[a] > 0.0:
+                    dynamic = min(brakes[0], brakes[1] / max(v[a], after[a], 1e-6))
+                    dynamic = min(dynamic, adhesion[k, j] * adhesive[a])
+                    for each in (v[a], after[a]):
+                        dynamic = min(dynamic, _in_table(each, brake_table[0], brake_table[1]))
+                    if b[a] > 1e-6 * brake[a]:
+                        found[4, a] = max(found[4, a], -k1[a] / least[a])
+                    given = max(min(brake[a], dynamic + brakes[2]), 1.0)
+                    found[4, a] = max(found[4, a], b[a] / given)
+                    found[5, a] = max(found[5, a], b[a] / (adhesion[k, j] * weight[a]))
+                    found[6, a] += min(b[a], dynamic) * h * part[a]
+        speeds[:, k + 1], times[:, k + 1] = after, time
+    return speeds, times, found.T

@@ -400,58 +400,69 @@ _HELD = 1e-5
 _PARTS = 64
 """Parts of a cell in which one curve takes over from another."""
 
+_LEAST_Z = 1e-300
+"""``z`` at which a train stands: one speed is not 0, so that a power can be over it."""
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _pulling(
-    z: float, limit: float, power: float, speeds: FloatArray, efforts: FloatArray, gain: float,
-    drag0: float, drag1: float, drag2: float,
-) -> float:  # fmt: skip
-    """Slope of ``z`` under full traction."""
-    v = speed_of(z)
-    effort = min(limit, power / v) if v > 0.0 else limit
-    effort = min(effort, effort_at(v, speeds, efforts))
-    return float(gain * effort - drag0 - drag1 * v - drag2 * v * v)
+_Cell = tuple[float, float, float, float, float, float, float, float]
+"""Full effort in a cell: its limit, the part that does not fall with the speed, the most and the
+power of the other part; the gain; and what adds to the slope of ``z``, by itself, times the speed
+and times its square."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _pulled(
-    z: float, h: float, limit: float, power: float, speeds: FloatArray, efforts: FloatArray,
-    gain: float, drag0: float, drag1: float, drag2: float,
-) -> float:  # fmt: skip
-    """``z`` after `h` metres of full traction: Runge-Kutta of order four."""
-    cell = limit, power, speeds, efforts, gain, drag0, drag1, drag2
-    k1 = _pulling(z, *cell)
-    k2 = _pulling(z + 0.5 * h * k1, *cell)
-    k3 = _pulling(z + 0.5 * h * k2, *cell)
-    k4 = _pulling(z + h * k3, *cell)
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _slope(z: float, cell: _Cell, speeds: FloatArray | None, efforts: FloatArray) -> float:
+    """Slope of ``z`` at full effort, along the line in traction and backwards in braking."""
+    limit, steady, other, power, gain, drag0, drag1, drag2 = cell
+    # Without a branch that keeps the processor from doing several at once.
+    v = np.sqrt(2.0 * max(z, _LEAST_Z))
+    effort = min(other, power / v)
+    if speeds is not None:
+        effort = min(effort, effort_at(v, speeds, efforts))
+    effort = min(limit, steady + effort)
+    return float(gain * effort + drag0 + drag1 * v + drag2 * v * v)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _after(
+    z: float, h: float, cell: _Cell, speeds: FloatArray | None, efforts: FloatArray
+) -> float:
+    """``z`` after `h` metres at full effort: Runge-Kutta of order four."""
+    k1 = _slope(z, cell, speeds, efforts)
+    k2 = _slope(z + 0.5 * h * k1, cell, speeds, efforts)
+    k3 = _slope(z + 0.5 * h * k2, cell, speeds, efforts)
+    k4 = _slope(z + h * k3, cell, speeds, efforts)
     return float(z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _braking(
-    z: float, limit: float, friction: float, dynamic: float, power: float, speeds: FloatArray,
-    efforts: FloatArray, gain: float, drag0: float, drag1: float, drag2: float,
-) -> float:  # fmt: skip
-    """Slope of ``z`` backwards along the line under full braking."""
-    v = speed_of(z)
-    by_speed = min(dynamic, power / v) if v > 0.0 else dynamic
-    if speeds.size > 1:
-        by_speed = min(by_speed, effort_at(v, speeds, efforts))
-    return float(gain * min(limit, friction + by_speed) + drag0 + drag1 * v + drag2 * v * v)
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _through(
+    z: FloatArray, h: float, cells: tuple[FloatArray, ...], speeds: FloatArray,
+    efforts: FloatArray, least: float, middle: FloatArray, after: FloatArray,
+) -> None:  # fmt: skip
+    """``z`` of each configuration after half a cell of `h` metres, at least so much, and after it.
 
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _braked(
-    z: float, h: float, limit: float, friction: float, dynamic: float, power: float,
-    speeds: FloatArray, efforts: FloatArray, gain: float, drag0: float, drag1: float, drag2: float,
-) -> float:  # fmt: skip
-    """``z`` so many metres before, under full braking from there: Runge-Kutta of order four."""
-    cell = limit, friction, dynamic, power, speeds, efforts, gain, drag0, drag1, drag2
-    k1 = _braking(z, *cell)
-    k2 = _braking(z + 0.5 * h * k1, *cell)
-    k3 = _braking(z + 0.5 * h * k2, *cell)
-    k4 = _braking(z + h * k3, *cell)
-    return float(z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+    Parameters
+    ----------
+    cells : tuple of (q,) array
+        As a `_Cell` each.
+    speeds, efforts : (q, m), (m,) array
+        Of a curve of effort; a single point is no limit.
+    """
+    limit, steady, other, power, gain, drag0, drag1, drag2 = cells
+    if efforts.size > 1:
+        for a in range(z.size):
+            cell = (
+                limit[a], steady[a], other[a], power[a], gain[a], drag0[a], drag1[a], drag2[a]
+            )  # fmt: skip
+            middle[a] = max(_after(z[a], 0.5 * h, cell, speeds[a], efforts), least)
+            after[a] = _after(middle[a], 0.5 * h, cell, speeds[a], efforts)
+    else:
+        for a in range(z.size):
+            cell = (
+                limit[a], steady[a], other[a], power[a], gain[a], drag0[a], drag1[a], drag2[a]
+            )  # fmt: skip
+            middle[a] = max(_after(z[a], 0.5 * h, cell, None, efforts), least)
+            after[a] = _after(middle[a], 0.5 * h, cell, None, efforts)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -463,6 +474,33 @@ def _time_through(z: float, middle: float, after: float, h: float) -> float:
     whole = 2.0 * h / (v + v_after)
     halves = h / (v + v_middle) + h / (v_middle + v_after)
     return float((4.0 * halves - whole) / 3.0)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _mean(drag0: FloatArray) -> float:
+    """Mean over a cell of what is given at the ends of equal parts."""
+    inner = 0.0
+    for j in range(1, drag0.size - 1):
+        inner += drag0[j]
+    return float((0.5 * (drag0[0] + drag0[-1]) + inner) / (drag0.size - 1))
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _pull_at(traction: Traction, motion: Motion, own: FloatArray, a: int, k: int) -> _Cell:
+    """Full traction of a configuration in a cell."""
+    return (
+        traction.limit[k], 0.0, np.inf, traction.power[a], motion.gain[a], -own[k, a],
+        -motion.drag1[a], -motion.drag2[a, k],
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _brake_at(brakes: Brakes, motion: Motion, own: FloatArray, a: int, k: int) -> _Cell:
+    """Full braking of a configuration in a cell."""
+    return (
+        brakes.limit[a, k], brakes.friction[a, k], brakes.dynamic[a, k], brakes.dynamic_power,
+        motion.gain[a], own[k, a], motion.drag1[a], motion.drag2[a, k],
+    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -495,61 +533,64 @@ def fastest_below(
     q, n = drag2.shape
     curve, z, times = np.empty((q, n + 1)), np.empty((q, n + 1)), np.empty((q, n))
     ahead, behind = np.empty(_PARTS + 1), np.empty(_PARTS + 1)
-    mean = np.empty(n)
+    middle, after, own = np.empty(q), np.empty(q), np.empty((n, q))
+    limit, friction, dynamic, square = (
+        brakes.limit.T.copy(), brakes.friction.T.copy(), brakes.dynamic.T.copy(), drag2.T.copy()
+    )  # fmt: skip
     for a in range(q):
         for k in range(n):
-            d = drag0[a, k]
-            mean[k] = (0.5 * (d[0] + d[-1]) + d[1:-1].sum()) / (d.size - 1)
-        curve[a, n] = min(ends[1], ceiling[n])
-        for k in range(n - 1, -1, -1):
-            brake = (
-                brakes.limit[a, k], brakes.friction[a, k], brakes.dynamic[a, k],
-                brakes.dynamic_power, brakes.speeds, brakes.efforts, gain[a], mean[k], drag1[a],
-                drag2[a, k],
-            )  # fmt: skip
-            # Where the brake slows a train at the ceiling it does so all through the cell.
-            if curve[a, k + 1] >= ceiling[k] and _braked(ceiling[k], 1e-3, *brake) > ceiling[k]:
-                curve[a, k] = ceiling[k]
+            own[k, a] = _mean(drag0[a, k])
+    none, without, dynamic_power = np.zeros(q), np.full(q, np.inf), np.full(q, brakes.dynamic_power)
+    brake_speeds = np.repeat(brakes.speeds, q).reshape(-1, q).T.copy()
+    y = np.full(q, min(ends[1], ceiling[n]))
+    curve[:, n] = y
+    for k in range(n - 1, -1, -1):
+        cells = limit[k], friction[k], dynamic[k], dynamic_power, gain, own[k], drag1, square[k]
+        _through(y, step[k], cells, brake_speeds, brakes.efforts, -np.inf, middle, after)
+        for a in range(q):
+            z_after, y[a] = y[a], max(min(after[a], ceiling[k]), 0.0)
+            if z_after >= ceiling[k] and y[a] < ceiling[k]:
+                # Where the brake slows a train at the ceiling it does so all through the cell.
+                brake = _brake_at(brakes, motion, own, a, k)
+                if _slope(ceiling[k], brake, brakes.speeds, brakes.efforts) > 0.0:
+                    y[a] = ceiling[k]
+            curve[a, k] = y[a]
+    for a in range(q):
+        y[a] = z[a, 0] = min(ends[0], curve[a, 0])
+    for k in range(n):
+        h, highest = step[k], limits[k]
+        cells = (
+            np.full(q, traction.limit[k]), none, without, traction.power, gain, -own[k], -drag1,
+            -square[k],
+        )  # fmt: skip
+        _through(y, h, cells, traction.speeds, traction.efforts, 0.0, middle, after)
+        for a in range(q):
+            begin, target = y[a], curve[a, k + 1]
+            y[a] = z[a, k + 1] = target
+            held = min(begin, target) >= highest * (1.0 - _HELD)
+            pull = _pull_at(traction, motion, own, a, k)
+            speeds, efforts = traction.speeds[a], traction.efforts
+            if held and begin >= target and _slope(begin, pull, speeds, efforts) > 0.0:
+                times[a, k] = 2.0 * h / (speed_of(begin) + speed_of(target))
                 continue
-            middle = _braked(curve[a, k + 1], 0.5 * step[k], *brake)
-            before = _braked(middle, 0.5 * step[k], *brake)
-            curve[a, k] = max(min(before, ceiling[k]), 0.0)
-        z[a, 0] = min(ends[0], curve[a, 0])
-        for k in range(n):
-            h, y = step[k], z[a, k]
-            pull = (
-                traction.limit[k], traction.power[a], traction.speeds[a], traction.efforts, gain[a],
-                mean[k], drag1[a], drag2[a, k],
-            )  # fmt: skip
-            target, limit = curve[a, k + 1], limits[k]
-            held = min(y, target) >= limit * (1.0 - _HELD)
-            if held and _pulled(y, 1e-3, *pull) > y and y >= target:
-                z[a, k + 1], times[a, k] = target, 2.0 * h / (speed_of(y) + speed_of(target))
+            if after[a] <= target:
+                y[a] = z[a, k + 1] = max(after[a], 0.0)
+                times[a, k] = _time_through(begin, middle[a], after[a], h)
                 continue
-            middle = _pulled(y, 0.5 * h, *pull)
-            after = _pulled(max(middle, 0.0), 0.5 * h, *pull)
-            if after <= curve[a, k + 1]:
-                z[a, k + 1] = max(after, 0.0)
-                times[a, k] = _time_through(y, middle, after, h)
-                continue
-            z[a, k + 1] = target
             if held:
-                times[a, k] = 2.0 * h / (speed_of(y) + speed_of(target))
+                times[a, k] = 2.0 * h / (speed_of(begin) + speed_of(target))
                 continue
-            brake = (
-                brakes.limit[a, k], brakes.friction[a, k], brakes.dynamic[a, k],
-                brakes.dynamic_power, brakes.speeds, brakes.efforts, gain[a], mean[k], drag1[a],
-                drag2[a, k],
-            )  # fmt: skip
-            middle = _braked(target, 0.5 * h, *brake)
-            if y == _braked(middle, 0.5 * h, *brake):
-                times[a, k] = _time_through(y, middle, target, h)
+            brake = _brake_at(brakes, motion, own, a, k)
+            between = _after(target, 0.5 * h, brake, brakes.speeds, brakes.efforts)
+            if begin == _after(between, 0.5 * h, brake, brakes.speeds, brakes.efforts):
+                times[a, k] = _time_through(begin, between, target, h)
                 continue
-            ahead[0], behind[_PARTS] = y, target
+            ahead[0], behind[_PARTS] = begin, target
             part = h / _PARTS
             for j in range(_PARTS):
-                ahead[j + 1] = min(_pulled(ahead[j], part, *pull), limit)
-                behind[_PARTS - j - 1] = min(_braked(behind[_PARTS - j], part, *brake), limit)
+                gained = _after(ahead[j], part, pull, speeds, efforts)
+                before = _after(behind[_PARTS - j], part, brake, brakes.speeds, brakes.efforts)
+                ahead[j + 1], behind[_PARTS - j - 1] = min(gained, highest), min(before, highest)
             spent = 0.0
             for j in range(_PARTS):
                 v = speed_of(min(ahead[j], behind[j]))
@@ -583,32 +624,26 @@ def slowest_within(
     -------
     (q, m) array [m²/s²]
     """
-    gain, drag0, drag1, drag2, step = motion
-    q, n = drag2.shape
-    found, mean = np.zeros((q, nodes.size)), np.empty(n)
+    q, n = motion.drag2.shape
+    step, speeds, efforts = motion.step, brakes.speeds, brakes.efforts
+    found, own = np.zeros((q, nodes.size)), np.empty((n, q))
     for a in range(q):
         for k in range(n):
-            d = drag0[a, k]
-            mean[k] = (0.5 * (d[0] + d[-1]) + d[1:-1].sum()) / (d.size - 1)
+            own[k, a] = _mean(motion.drag0[a, k])
         for place in range(nodes.size):
             node, low, high = nodes[place], 0.0, 1.0
             for _ in range(_TRIALS):
                 part = 0.5 * (low + high)
                 lost, y, k = 0.0, part * z[a, node], node
                 while k < n and y < z[a, k] and lost <= in_hand[a]:
-                    after = _pulled(
-                        y, step[k], traction.limit[k], traction.power[a], traction.speeds[a],
-                        traction.efforts, gain[a], mean[k], drag1[a], drag2[a, k],
-                    )  # fmt: skip
+                    pull = _pull_at(traction, motion, own, a, k)
+                    after = _after(y, step[k], pull, traction.speeds[a], traction.efforts)
                     lost += _lost(y, after, z[a, k], z[a, k + 1], step[k])
                     y, k = after, k + 1
                 y, k = part * z[a, node], node
                 while k > 0 and y < z[a, k] and lost <= in_hand[a]:
-                    before = _braked(
-                        y, step[k - 1], brakes.limit[a, k - 1], brakes.friction[a, k - 1],
-                        brakes.dynamic[a, k - 1], brakes.dynamic_power, brakes.speeds,
-                        brakes.efforts, gain[a], mean[k - 1], drag1[a], drag2[a, k - 1],
-                    )  # fmt: skip
+                    brake = _brake_at(brakes, motion, own, a, k - 1)
+                    before = _after(y, step[k - 1], brake, speeds, efforts)
                     lost += _lost(before, y, z[a, k - 1], z[a, k], step[k - 1])
                     y, k = before, k - 1
                 if lost > in_hand[a]:

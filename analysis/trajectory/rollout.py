@@ -215,13 +215,13 @@ def realise(problem: DiscreteProblem, plan: Plan) -> Plan:
     to the line than the worst planned, or it must not pass too early: then it keeps to the planned
     speeds.
     """
-    driven = drive(problem, plan)
     if problem.common:
-        return driven
+        return drive(problem, plan)
     late = rollout(problem, plan.traction, None)
     # A configuration that brakes as late as possible may pass too early.
     early = np.isfinite(problem.earliest).any()
     if problem.run.at_line or early:
+        driven = drive(problem, plan)
         planned, found = driven.dynamic @ problem.step, late.dynamic @ problem.step
         least = planned if problem.run.objective == "expected" else planned.min()
         rows = np.full(found.shape, early) | (found < least)
