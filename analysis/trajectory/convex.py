@@ -359,7 +359,7 @@ class _Program(NamedTuple):
     def optimum_near(
         self, near: FloatArray, efforts: Sequence[IntArray], z: IntArray
     ) -> _Optimum | None:
-        """The same, where a point near the optimum tells most of the bounds that it is at.
+        """The same, where a point near the optimum shows most of the bounds that it is at.
 
         Efforts at a bound there, in the cells around too, stay at it; other bounds and rows that
         are far away are left out. The optimum of what remains is checked: reduced costs bound what

@@ -299,13 +299,14 @@ class DiscreteProblem:
     def tapered(self, taper: Taper) -> DiscreteProblem:
         """The same problem with the common traction tapered so; this one must not be."""
         profile = 1.0 - 2.0 * np.linspace(0.0, 1.0, SUBSTEPS + 1)
-        fall = self.gain[:, None, None] * taper.fall[:, None] * profile
+        drag0 = np.multiply.outer(-self.gain, taper.fall[:, None] * profile)
+        drag0 += self.drag0
         # A configuration that gains speed and loses it in such a cell is fastest inside.
         rise = 0.25 * self.gain.max() * np.maximum(taper.fall, 0.0) * self.step
         ceiling = self.ceiling - np.maximum(np.append(rise, 0.0), np.insert(rise, 0, 0.0))
         ceiling = np.maximum(ceiling, np.minimum(self.floor, self.ceiling))
         ceiling[0] = max(ceiling[0], self.initial)
-        return replace(self, drag0=self.drag0 - fall, taper=taper, ceiling=ceiling)
+        return replace(self, drag0=drag0, taper=taper, ceiling=ceiling)
 
     def select(self, rows: Sequence[int]) -> DiscreteProblem:
         """The same problem for some of the configurations; common limits stay those of all.
@@ -488,6 +489,8 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         if point.highest_speed is not None:
             ceiling[node] = min(ceiling[node], 0.5 * point.highest_speed**2)
         floor[node] = 0.5 * (point.lowest_speed or 0.0) ** 2
+    drag0 = np.multiply.outer(masses[:, 0] / inertia, track)
+    drag0 += (coefficients[:, 0] / inertia)[:, None, None]
     efforts = effort_limits(run, inside(positions, SUBSTEPS), run.adhesion(positions))
     power, fastest = np.array([c.max_power for c in run.configurations]), run.train.max_speed
     own, braking = train.traction_curve, train.dynamic_braking_curve
@@ -497,7 +500,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         step=step,
         reference=reference,
         gain=gain,
-        drag0=(coefficients[:, :1, None] + masses[:, :, None] * track) / inertia[:, None, None],
+        drag0=drag0,
         drag1=coefficients[:, 1] / inertia,
         drag2=(coefficients[:, 2:] + tunnel) / inertia[:, None],
         ceiling=ceiling,
