@@ -28,7 +28,6 @@ from analysis.adhesion.condition_map import (
 from analysis.adhesion.evidence import Evidence, evidence, evidence_of
 from analysis.adhesion.map_state import map_words
 from analysis.adhesion.slip import SlipAnalysis, slip
-from analysis.charts import draw
 from estimators.condition_field import Prior, common_std, onset_std
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, LogError
@@ -247,17 +246,6 @@ class TestTrips:
         with pytest.raises(LogError, match=r"b\.mcap: .* no topic /train/axles") as refused:
             adhesion_map([tmp_path / "b.mcap"])
         assert refused.value.file == tmp_path / "b.mcap"
-
-
-class TestPicture:
-    def test_it_is_drawn_whole_with_the_truth_beside(self, tmp_path: Path) -> None:
-        track, _ = update(empty_map(LINE), [piece(1), piece(2, "wet")])
-        draw(track, tmp_path / "a.png", truth={"dry": np.full(BINS, 0.3)})
-        data = (tmp_path / "a.png").read_bytes()
-        assert data.startswith(b"\x89PNG")
-        draw(track, tmp_path / "b.png")
-        assert (tmp_path / "b.png").read_bytes() != data
-        assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.png"]
 
 
 class TestWhatRecordersLack:
