@@ -17,7 +17,6 @@ from trainlog.railway import (
     Train,
     Tunnel,
 )
-from trainlog.railway.adhesion import DRY, WET
 
 LINE = Line(
     name="test",
@@ -89,20 +88,6 @@ def test_tunnel_coefficient_meets_the_published_sections_and_vanishes_outside() 
 
 def test_effort_falls_with_speed_at_the_power_limit() -> None:
     np.testing.assert_allclose(TRAIN.tractive_effort_limit([0.0, 5.0, 20.0]), [200e3, 200e3, 100e3])
-
-
-def test_creep_curves_peak_where_the_paper_says() -> None:
-    # Corrected values of Zhao et al. (2025), figure 2.
-    assert DRY.peak_slip == pytest.approx(1.210, abs=5e-4)
-    assert DRY.peak == pytest.approx(0.2862, abs=5e-5)
-    assert WET.peak_slip == pytest.approx(2.984, abs=5e-4)
-    assert WET.peak == pytest.approx(0.1471, abs=5e-5)
-
-
-@given(st.floats(0.0, 20.0))
-def test_creep_curve_is_odd_and_never_beyond_its_peak(slip: float) -> None:
-    assert DRY(slip) == -DRY(-slip)
-    assert 0.0 <= DRY(slip) <= DRY.peak + 1e-15
 
 
 @pytest.mark.parametrize(

@@ -4,58 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
-from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import cvxpy as cp
 import pytest
-from rich.console import Console
 from trajectory_cases import FLIRT, hilly_line, observed, optimised
 
-from analysis.reports.results import certificate_words
 from analysis.trajectory import active_set, convex, optimiser
-from analysis.trajectory.plot import _title
-from analysis.trajectory.table import trajectory_table
 from trainlog.cli.main import run
 from trainlog.display import at_most
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.railway import read_trajectory, write_trajectory
 from trainlog.formats.samples import sample
-from trainlog.railway import Trajectory
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
-
-ENERGY = {
-    "wheel": "worst-case energy at the wheel rims",
-    "line": "worst-case energy from the line",
-    "expected": "expected energy from the line",
-}
-
-
-def printed(trajectory: Trajectory) -> str:
-    console = Console(width=200, record=True, quiet=False)
-    with console.capture() as captured:
-        console.print(*trajectory_table(trajectory))
-    return captured.get()
-
-
-@pytest.mark.parametrize("objective", list(ENERGY))
-def test_table_and_picture_say_which_energy_and_where(objective: Any, tmp_path: Path) -> None:
-    found = optimised(
-        hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=60,
-        objective=objective,
-    )  # fmt: skip
-    write_trajectory(found, tmp_path / "t.json")
-    found = read_trajectory(tmp_path / "t.json")
-    reported = printed(found)
-    for name, words in ENERGY.items():
-        assert (words in reported) == (words in _title(found)) == (name == objective)
-    assert "at the wheels" in reported
-    certificate = found.certificate
-    for energies in (certificate["wheel_energy"], certificate["line_energy"]):
-        assert f"{energies[0] / 3.6e6:.2f} kWh" in reported
 
 
 def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
@@ -100,19 +61,6 @@ def test_a_bound_is_rounded_up() -> None:
     assert at_most(0.000141, 2) == "0.02%"
     assert at_most(0.0002, 2) == "0.02%"
     assert at_most(0.0, 2) == "0.00%"
-
-
-def test_a_gap_is_the_same_wherever_it_is_stated() -> None:
-    """Rounded up in tables, titles of pictures, reports and at a prompt."""
-    plan = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
-    plan = replace(plan, certificate=plan.certificate | {"gap": 0.00048412})
-    page = Console(width=120, file=StringIO())
-    page.print(*trajectory_table(plan))
-    assert isinstance(page.file, StringIO)
-    stated = (page.file.getvalue(), repr(plan), _title(plan), *certificate_words(plan)[1:])
-    for words in stated:
-        assert "0.049%" in words
-        assert "0.048%" not in words
 
 
 def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.charts import draw
 from analysis.studies.cunillera_2022.model import phases_by_switching
 from analysis.trajectory.discretisation import graded_mesh
 from analysis.trajectory.instructions import (
@@ -86,14 +83,3 @@ def test_mesh_keeps_spare_cells_on_a_line_of_many_breakpoints() -> None:
     speeds = np.minimum(np.sqrt(2.0 * positions), 20.0)
     breakpoints = np.linspace(0.0, 1_000.0, 101)
     assert graded_mesh(breakpoints, positions, speeds, 80).size - 1 >= 118
-
-
-def test_picture(tmp_path: Path) -> None:
-    line = hilly_line()
-    found = optimised(line, FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=100)
-    for name in ("a.png", "b.png"):
-        draw(found, tmp_path / name, line=line)
-    data = (tmp_path / "a.png").read_bytes()
-    assert data.startswith(b"\x89PNG")
-    assert len(data) > 30_000
-    assert data == (tmp_path / "b.png").read_bytes()
