@@ -318,6 +318,7 @@ class Inputs:
     shown_gain: Quantity
     scale_std: float
     wind_std: float
+    load: float | None
 
     @property
     def windy(self) -> bool:
@@ -344,12 +345,6 @@ class Inputs:
     def inertia(self) -> float:
         """Of the train, its rotating masses included [kg]."""
         return self.mass.value + self.model.train.rotating_mass
-
-    @property
-    def load(self) -> float | None:
-        """As recorded [kg]."""
-        load = recorded_load(self.trip, self.model.train)
-        return None if load is None else load.value
 
     @property
     def slope(self) -> tuple[float, float]:
@@ -382,8 +377,9 @@ def inputs_of(view: TripView, model: ParameterSet | Train, wind_std: float | Non
     scale = scale_of(view) if "/train/state" in trip else None
     factor = 1.0 if scale is None else scale.factor
     gain = known.effort_gain if known.effort_gain.known else UNCALIBRATED
-    load = recorded_load(trip, train)
-    if wrong_mass(train, [(None if load is None else load.value, gain)]) is not None:
+    load = recorded_load(bare, train)
+    weighed = None if load is None else load.value
+    if wrong_mass(train, [(weighed, gain)]) is not None:
         gain = UNCALIBRATED  # found with that mass, it would hide what is wrong
     sums = {
         name: values / (gain.value * factor) if "unknown" not in name else values
@@ -398,11 +394,12 @@ def inputs_of(view: TripView, model: ParameterSet | Train, wind_std: float | Non
         bare,
         driven,
         forces,
-        _mass(bare, train, model),
+        _mass(load, train, model),
         gain,
         known.effort_gain,
         0.0 if scale is None else scale.std,
         wind_std,
+        weighed,
     )
 
 
@@ -414,9 +411,8 @@ def _signals(trip: Trip, driven: DrivenTrip) -> dict[str, FloatArray]:
     return signals if wind is None else signals | {"head_wind": wind}
 
 
-def _mass(trip: Trip, train: Train, model: ParameterSet | Train) -> Quantity:
+def _mass(load: Quantity | None, train: Train, model: ParameterSet | Train) -> Quantity:
     """Mass of the loaded train: by the recorded load, else what the fit saw, else half the load."""
-    load = recorded_load(trip, train)
     if load is not None:
         return Quantity(train.mass + load.value, load.std, "recorded")
     if isinstance(model, ParameterSet) and model.configurations:

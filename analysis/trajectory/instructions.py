@@ -448,11 +448,10 @@ class _Plan:
 
     def _limit(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Lowest limit between places [m/s]."""
-        edges, values = self.limits.positions, self.limits.values
-        first = np.maximum(np.searchsorted(edges, start + 1e-6, side="right") - 1, 0)
-        last = np.maximum(np.searchsorted(edges, end - 1e-6), first + 1)
-        spans = zip(first.tolist(), last.tolist(), strict=True)
-        return np.array([values[begin:past].min() for begin, past in spans], np.float64)
+        first = self.limits.element_at(start + 1e-6).tolist()
+        last = self.limits.element_at(end - 1e-6).tolist()
+        spans = zip(first, last, strict=True)
+        return np.array([self.limits.values[a : b + 1].min() for a, b in spans], np.float64)
 
     def instruction(
         self, start: int, end: int, label: int, after: Instruction | None
@@ -499,9 +498,8 @@ class _Plan:
     def _by(self, start: int, end: int, target: float) -> float:
         """Where a limit asks first for the speed that a brake leads to; else where it ends [m]."""
         first, last = self.places[[start, end]].tolist()
-        edges = self.limits.positions
-        asks = (self.limits.values < target + NOTICED) & (edges > first) & (edges < last)
-        return float(edges[asks].min(initial=last))
+        pieces = limits_between(self.limits, first, last)[1:]
+        return min((p.start for p in pieces if p.speed < target + NOTICED), default=last)
 
     def _caps(self, row: Instruction, after: Instruction | None, fastest: float) -> list[Cap]:
         """Speeds that a configuration may come near on the way, other than the target.
