@@ -134,13 +134,14 @@ def faults_of(kind: KindResistance, trips: pd.DataFrame) -> dict[str, tuple[str,
     trips : DataFrame
         Of the train: its loads say how much of the mass is the empty train's.
     """
-    steepness = _projections(kind)
+    # What one of a force [N] adds to the size of the curve, and the curve to the force [N].
+    own_force, own_curve, both = _products(kind)
+    force, curve = both / own_curve, both / own_force
     empty = 1.0
     if "load" in trips:
         share = ((trips["mass"] - trips["load"]) / trips["mass"]).median()
         empty = float(share) if np.isfinite(share) else 1.0
     weighed = "load_source" in trips and bool((trips["load_source"] == "recorded").mean() > 0.5)
-    curve, force = steepness["curve"], steepness["force"]
     if weighed:
         mass_moves = {
             "effort gain": empty,
@@ -169,18 +170,17 @@ def faults_of(kind: KindResistance, trips: pd.DataFrame) -> dict[str, tuple[str,
     }
 
 
-def _projections(kind: KindResistance) -> dict[str, float]:
-    """What one of a force [N] adds to the size of the curve, and the curve to the force [N].
+def _products(kind: KindResistance) -> tuple[float, float, float]:
+    """Products of a constant force and the kind's curve: each with itself, and both.
 
-    Both by generalised least squares with the typical trip's variance.
+    By generalised least squares with the typical trip's variance.
     """
     curves, found = kind.curves, kind.effects
     trust = np.linalg.inv(np.median(curves.variances, axis=0) + found.within)
     constant, mean = curves.nodes[:, 0], found.mean
-    return {
-        "force": float(mean @ trust @ constant / (mean @ trust @ mean)),
-        "curve": float(constant @ trust @ mean / (constant @ trust @ constant)),
-    }
+    pairs = ((constant, constant), (mean, mean), (constant, mean))
+    own_force, own_curve, both = (float(one @ trust @ other) for one, other in pairs)
+    return own_force, own_curve, both
 
 
 def explained(
@@ -234,11 +234,8 @@ def _correlate(covariance: FloatArray, names: list[str], kind: KindResistance) -
     pair = ("constant resistance", "size of the curve")
     if not set(pair) <= set(names):
         return
-    curves, found = kind.curves, kind.effects
-    trust = np.linalg.inv(np.median(curves.variances, axis=0) + found.within)
-    constant, mean = curves.nodes[:, 0], found.mean
-    alike = constant @ trust @ mean
-    alike /= np.sqrt((constant @ trust @ constant) * (mean @ trust @ mean))
+    own_force, own_curve, both = _products(kind)
+    alike = both / np.sqrt(own_force * own_curve)
     one, other = (names.index(each) for each in pair)
     shared = alike * np.sqrt(covariance[one, one] * covariance[other, other])
     covariance[one, other] = covariance[other, one] = 0.999 * shared
