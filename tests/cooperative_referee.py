@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.control.cooperative import Demand, Tuning, slip_weights
-from analysis.control.multi_motor import MultiMotorLocomotive
+from analysis.control.cooperative import Demand, MultiMotorLocomotive, Tuning, slip_weights
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
@@ -122,7 +121,7 @@ def _substep(
     torques: list[Any],
     curves: list[list[Any]],
 ) -> tuple[Any, list[Any]]:
-    """Speed and slip speeds after a substep; see `analysis.control.multi_motor.predicted`."""
+    """Speed and slip speeds after a substep; see `analysis.control.cooperative.predicted`."""
     mass, rotating, ratio, r0, r1, r2 = locomotive.constants
     step = tuning.period / tuning.substeps
     forces, slopes, stiff = [], [], []

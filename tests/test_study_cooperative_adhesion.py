@@ -12,7 +12,7 @@ from hypothesis import given, settings, strategies as st
 from refusals import refused
 from test_study_tables import check, on_page, tables
 
-from analysis.control import cooperative, multi_motor as model
+from analysis.control import cooperative
 from analysis.control.cooperative import (
     CooperativeController,
     Tuning,
@@ -183,7 +183,7 @@ def test_sensitivities_are_those_of_finite_differences(lag: float, direction: fl
     rng = np.random.default_rng(1)
     for preset in study.PRESETS:
         locomotive, tuning = preset.locomotive, preset.tuning
-        how = model.Prediction(0.1, tuning.substeps, lag, direction, float(tuning.exact))
+        how = cooperative.Prediction(0.1, tuning.substeps, lag, direction, float(tuning.exact))
         state = np.concatenate([[20.0], 20.0 + direction * rng.uniform(-0.5, 3.0, 4)])
         begun = 0.3 * np.full(4, locomotive.torque_limit)
         plan = rng.uniform(0.2, 0.8, (5, 4)) * locomotive.torque_limit
@@ -192,9 +192,9 @@ def test_sensitivities_are_those_of_finite_differences(lag: float, direction: fl
 
         def slip(plan: np.ndarray, *, known=(state, begun, given)) -> np.ndarray:
             state, begun, given = known
-            return model.predicted(state, begun, plan, *given, False)[0]
+            return cooperative.predicted(state, begun, plan, *given, False)[0]
 
-        change = model.predicted(state, begun, plan, *given, True)[1]
+        change = cooperative.predicted(state, begun, plan, *given, True)[1]
         for column in (0, 6, 13, 19):
             moved = np.zeros(20)
             moved[column] = 1.0
@@ -212,8 +212,8 @@ def test_the_prediction_is_the_motion_also_on_steep_creep_curves(peak_slip: floa
     state = np.array([15.0, 15.0, 15.0 + 0.5 * peak_slip, 15.0, 15.0 + peak_slip])
     bearing = 0.25 * locomotive.loads / locomotive.effort_per_torque
     plan = np.outer([0.5, 0.9, 0.9, 0.8, 0.8], bearing)
-    how = model.Prediction(0.1, 4, 0.0, 1.0, 1.0)
-    slip, _ = model.predicted(
+    how = cooperative.Prediction(0.1, 4, 0.0, 1.0, 1.0)
+    slip, _ = cooperative.predicted(
         state, np.zeros(4), plan, rail, locomotive.loads, locomotive.constants, how, False
     )
     for k in range(10):

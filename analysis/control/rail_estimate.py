@@ -14,8 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from analysis.control.cooperative import Tuning, adhesion_at
-from analysis.control.multi_motor import MultiMotorLocomotive
+from analysis.control.cooperative import MultiMotorLocomotive, Tuning, adhesion_at
 from estimators.adhesion import AdhesionObserver
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError

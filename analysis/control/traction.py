@@ -19,11 +19,11 @@ import numpy as np
 from analysis.control.cooperative import (
     CooperativeController,
     Demand,
+    MultiMotorLocomotive,
     Tuning,
     adhesion_at,
     peak_slips,
 )
-from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.control.rail_estimate import RailEstimate, RailEstimator
 from trainlog.arrays import FloatArray
 from trainlog.declaration import PositiveFinite, check

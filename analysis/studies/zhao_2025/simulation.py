@@ -18,11 +18,12 @@ from numba import njit
 from analysis.control.cooperative import (
     CooperativeController,
     Demand,
+    MultiMotorLocomotive,
     Tuning,
     adhesion_at,
+    creep,
     peak_slips,
 )
-from analysis.control.multi_motor import MultiMotorLocomotive, creep
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import RunningResistance
