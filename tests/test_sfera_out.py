@@ -306,7 +306,7 @@ def test_what_was_learned_is_the_next_version(wil: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("source", "output", "said"),
     [
-        ("sample_logs/README.md", "x.xml", "is nothing that SFERA has a place for"),
+        ("sample_logs/README.md", "x.xml", "cannot be written to SFERA"),
         ("sample_logs/nonstop.mcap", "x.xml", "is not the name of a .zip file"),
         ("sample_logs/CH_StGallen_Wil.map", "x.xml", "but a map file"),
     ],
