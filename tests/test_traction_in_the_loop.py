@@ -18,7 +18,6 @@ from analysis.control.traction import (
     TUNING,
     CooperativeTraction,
     ReadhesionControl,
-    ReadhesionTuning,
     drive_model,
     with_traction,
 )
@@ -247,7 +246,8 @@ def test_what_no_map_says_is_not_taken_for_known() -> None:
 
 
 def test_a_racing_wheel_loses_effort_gets_most_of_it_back_and_the_rest_slowly() -> None:
-    control = ReadhesionControl(TRAIN, ReadhesionTuning(pause=0.5))
+    control = ReadhesionControl(TRAIN)
+    control.pause = 0.5
     effort, wheel = 40e3, np.full(4, 10.1)
 
     def step(slip: float, at_work: float) -> float:
@@ -301,8 +301,3 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
     assert trip.metadata["traction_control"] == "cooperative"
     assert trip.metadata["traction_unsolved"] == "0"
     assert not np.array_equal(trip["/truth"]["energy"], plain["/truth"]["energy"])
-
-
-@pytest.mark.parametrize("field", ["cut", "period", "patience"])
-def test_a_readhesion_that_cannot_be_is_refused(field: str) -> None:
-    refused(InputError, field, ReadhesionTuning, **{field: 0.0})

@@ -10,7 +10,7 @@ to slip (after Kadowaki et al., 2007). Without either the plant's own slip prote
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -26,7 +26,6 @@ from analysis.control.cooperative import (
 )
 from analysis.control.rail_estimate import RailEstimate, RailEstimator
 from trainlog.arrays import FloatArray
-from trainlog.declaration import PositiveFinite, check
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train
 from trainlog.railway.adhesion import creep_coefficients
@@ -305,13 +304,23 @@ def _filled(weights: FloatArray, limits: FloatArray, total: float) -> FloatArray
     return np.asarray(np.minimum(share * weights, limits))
 
 
-@dataclass(frozen=True, slots=True)
-class ReadhesionTuning:
-    """Of `ReadhesionControl`.
+class ReadhesionControl:
+    """Slip control of each axle for itself, that knows neither the rail nor its peak.
+
+    Each axle has an even share of the demand. One whose wheel runs away from the train gets less
+    than the adhesion that it used at that moment, by a disturbance observer: effort less what turns
+    the wheel faster. Once the wheel is back its effort is restored to most of that adhesion, kept
+    there, and raised slowly until the demand is met or the wheel races again; as Kadowaki et al.
+    (2007) on series 205-5000 of JR East.
+
+    Parameters
+    ----------
+    train : Train
 
     Attributes
     ----------
     period : float [s]
+        Time from one decision to the next.
     filter_time : float [s]
         Of the wheels' acceleration.
     acceleration : float [m/s²]
@@ -328,36 +337,6 @@ class ReadhesionTuning:
         For how long the restored effort is kept.
     ramp : float [1/s]
         How fast it then grows: share of the largest effort, a second.
-    """
-
-    period: PositiveFinite = 0.02
-    filter_time: PositiveFinite = 0.1
-    acceleration: PositiveFinite = 2.0
-    least_slip: PositiveFinite = 0.8
-    most_slip: PositiveFinite = 3.0
-    cut: PositiveFinite = 0.6
-    restored: PositiveFinite = 0.95
-    patience: PositiveFinite = 0.5
-    pause: PositiveFinite = 1.0
-    ramp: PositiveFinite = 0.1
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-class ReadhesionControl:
-    """Slip control of each axle for itself, that knows neither the rail nor its peak.
-
-    Each axle has an even share of the demand. One whose wheel runs away from the train gets less
-    than the adhesion that it used at that moment, by a disturbance observer: effort less what turns
-    the wheel faster. Once the wheel is back its effort is restored to most of that adhesion, kept
-    there, and raised slowly until the demand is met or the wheel races again; as Kadowaki et al.
-    (2007) on series 205-5000 of JR East.
-
-    Parameters
-    ----------
-    train : Train
-    tuning : ReadhesionTuning, optional
 
     Examples
     --------
@@ -373,9 +352,11 @@ class ReadhesionControl:
 
     name = "readhesion"
     unsolved = 0
+    period, filter_time = 0.02, 0.1
+    acceleration, least_slip, most_slip = 2.0, 0.8, 3.0
+    cut, restored, patience, pause, ramp = 0.6, 0.95, 0.5, 1.0, 0.1
 
-    def __init__(self, train: Train, tuning: ReadhesionTuning | None = None) -> None:
-        self._tuning = tuning or ReadhesionTuning()
+    def __init__(self, train: Train) -> None:
         self._train, self._inertia = train, train.axles.rotating_mass
         n = train.axles.count
         self._slip = np.full(n, np.nan)
@@ -383,14 +364,9 @@ class ReadhesionControl:
         self._cap, self._held = np.full(n, np.inf), np.zeros(n)
         self._used, self._back = np.zeros(n), np.ones(n, dtype=bool)
 
-    @property
-    def period(self) -> float:
-        """Time from one decision to the next [s]."""
-        return self._tuning.period
-
     def efforts(self, reading: DriveReading) -> FloatArray:
         """Efforts of the axles until the next decision, (n,) [N], negative in braking."""
-        t, n = self._tuning, self._cap.size
+        n = self._cap.size
         braking = reading.braking_effort > 0.0
         direction = -1.0 if braking else 1.0
         if braking:
@@ -402,33 +378,32 @@ class ReadhesionControl:
         self._differentiate(slip, direction * reading.wheel_speeds)
         observed = np.maximum(direction * reading.efforts - self._inertia * self._wheel_rate, 0.0)
         racing = self._back & (
-            ((self._rate > t.acceleration) & (slip > t.least_slip)) | (slip > t.most_slip)
+            ((self._rate > self.acceleration) & (slip > self.least_slip)) | (slip > self.most_slip)
         )
         self._used[racing] = observed[racing]
-        self._cap[racing], self._back[racing] = t.cut * observed[racing], False
+        self._cap[racing], self._back[racing] = self.cut * observed[racing], False
         # A wheel that does not come back used less than was observed.
-        self._used[~self._back] *= 1.0 - t.period / t.patience
-        self._cap[~self._back] *= 1.0 - t.period / t.patience
+        self._used[~self._back] *= 1.0 - self.period / self.patience
+        self._cap[~self._back] *= 1.0 - self.period / self.patience
         returned = ~self._back & (
-            (slip < t.least_slip) | ((self._rate < 0.0) & (slip < t.most_slip))
+            (slip < self.least_slip) | ((self._rate < 0.0) & (slip < self.most_slip))
         )
-        self._cap[returned] = t.restored * self._used[returned]
+        self._cap[returned] = self.restored * self._used[returned]
         self._back[returned], self._held[returned] = True, 0.0
-        self._held += t.period
+        self._held += self.period
         largest = self._train.max_tractive_effort / n
-        grows = self._back & (self._held > t.pause)
-        self._cap[grows] += t.ramp * t.period * largest
+        grows = self._back & (self._held > self.pause)
+        self._cap[grows] += self.ramp * self.period * largest
         self._cap[grows & (self._cap >= wanted)] = np.inf
         return np.asarray(direction * np.minimum(wanted, self._cap))
 
     def _differentiate(self, slip: FloatArray, wheels: FloatArray) -> None:
         """Filtered rates of slip and wheel speeds [m/s²]."""
-        t = self._tuning
-        share = t.period / (t.filter_time + t.period)
+        share = self.period / (self.filter_time + self.period)
         for rate, now, last in (
             (self._rate, slip, self._slip), (self._wheel_rate, wheels, self._wheels),
         ):  # fmt: skip
-            change = np.where(np.isnan(last), 0.0, (now - last) / t.period)
+            change = np.where(np.isnan(last), 0.0, (now - last) / self.period)
             rate += share * (change - rate)
         self._slip, self._wheels = slip, wheels
 
