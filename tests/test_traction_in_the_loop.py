@@ -229,7 +229,7 @@ def test_a_map_moves_what_is_expected_and_what_was_learnt_with_it() -> None:
     for slip in np.linspace(0.1, 3.0, 80):
         adhesion = c * (np.exp(-a * slip) - np.exp(-b * slip))
         bearing = adhesion * model.loads / model.effort_per_torque
-        found = estimator.update(15.0, np.full(4, 15.0 + slip), bearing, held=False)
+        found = estimator.update(15.0, np.full(4, 15.0 + slip), bearing)
     assert found.maximum == pytest.approx(0.12, rel=0.15)
     # Where the map is half as slippery again, so is the rail that was found.
     estimator.expect(np.full(4, np.log(0.375)), np.full(4, 0.1))

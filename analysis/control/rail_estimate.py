@@ -173,8 +173,6 @@ class RailEstimator:
         wheel_speeds: ArrayLike,
         torques: ArrayLike,
         direction: float = 1.0,
-        *,
-        held: bool = True,
     ) -> RailEstimate:
         """Take a sample in.
 
@@ -184,11 +182,9 @@ class RailEstimator:
             Of the train.
         wheel_speeds : (n,) array [m/s]
         torques : (n,) array [N m]
-            At work since the last sample, positive also in braking.
+            At work now, changing evenly since the last sample; positive also in braking.
         direction : float
             -1 in braking.
-        held : bool
-            Whether the torques were the same since the last sample; else they changed evenly.
 
         Raises
         ------
@@ -198,10 +194,6 @@ class RailEstimator:
         wheels = np.asarray(wheel_speeds, dtype=np.float64)
         effort = direction * self._locomotive.effort_per_torque * np.asarray(torques, dtype=float)
         slip, last = direction * (wheels - speed), self._slip
-        if held and last is not None:
-            # The torque is held between two samples, which the observer takes for linear.
-            start = self._time - self._period * (1.0 - 1e-6)
-            self._observer.update(start, np.full(wheels.size, np.nan), effort)
         force = self._observer.update(self._time, wheels, effort)
         adhesion = direction * force.force[-1] / self._locomotive.loads
         if last is not None:

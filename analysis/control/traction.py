@@ -183,9 +183,7 @@ class CooperativeTraction:
         if here is not None:
             self._estimator.expect(*here)
         torques = np.maximum(direction * reading.efforts, 0.0) * self._model.wheel_radius
-        found = self._estimator.update(
-            reading.speed, reading.wheel_speeds, torques, direction, held=False
-        )
+        found = self._estimator.update(reading.speed, reading.wheel_speeds, torques, direction)
         rail, reference = self._rail(found, here, ahead)
         limits, total = self._limits(reading.speed, wanted, braking)
         # Of the mean curve, as the median of the maximum is one of few.
