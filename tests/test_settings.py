@@ -42,7 +42,7 @@ def test_settings_are_set_shown_and_taken_back(settings: Path, shell: Shell) -> 
     ("text", "message"),
     [
         ('zone = "UTC"\nsped = "mph"', "line 2: 'sped' is not a setting; did you mean 'speed'?"),
-        ('speed = "knots"', "line 1: speed 'knots' is not a unit of speed; choose of km/h"),
+        ('speed = "knots"', "line 1: speed 'knots' is not a unit of speed; choose one of km/h"),
         ('\n\nzone = "Mars"', "line 3: zone 'Mars' is not known; name one as Europe/Zurich"),
         ("speed = 3", "line 1: speed must be text, not 3; write it as speed ="),
         ("[speed]\nunit = 'mph'", "line 1: speed must be text"),

@@ -168,7 +168,7 @@ def _problems(key: str, value: object) -> Iterator[tuple[str, str]]:
     elif not isinstance(value, str):
         yield f"{key} must be text, not {value}", f'write it as {key} = "{value}"'
     elif key == "speed" and value not in SPEED_UNITS:
-        yield f"speed '{value}' is not a unit of speed", f"choose of {', '.join(SPEED_UNITS)}"
+        yield f"speed '{value}' is not a unit of speed", f"choose one of {', '.join(SPEED_UNITS)}"
     elif key == "zone":
         try:
             ZoneInfo(value)
