@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analysis.charts import figure_of
 from analysis.comparison.calculated import Calculation, calculate, judged_together, together_words
 from analysis.comparison.compare import ComparedTrip, compare
 from analysis.comparison.driven import driven_trip
@@ -184,7 +183,6 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
     off = found.table["calculated_time"] - own.table["calculated_time"]
     assert off.abs().max() < 3.0
     assert f"{trip.name}: no speed for 20 s" in found._repr_html_()
-    assert len(figure_of(found.charts()).axes) == 3
 
 
 def test_a_drive_given_twice_is_judged_once() -> None:

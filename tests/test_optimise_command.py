@@ -18,15 +18,11 @@ from trainlog.cli import main as cli
 from trainlog.cli.options import sections_in
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map
-from trainlog.formats.railway import (
-    read_line,
-    read_train,
-    read_trajectory,
-)
+from trainlog.formats.railway import read_line, read_train, read_trajectory
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Trajectory
-from trainlog.units import KMH, clock
+from trainlog.units import KMH
 
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "unrenewed")
 
@@ -89,33 +85,18 @@ def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(
     assert max(whole.certificate["least_time"]) > max(front.certificate["least_time"])
 
 
-def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_path: Path) -> None:
-    least = [
-        max(asked(observed, tmp_path, "--km", ":4", *MAP, *words).certificate["least_time"])
-        for words in (("--set", "sigmas=0"), (), ("--set", "sigmas=4"))
-    ]
-    assert least[0] < least[1] < least[2]
-
-
-def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
+def test_a_map_read_with_more_caution_or_less_risk_leaves_less_adhesion(
     observed: Path, tmp_path: Path
 ) -> None:
-    risky, careful = (
-        asked(
-            observed,
-            tmp_path,
-            "--km",
-            ":4",
-            *MAP,
-            "--set",
-            f"risk={risk}",
-            "--at",
-            "2024-10-08T06:00Z",
-        )
-        for risk in (0.2, 0.001)
-    )
-    assert max(risky.certificate["least_time"]) < max(careful.certificate["least_time"])
-    stated = careful.provenance["settings"]["adhesion"]
+    at = ("--at", "2024-10-08T06:00Z")
+    for read in (
+        (("--set", "sigmas=0"), (), ("--set", "sigmas=4")),
+        ((*at, "--set", "risk=0.2"), (*at, "--set", "risk=0.001")),
+    ):
+        found = [asked(observed, tmp_path, "--km", ":4", *MAP, *words) for words in read]
+        for bold, careful in pairwise(found):
+            assert max(bold.certificate["least_time"]) < max(careful.certificate["least_time"])
+    stated = found[-1].provenance["settings"]["adhesion"]
     assert stated == {"layer": "wet", "risk": 0.001, "time": "2024-10-08T06:00:00+00:00"}
 
 
@@ -147,14 +128,13 @@ def test_the_risk_of_a_run_is_that_of_what_it_asks_for() -> None:
 
 
 def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
 ) -> None:
     output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
     train = read_train(sample(DEFAULT_TRAIN))
     rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
     words = ("plan", *rail, "--set", "load=8t", "--km", ":4", "--set", "cells=40", "-o", output)
     assert cli.run([str(word) for word in words]) == 0
-    assert "without a band of observed trips" in " ".join(capsys.readouterr().out.split())
     found = read_trajectory(output)
     assert found.configurations == (Configuration.of(train, 8_000.0),)
     assert found.planned_for in repr(found)
@@ -213,17 +193,13 @@ def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(
     assert arrivals[-1] == pytest.approx(front[1]["running_time_s"], abs=0.1)
 
 
-def test_a_table_has_the_whole_run_by_kilometre(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_has_the_whole_run_by_kilometre(tmp_path: Path) -> None:
     words = ("--stops", "Wil,Gossau SG,St.Gallen", "--reverse", "--set", "dwell=30", "--set",
              "cells=20")  # fmt: skip
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run.csv"), "-q"]) == 0
     assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run")]) == 0
-    headings = [line for line in capsys.readouterr().out.splitlines() if "Robust" in line]
     names = ["Wil to Gossau SG", "Gossau SG to St.Gallen"]
-    assert all(name in line for name, line in zip(names, headings, strict=True))
     table = pd.read_csv(tmp_path / "run.csv")
     assert table.columns.tolist() == [
         *("section", "km", "time [s]", "speed [km/h]", "tractive effort [kN]"),
@@ -248,9 +224,7 @@ def test_a_table_has_the_whole_run_by_kilometre(
     assert standing["time [s]"].diff().iloc[2] == pytest.approx(30.0, abs=0.02)
 
 
-def test_what_ipopt_finds_on_the_same_cells_is_stated(
-    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_ipopt_finds_on_the_same_cells_is_stated(observed: Path, tmp_path: Path) -> None:
     """IPOPT knows nothing of the search: it lies above the bound and near the plan."""
     found = asked(observed, tmp_path, "--km", ":4", "--set", "referee=yes").certificate
     stated = found["referee"]
@@ -258,24 +232,19 @@ def test_what_ipopt_finds_on_the_same_cells_is_stated(
     assert abs(stated["excess"]) < 1e-4
     assert stated["energy"] >= found["lower_bound"]
     assert stated["energy"] == pytest.approx(found["energy"], rel=1e-4)
-    assert "IPOPT on the same cells" in capsys.readouterr().out
     assert "referee" not in asked(observed, tmp_path, "--km", ":4").certificate
 
 
 @pytest.mark.parametrize(
     "stops", ["Gossau SG,Flawil", pytest.param("Gossau SG,Flawil,Uzwil", marks=pytest.mark.long)]
 )
-def test_the_plan_of_a_journey_is_followed_section_by_section(
-    stops: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_plan_of_a_journey_is_followed_section_by_section(stops: str, tmp_path: Path) -> None:
     plan = tmp_path / ("plan.json" if stops.count(",") == 1 else "plan")
     words = [*SAMPLES, "--stops", stops, "--set", "cells=40", "-o", str(plan)]
     assert cli.run(["plan", *words]) == 0
     files = sections_in([plan])
-    capsys.readouterr()
     driven = ["--train", "sample", "-o", str(tmp_path / "driven")]
     assert cli.run(["simulate", "follow", str(plan), *driven]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
     trips = sorted((read_log(log) for log in (tmp_path / "driven").glob("*.mcap")),
                    key=lambda trip: trip.start)  # fmt: skip
     assert len(trips) == len(files) == stops.count(",")
@@ -288,9 +257,6 @@ def test_the_plan_of_a_journey_is_followed_section_by_section(
         took = driven_trip(trip).duration
         assert took == pytest.approx(section.running_time, rel=0.05)
         assert took < trip.duration
-        assert f"{clock(trip.duration)} recorded" in shown
-        planned = f"{clock(section.running_time)} planned"
-        assert f"running time {clock(took)} from departure to arrival, {planned}" in shown
     assert all(b.start - a.start > pd.Timedelta("100s") for a, b in pairwise(trips))
 
 
