@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from analysis.charts import figure_of
 from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
@@ -180,8 +179,6 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     off = found.total("calculated_work") - energy
     assert abs(off) < 1.96 * found.total("work_std") < 0.2 * energy
     assert found.diagnosis.not_judged
-    assert "not judged" in found._repr_html_()
-    assert len(figure_of(found.charts()).axes) == 3
 
 
 @pytest.mark.parametrize(
@@ -214,12 +211,7 @@ def test_the_command_names_what_is_wrong(
 ) -> None:
     path = tmp_path / "wrong.train.json"
     write_train(replace(TRAIN, resistance=replace(OWN, r2=4.0 * OWN.r2)), path)
-    picture = tmp_path / "calculated.png"
     log = str(sample("stopping.mcap"))
-    words = ["compare", "calculated", log, "--model", str(path), "--picture", str(picture)]
-    assert cli.run(words) == 0
-    assert "r2 is " in " ".join(capsys.readouterr().out.split())
-    assert picture.read_bytes()[:4] == b"\x89PNG"
     assert cli.run(["compare", "calculated", log, "--model", str(path), "--json"]) == 0
     (trip,) = json.loads(capsys.readouterr().out)["trips"]
     assert [each["name"] for each in trip["wrong"]] == ["r2"]
@@ -232,5 +224,3 @@ def test_the_right_file_agrees_within_its_bands() -> None:
     assert found.diagnosis.wrong == ()
     assert found.total("calculated_work") == pytest.approx(found.total("work"), rel=0.06)
     assert sum(found.explained.values()) == pytest.approx(1.0, abs=1e-9)
-    assert len(found.plot().axes) == 3
-    assert "nothing that the trip contradicts" in found._repr_html_()
