@@ -13,12 +13,7 @@ from simulated_line import level_line
 from analysis.resistance.recording import Recording
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
-from trainlog.railway import (
-    Axles,
-    RunningResistance,
-    StepProfile,
-    Train,
-)
+from trainlog.railway import Axles, RunningResistance, StepProfile, Train
 from trainlog.railway.resistance import basis
 from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of

@@ -10,13 +10,7 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.railway import Configuration, Trajectory
-from trainlog.resampling import (
-    TimeDistance,
-    difference,
-    grid_over,
-    on_grid,
-    planned_time_distance,
-)
+from trainlog.resampling import TimeDistance, difference, grid_over, on_grid, planned_time_distance
 from trainlog.units import NANOSECONDS
 
 

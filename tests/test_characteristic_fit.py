@@ -16,10 +16,7 @@ import trainlog
 from analysis import fit_adhesion_characteristic
 from trainlog.cli.main import run
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.characteristic import (
-    CharacteristicFile,
-    read_adhesion_points,
-)
+from trainlog.formats.characteristic import CharacteristicFile, read_adhesion_points
 from trainlog.formats.declared import file_content, thing_from_bytes, thing_to_bytes
 from trainlog.railway.adhesion import (
     AdhesionCharacteristic,

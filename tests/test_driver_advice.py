@@ -15,11 +15,7 @@ from command import Shell
 from refusals import refused
 
 from analysis.reports.results import write_driver_advice
-from analysis.trajectory.advice import (
-    journey_advice,
-    time_of_day,
-    with_times,
-)
+from analysis.trajectory.advice import journey_advice, time_of_day, with_times
 from analysis.trajectory.instructions import Cap, Instruction, Phase
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem

@@ -16,10 +16,7 @@ from trainlog.errors import InputError
 from trainlog.formats import osrd, railtoolkit
 from trainlog.formats.csv_tables import read_effort_curve
 from trainlog.formats.imports import import_file
-from trainlog.formats.railway import (
-    read_train,
-    write_train,
-)
+from trainlog.formats.railway import read_train, write_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.railway import EffortCurve
 

@@ -21,12 +21,7 @@ from analysis.fleet.checks import contradicted_dates
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Cause, Explanation, Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
-from analysis.reports.fleet import (
-    FleetFacts,
-    FleetReportOptions,
-    attention_parts,
-    fleet_page,
-)
+from analysis.reports.fleet import FleetFacts, FleetReportOptions, attention_parts, fleet_page
 from analysis.reports.page import Page, Section
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
 from trainlog.formats.railway import read_line, write_network

@@ -16,13 +16,7 @@ import pandas as pd
 import pytest
 from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
 from fleet_trips import TRIPS, later, short_trips
-from killed_fleet import (
-    contents,
-    grow_old,
-    kill_at_random,
-    maps_in,
-    rows_by_trip,
-)
+from killed_fleet import contents, grow_old, kill_at_random, maps_in, rows_by_trip
 from killed_points import ANALYSES as TWO, POINTS
 
 import trainlog
@@ -31,12 +25,7 @@ from analysis.fleet import maps
 from analysis.fleet.analyses import ANALYSES, FleetAnalysis, computation_of
 from analysis.fleet.engine import Processes
 from analysis.fleet.maps import maps_folder, update_maps
-from analysis.fleet.update import (
-    FleetUpdate,
-    UpdateOptions,
-    fleet_status,
-    update_fleet,
-)
+from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError

@@ -49,13 +49,7 @@ from trainlog.railway import (
 )  # fmt: skip
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.simulation import (
-    Locator,
-    Scenario,
-    drive,
-    simulate,
-    trajectory_scenarios,
-)
+from trainlog.simulation import Locator, Scenario, drive, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import DEPARTURE, Observation
 from trainlog.simulation.sensors import Instruments, Reading, Sensors
 

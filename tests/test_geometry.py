@@ -15,13 +15,7 @@ from simulated_line import level_line
 from trainlog.errors import InputError
 from trainlog.formats.ttobench import read_track
 from trainlog.railway import CurvatureProfile, Line
-from trainlog.railway.geometry import (
-    Anchor,
-    from_plane,
-    place,
-    plane_curve,
-    to_plane,
-)
+from trainlog.railway.geometry import Anchor, from_plane, place, plane_curve, to_plane
 
 TRACK = (
     Path(__file__).parents[2] / "shared" / "data" / "ttobench" / "tracks" / "CH_StGallen_Wil.json"

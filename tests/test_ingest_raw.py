@@ -10,15 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
-from ingest_logs import (
-    Damaged,
-    clean_run,
-    damaged_runs,
-    plain_profile,
-    plain_text,
-    ublox,
-    write,
-)
+from ingest_logs import Damaged, clean_run, damaged_runs, plain_profile, plain_text, ublox, write
 from recorder_files import gpx, mtk
 from refusals import refused
 

@@ -10,15 +10,7 @@ import pytest
 import pyubx2
 from hypothesis import HealthCheck, given, settings, strategies as st
 from ingest_logs import plain_profile
-from recorder_files import (
-    checked,
-    drive,
-    hexlines,
-    nav_pvt,
-    nmea_lines,
-    since_start,
-    ubx,
-)
+from recorder_files import checked, drive, hexlines, nav_pvt, nmea_lines, since_start, ubx
 from refusals import refused
 
 from trainlog.errors import InputError

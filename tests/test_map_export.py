@@ -17,10 +17,7 @@ from refusals import refused
 
 import analysis
 import trainlog
-from analysis.adhesion.condition_table import (
-    bins_table,
-    sections_table,
-)
+from analysis.adhesion.condition_table import bins_table, sections_table
 from trainlog.cli.main import run
 from trainlog.errors import InputError, MissingExtraError
 from trainlog.formats.railway import line_to_bytes

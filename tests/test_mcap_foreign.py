@@ -8,14 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from foreign_logs import (
-    COVARIANCE,
-    FIX_1,
-    START,
-    ForeignLog,
-    cdr_numbers,
-    json_log,
-)
+from foreign_logs import COVARIANCE, FIX_1, START, ForeignLog, cdr_numbers, json_log
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from hypothesis import given, settings, strategies as st

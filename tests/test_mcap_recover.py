@@ -24,15 +24,7 @@ from rerun.chunk import McapReader
 
 import trainlog
 from trainlog.errors import InputError, LogError
-from trainlog.mcap import (
-    Account,
-    DamageWarning,
-    account_of,
-    describe,
-    read_log,
-    recover,
-    write_log,
-)
+from trainlog.mcap import Account, DamageWarning, account_of, describe, read_log, recover, write_log
 from trainlog.mcap.contents import scanned
 from trainlog.mcap.records import RECOVERY_RECORD, Loss, Source, Unfinished
 from trainlog.topics import EVENTS, TRAIN_STATE

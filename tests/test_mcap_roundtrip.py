@@ -14,14 +14,7 @@ from refusals import refused
 import trainlog
 from trainlog.errors import LogError
 from trainlog.mcap import read_log, write_log
-from trainlog.topics import (
-    ENVIRONMENT,
-    EVENTS,
-    GNSS_FIX,
-    GNSS_MOTION,
-    TRAIN_AXLES,
-    TRAIN_STATE,
-)
+from trainlog.topics import ENVIRONMENT, EVENTS, GNSS_FIX, GNSS_MOTION, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
 

@@ -19,13 +19,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.mcap import DamageWarning, read_log, stream_log, write_log, writer
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.records import Source
-from trainlog.topics import (
-    ENVIRONMENT,
-    EVENTS,
-    GNSS_FIX,
-    TRAIN_AXLES,
-    TRAIN_STATE,
-)
+from trainlog.topics import ENVIRONMENT, EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
 SECOND = 10**9

@@ -12,21 +12,8 @@ from refusals import refused
 
 from tests.mcap_trips import START, frames, trip_of, trips
 from trainlog.errors import InputError, LogError
-from trainlog.resampling import (
-    interpolated,
-    joined,
-    regular_clock,
-    resampled,
-    resampled_frame,
-)
-from trainlog.topics import (
-    EVENTS,
-    TOPICS,
-    TRAIN_AXLES,
-    TRAIN_CONTROLS,
-    TRAIN_STATE,
-    column_field,
-)
+from trainlog.resampling import interpolated, joined, regular_clock, resampled, resampled_frame
+from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, column_field
 from trainlog.trip import Trip, frame_of
 
 SECOND = 10**9

@@ -12,15 +12,7 @@ import pandas as pd
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from refusals import refused
-from resistance_trips import (
-    LINE,
-    RESISTANCE,
-    TRAIN,
-    changed,
-    random_trip,
-    trip,
-    with_exact_efforts,
-)
+from resistance_trips import LINE, RESISTANCE, TRAIN, changed, random_trip, trip, with_exact_efforts
 
 import analysis
 from analysis.estimates import with_estimates
@@ -33,12 +25,7 @@ from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.windows import build_windows
 from analysis.view import view_of
 from trainlog.errors import InputError, LogError, NotIdentifiableError
-from trainlog.formats.railway import (
-    line_to_bytes,
-    read_line,
-    read_train,
-    train_to_bytes,
-)
+from trainlog.formats.railway import line_to_bytes, read_line, read_train, train_to_bytes
 from trainlog.formats.samples import sample
 from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
 from trainlog.railway.adhesion import polach_curve

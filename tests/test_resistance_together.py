@@ -12,13 +12,7 @@ from hypothesis import given, settings, strategies as st
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
 
 from analysis.charts import draw, draw_all, draw_charts
-from analysis.resistance import (
-    TripFit,
-    TripRefusedError,
-    combine,
-    fit_trip,
-    parameter_set,
-)
+from analysis.resistance import TripFit, TripRefusedError, combine, fit_trip, parameter_set
 from analysis.resistance.curve import nearest_physical
 from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit

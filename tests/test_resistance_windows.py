@@ -10,13 +10,7 @@ from hypothesis import given, settings, strategies as st
 from resistance_trips import RESISTANCE, recording
 from scipy.special import ndtri
 
-from analysis.resistance.noise import (
-    FLOOR,
-    Likelihood,
-    NoiseModel,
-    NoiseParts,
-    estimate_noise,
-)
+from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.regression import (
     BRAKE_SCALE_STD,
     DELAY_STD,

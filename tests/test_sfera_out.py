@@ -25,13 +25,7 @@ from trainlog.formats.railway import write_parameters, write_trajectory
 from trainlog.formats.sfera import SferaJourney, read_sfera
 from trainlog.formats.sfera_messages import with_constraints, xml_of
 from trainlog.ingest import ingest
-from trainlog.railway import (
-    Configuration,
-    ParameterSet,
-    RunningResistance,
-    Train,
-    Trajectory,
-)
+from trainlog.railway import Configuration, ParameterSet, RunningResistance, Train, Trajectory
 from trainlog.railway.condition import AdhesionForecast
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))

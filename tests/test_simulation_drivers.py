@@ -12,20 +12,8 @@ from simulated_line import flirt, hilly_line, level_line, steps, trajectory_of
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway.motion import timetable_run
-from trainlog.simulation import (
-    Run,
-    Scenario,
-    draw_scenarios,
-    drive,
-    trajectory_scenarios,
-)
-from trainlog.simulation.drivers import (
-    Driver,
-    Habits,
-    Stop,
-    TimetableDriver,
-    plan,
-)
+from trainlog.simulation import Run, Scenario, draw_scenarios, drive, trajectory_scenarios
+from trainlog.simulation.drivers import Driver, Habits, Stop, TimetableDriver, plan
 
 
 def journey(line=None, adhesion: float = 0.3, **changes: object) -> Scenario:

@@ -15,11 +15,7 @@ from simulated_line import flirt, hilly_line
 
 from trainlog.errors import InputError
 from trainlog.mcap import write_log
-from trainlog.simulation import (
-    Scenario,
-    draw_scenarios,
-    simulate,
-)
+from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.simulation.rail import base_map
 from trainlog.trip import Trip
 

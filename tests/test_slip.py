@@ -18,12 +18,7 @@ from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.estimates import estimate_log
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
-from trainlog.formats.railway import (
-    read_line,
-    read_train,
-    train_to_bytes,
-    with_passport,
-)
+from trainlog.formats.railway import read_line, read_train, train_to_bytes, with_passport
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Axles, Quantity

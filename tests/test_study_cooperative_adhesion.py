@@ -24,18 +24,8 @@ from analysis.control.rail_estimate import RailEstimator
 from analysis.estimates import with_estimates
 from analysis.studies.report import as_markdown
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.run import (
-    published_table,
-    start_table,
-    torque_table,
-    trip_of,
-)
-from analysis.studies.zhao_2025.simulation import (
-    coefficients,
-    demand_on,
-    euler,
-    runge_kutta,
-)
+from analysis.studies.zhao_2025.run import published_table, start_table, torque_table, trip_of
+from analysis.studies.zhao_2025.simulation import coefficients, demand_on, euler, runge_kutta
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway.adhesion import DRY, WET

@@ -15,10 +15,7 @@ from advice_law import breaches
 from refusals import refused
 from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, optimised, slippery
 
-from analysis.trajectory.advice import (
-    journey_advice,
-    with_advice,
-)
+from analysis.trajectory.advice import journey_advice, with_advice
 from analysis.trajectory.instructions import Phase, agreement, instructions
 from analysis.trajectory.optimiser import energy_against_time, optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem

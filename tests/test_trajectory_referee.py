@@ -8,11 +8,7 @@ from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observ
 
 from analysis.studies.cunillera_2022.model import phases_by_switching
 from analysis.trajectory.discretisation import graded_mesh
-from analysis.trajectory.instructions import (
-    Phase,
-    phase_letters,
-    phases_by_control,
-)
+from analysis.trajectory.instructions import Phase, phase_letters, phases_by_control
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.referee import refereed
