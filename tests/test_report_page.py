@@ -416,3 +416,10 @@ def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_
     assert [row[0] for row in files.rows] == ["plan.json", "trips/a.mcap", "trips/b.mcap"]
     assert ["trips/a.mcap", "simulate"] in [list(row[:2]) for row in made_of.rows]
     assert not any("{" in cell for row in made_of.rows for cell in row)
+
+
+def test_a_trip_with_a_course_is_drawn() -> None:
+    trip = read_log(sample("stopping.mcap"))
+    assert all(axes.has_data() for axes in trip.plot().axes)
+    with pytest.raises(InputError, match="no speed with a position is recorded"):
+        replace(trip, topics={"/events": trip["/events"]}).plot()
