@@ -572,6 +572,10 @@ _POINTS = 4
 """Of Gauss and Legendre in each cell."""
 
 
+MULTIPLIERS = "multipliers"
+"""Those of the plan's own optimum, as a bound's source."""
+
+
 @dataclass(frozen=True, eq=False)
 class ContinuousBound:
     """What no trajectory comes below, however its controls change.
@@ -587,7 +591,7 @@ class ContinuousBound:
 
     value: float
     excess: FloatArray
-    source: str = "multipliers"
+    source: str = MULTIPLIERS
 
 
 def continuous_bound(

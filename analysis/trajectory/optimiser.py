@@ -18,7 +18,7 @@ from analysis.trajectory.active_set import (
     searched,
 )
 from analysis.trajectory.audit import Audit
-from analysis.trajectory.bound import ContinuousBound
+from analysis.trajectory.bound import MULTIPLIERS, ContinuousBound
 from analysis.trajectory.certificate import (
     best_bound,
     certificate_of,
@@ -90,6 +90,9 @@ to certify or the energy still falls. Every other time they are twice as many.""
 
 TOGETHER = 6_000
 """Cells of all configurations that count in the program of an expected energy, at first."""
+
+_FINE = 4_000
+"""Cells of all active configurations of several, up to which cells are laid anew."""
 
 _CUT, _LOWER = 0.7, 2e-4
 """Times what is missing before, up to which more is tried; and the part of the energy."""
@@ -315,7 +318,8 @@ def _renewed(
     is tried that is likely to end later than `EFFORT` after `begun`.
     """
     cells = found.problem.shape[1]
-    finest = max(2 * cells, options.cells) if len(found.answer.active) > 1 else MOST_CELLS
+    active = len(found.answer.active)
+    finest = max(2 * cells, options.cells, _FINE // active) if active > 1 else MOST_CELLS
     bound = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
     last, excess, taken = found, bound.excess, 0.5 * (worked() - begun)
     lower = False
@@ -337,20 +341,29 @@ def _renewed(
                 break
             cells, taken = 2 * cells, 0.0
             continue
-        other = best_bound(again.answer, fastest, running_time, _LONGEST - (worked() - begun))
-        last, excess, taken = again, other.excess, worked() - now
-        bound = max(bound, other, key=lambda each: each.value)
         lower = again.energy < (1.0 - _LOWER) * found.energy
+        # While the energy falls the bound only guides the cells; its cone program can wait.
+        left = 0.0 if lower else _LONGEST - (worked() - begun)
+        other = best_bound(again.answer, fastest, running_time, left)
+        last, excess, taken = again, other.excess, worked() - now
+        # On these cells the cone program that bounds best would take too long.
+        given_up = not lower and other.source == MULTIPLIERS != bound.source
+        bound = max(bound, other, key=lambda each: each.value)
         found = min(found, again, key=lambda each: each.energy)
         if lower or found.energy - bound.value <= _CUT * missing:
             if number % 2 == 1 and 2 * cells <= finest:
                 cells, taken = 2 * cells, _LONGER * taken
             continue
+        if given_up:
+            break
         if 2 * cells > finest:
             if found.energy - bound.value <= tolerated(bound.value, fastest):
                 break
             continue
         cells, taken = 2 * cells, _LONGER * taken
+    if lower and found.energy - bound.value > tolerated(bound.value, fastest):
+        other = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
+        bound = max(bound, other, key=lambda each: each.value)
     return found, bound
 
 
