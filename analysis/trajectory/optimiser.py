@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -86,7 +87,7 @@ REFINEMENTS = 3
 
 RENEWALS, FINER_RENEWALS = 3, 2
 """How often cells are laid anew about the plan found; and how often more while the gap is too large
-to certify or the energy still falls. Every other time they are twice as many."""
+to certify. Every other time they are twice as many; and on while the energy falls."""
 
 TOGETHER = 6_000
 """Cells of all configurations that count in the program of an expected energy, at first."""
@@ -323,7 +324,7 @@ def _renewed(
     bound = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
     last, excess, taken = found, bound.excess, 0.5 * (worked() - begun)
     lower = False
-    for number in range(RENEWALS + FINER_RENEWALS):
+    for number in itertools.count():
         missing = found.energy - bound.value
         enough = options.tolerance * max(abs(bound.value), NEGLIGIBLE_ENERGY)
         if number >= RENEWALS and not lower:
@@ -331,6 +332,8 @@ def _renewed(
         if lower:
             enough = min(enough, _LOWER * abs(bound.value))
         now = worked()
+        if number >= RENEWALS + FINER_RENEWALS and not lower:
+            break
         if missing <= enough or time_left() <= 0.0 or now - begun + taken > EFFORT:
             break
         note(f"the gap is {gap_of(found.energy, bound.value):.3%}; cells are laid anew")
