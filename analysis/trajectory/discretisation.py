@@ -22,7 +22,7 @@ import numpy as np
 
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.railway import EffortCurve, Trajectory
+from trainlog.railway import EffortCurve
 from trainlog.railway.motion import SUBSTEPS
 from trainlog.units import GRAVITY
 
@@ -438,13 +438,6 @@ def _used_inside(
     chord = np.minimum(ends[0] + shares * (ends[1] - ends[0]), problem.traction)
     near = (ends[0] < _SHORTEST * ends[0].min(axis=0)) | (ends[1] < _SHORTEST * ends[1].min(axis=0))
     return np.asarray(np.where(near, chord / limit, 0.0).max(axis=1))
-
-
-def tapered_as(problem: DiscreteProblem, trajectory: Trajectory) -> DiscreteProblem:
-    """The problem with its common traction tapered as in a trajectory on the same grid."""
-    none = np.zeros(problem.step.size)
-    fall = 0.5 * trajectory.tractive_effort_fall / problem.reference
-    return problem.tapered(Taper(fall, none))
 
 
 def inside(positions: FloatArray, parts: int) -> FloatArray:

@@ -16,7 +16,7 @@ from time import process_time
 import numpy as np
 
 from analysis.resistance import TripFit, TripRefusedError, fit_trip, parameter_set
-from analysis.trajectory.discretisation import discretise, tapered_as
+from analysis.trajectory.discretisation import Taper, discretise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
@@ -61,7 +61,9 @@ def judge(line: Line, train: Train, found: ParameterSet, true: list[Configuratio
         fastest_run(TrajectoryProblem(line, train, each)).times for each in (chosen, true)
     )
     run = TrajectoryProblem(line, train, true)
-    problem = tapered_as(discretise(run, trajectory.positions), trajectory)
+    even = discretise(run, trajectory.positions)
+    fall = 0.5 * trajectory.tractive_effort_fall / even.reference
+    problem = even.tapered(Taper(fall, np.zeros(fall.size)))
     plan = rollout(problem, trajectory.tractive_effort / problem.reference, None)
     arrival = cell_times(problem, plan).sum(axis=1)
     power = (plan.traction / problem.traction_by_power(plan.z)).max(axis=1)
