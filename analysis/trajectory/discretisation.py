@@ -536,31 +536,40 @@ def _bounds(values: Sequence[float | None], without: float) -> FloatArray:
 def _track(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Track acceleration at the ends of equal parts of each cell, and the bulge that it makes."""
     if np.isin(run.breakpoints, positions).all():
-        return _linear_in_parts(run, positions), _bulge(run, positions)
+        values = _track_inside(run, positions)
+        linear = _linear_in_parts(values[:, :: _BULGE_PARTS // (2 * SUBSTEPS)])
+        return linear, _bulge(values, np.diff(positions))
     step = np.diff(positions)
     middles = positions[:-1, None] + step[:, None] * (np.arange(_BULGE_PARTS) + 0.5) / _BULGE_PARTS
     mean = run.track_acceleration(middles).mean(axis=1, keepdims=True)
     return np.repeat(mean, SUBSTEPS + 1, axis=1), np.zeros(step.size)
 
 
-def _linear_in_parts(run: TrajectoryProblem, positions: FloatArray) -> FloatArray:
+def _track_inside(run: TrajectoryProblem, positions: FloatArray) -> FloatArray:
+    """Track acceleration at the ends of equal parts of each cell; in most it does not change."""
+    points = inside(positions, _BULGE_PARTS)
+    few = run.track_acceleration(points[:, :: _BULGE_PARTS // 2])
+    values, changes = np.repeat(few[:, :1], points.shape[1], axis=1), np.ptp(few, axis=1) > 0.0
+    values[changes] = run.track_acceleration(points[changes])
+    return values
+
+
+def _linear_in_parts(values: FloatArray) -> FloatArray:
     """Track acceleration at the ends of equal parts of each cell, its mean over the cell exact.
 
     In a transition curve the resistance is linear for one formula only.
     """
-    values = run.track_acceleration(inside(positions, 2 * SUBSTEPS))
     ends, middles = values[:, ::2], values[:, 1::2]
     # Simpson's rule over the parts less the trapezoids.
     missing = 2.0 / 3.0 * (middles - 0.5 * (ends[:, :-1] + ends[:, 1:])).mean(axis=1)
     return np.asarray(ends + np.where(np.abs(missing) > _ROUNDED, missing, 0.0)[:, None])
 
 
-def _bulge(run: TrajectoryProblem, positions: FloatArray) -> FloatArray:
+def _bulge(track: FloatArray, step: FloatArray) -> FloatArray:
     """By how much ``z`` can rise above both ends inside a cell of changing curvature, (n,)."""
-    track = run.track_acceleration(inside(positions, _BULGE_PARTS))
     parts = 0.5 * (track[:, :-1] + track[:, 1:])
     spared = np.cumsum(parts.mean(axis=1, keepdims=True) - parts, axis=1).max(axis=1)
-    bulge = np.maximum(spared, 0.0) * np.diff(positions) / _BULGE_PARTS
+    bulge = np.maximum(spared, 0.0) * step / _BULGE_PARTS
     return np.where(np.ptp(track, axis=1) > 1e-9, bulge, 0.0)
 
 

@@ -540,6 +540,7 @@ def fastest_below(
     for a in range(q):
         for k in range(n):
             own[k, a] = _mean(drag0[a, k])
+    track, linear, quadratic, pulled = -own, -drag1, -square, np.empty(q)
     none, without, dynamic_power = np.zeros(q), np.full(q, np.inf), np.full(q, brakes.dynamic_power)
     brake_speeds = np.repeat(brakes.speeds, q).reshape(-1, q).T.copy()
     y = np.full(q, min(ends[1], ceiling[n]))
@@ -559,10 +560,8 @@ def fastest_below(
         y[a] = z[a, 0] = min(ends[0], curve[a, 0])
     for k in range(n):
         h, highest = step[k], limits[k]
-        cells = (
-            np.full(q, traction.limit[k]), none, without, traction.power, gain, -own[k], -drag1,
-            -square[k],
-        )  # fmt: skip
+        pulled[:] = traction.limit[k]
+        cells = pulled, none, without, traction.power, gain, track[k], linear, quadratic[k]
         _through(y, h, cells, traction.speeds, traction.efforts, 0.0, middle, after)
         for a in range(q):
             begin, target = y[a], curve[a, k + 1]
