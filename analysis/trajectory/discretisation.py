@@ -567,10 +567,11 @@ def _linear_in_parts(values: FloatArray) -> FloatArray:
 
 def _bulge(track: FloatArray, step: FloatArray) -> FloatArray:
     """By how much ``z`` can rise above both ends inside a cell of changing curvature, (n,)."""
-    parts = 0.5 * (track[:, :-1] + track[:, 1:])
+    bulge, some = np.zeros(step.size), np.ptp(track, axis=1) > 1e-9
+    parts = 0.5 * (track[some, :-1] + track[some, 1:])
     spared = np.cumsum(parts.mean(axis=1, keepdims=True) - parts, axis=1).max(axis=1)
-    bulge = np.maximum(spared, 0.0) * step / _BULGE_PARTS
-    return np.where(np.ptp(track, axis=1) > 1e-9, bulge, 0.0)
+    bulge[some] = np.maximum(spared, 0.0) * step[some] / _BULGE_PARTS
+    return bulge
 
 
 @dataclass(frozen=True, eq=False)
