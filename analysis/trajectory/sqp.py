@@ -226,9 +226,9 @@ class QPSubproblem:
         priced = cost.copy()
         priced[self.late] = lateness_price
         bends = curvature + smoothing * self._effort_changes()
-        found = solve(
-            unknowns, priced, self.equal, self.below, curvature=bends, near=self._planned()
-        )
+        # Where the worst of several regains least its plan shows too little of the next one.
+        near = self._planned() if unknowns.regained is None or q == 1 else None
+        found = solve(unknowns, priced, self.equal, self.below, curvature=bends, near=near)
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
         share = braking
@@ -267,7 +267,7 @@ class QPSubproblem:
         if unknowns.dynamic is not None:
             planned[unknowns.dynamic] = plan.dynamic
         if unknowns.regained is not None:
-            planned[unknowns.regained] = (plan.dynamic @ self.problem.step).min()
+            planned[unknowns.regained] = float(plan.dynamic[0] @ self.problem.step)
         return planned
 
     def _not_after(self, node: int, latest: float, gradient: FloatArray) -> IntArray:
