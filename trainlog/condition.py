@@ -123,7 +123,7 @@ def known_before(track: TrackConditionMap, time: Timestamp) -> TrackConditionMap
     ...     known_before(track, Timestamp("2024-10-07T20:00"))
     ... except InputError as error:
     ...     print(error.problem)
-    map of line 'CH_StGallen_Wil' holds no evidence of a day before 2024-10-07
+    map of line 'CH_StGallen_Wil' has no evidence of a day before 2024-10-07
     """
     if not later_evidence(track, time):
         return track

@@ -208,7 +208,7 @@ def network_map(folder: str | Path) -> NetworkMap:
     --------
     >>> network_map("docs")
     Traceback (most recent call last):
-    trainlog.errors.InputError: docs: holds no track-condition maps (*.map); ...
+    trainlog.errors.InputError: docs: has no track-condition maps (*.map); ...
     """
     place = Path(folder)
     files = map_files(place)

@@ -172,7 +172,7 @@ def kind_of(path: Path) -> str:
     'trip'
     >>> kind_of(Path("sample_logs/README.md"))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    trainlog.errors.InputError: sample_logs/README.md: is no result...
+    trainlog.errors.InputError: sample_logs/README.md: is not a result...
     """
     what = content_of(path)
     if what in KINDS:

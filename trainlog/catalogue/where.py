@@ -102,7 +102,7 @@ def condition_of(text: str, zone: str | None = None) -> sa.ColumnElement[bool]:
     'trips.weather = :weather_1'
     >>> condition_of("wether = 'wet'")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    trainlog.errors.InputError: expression "wether = 'wet'", column 1: 'wether' is no column; did...
+    trainlog.errors.InputError: expression "wether = 'wet'", column 1: 'wether' is not a column...
     """
     found: sa.ColumnElement[bool] = _Compiler(text, zone).condition()
     return found
