@@ -18,6 +18,7 @@ from trajectory_cases import (
     steps,
 )
 
+from analysis.trajectory.convex import NoSolutionError, Relaxation
 from analysis.trajectory.feasibility import UnprovenError
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Configuration, RunningResistance, TimingPoint
@@ -88,6 +89,24 @@ def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can() -> None:
         level_line(), VIRM6, configurations, running_time=1541.0, initial_speed=1.0, cells=50
     )
     assert own.speeds[:, -1].max() == 0.0
+
+
+def test_a_time_that_no_solver_found_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The speed at the end is proven out of reach; that more time would help is not."""
+    least_time = Relaxation.least_time
+
+    def without_end(relaxation: Relaxation) -> float:
+        if relaxation.problem.final > 1.0:
+            raise NoSolutionError("user_limit")
+        return least_time(relaxation)
+
+    monkeypatch.setattr(Relaxation, "least_time", without_end)
+    with pytest.raises(InfeasibleError, match=r"cannot all end at 0\.0 km/h") as error:
+        optimised(
+            level_line(), VIRM6, observed(VIRM6, 0.97, 1.0, 1.03), running_time=1541.0,
+            initial_speed=1.0, final_speed=0.0, braking="common", cells=50,
+        )  # fmt: skip
+    assert "inf" not in str(error.value)
 
 
 def test_a_slope_too_steep_for_the_load() -> None:

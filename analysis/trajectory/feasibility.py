@@ -288,7 +288,7 @@ def brakes_explained(
             remedy="let each configuration brake for itself (recourse), or plan for configurations"
             " that differ less, or for a shorter section",
         )
-    if time > running_time:
+    if running_time < time < np.inf:
         return InfeasibleError(
             f"with one braking effort for all, {names} need at least {time:.1f} s, whatever their"
             f" speed at the end; the timetable gives {running_time:.1f} s,"
