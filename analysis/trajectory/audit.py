@@ -223,11 +223,6 @@ def _in_table(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
     return float(efforts[k] + (efforts[k - 1] - efforts[k]) * share)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _force(v: float, constant: float, linear: float, quadratic: float) -> float:
-    return constant + (linear + quadratic * v) * v
-
-
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _roll(
     initial_speed: float, step: FloatArray, traction: FloatArray, taper: FloatArray,

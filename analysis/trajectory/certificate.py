@@ -49,18 +49,18 @@ def best_bound(
     """
     problem, solution, rows = answer.problem, answer.solution, list(answer.active)
     part, speeds = problem.select(rows), fastest.at(problem.positions)[rows]
-    own = closer(problem.run, fastest, tuple(rows))
     counted = problem.weights > 0.0
     counted[rows] = False
     stand_in = problem.run.objective == "expected" and bool(counted.any())
+    bounded = range(problem.shape[0]) if stand_in else rows
+    own = closer(problem.run, fastest, tuple(bounded))
 
     def bound(
         multipliers: Multipliers, plan: Plan = solution.plan, floor: Floor | None = None
     ) -> ContinuousBound:
         if stand_in:
             every = _of_all(problem, rows, multipliers)
-            whole = closer(problem.run, fastest, tuple(range(problem.shape[0])))
-            return continuous_bound(problem, answer.plan, every, whole, running_time, problem.run)
+            return continuous_bound(problem, answer.plan, every, own, running_time, problem.run)
         return continuous_bound(part, plan, multipliers, own, running_time, problem.run, floor)
 
     found = bound(solution.multipliers)

@@ -303,7 +303,7 @@ class DiscreteProblem:
         drag0 += self.drag0
         # A configuration that gains speed and loses it in such a cell is fastest inside.
         rise = 0.25 * self.gain.max() * np.maximum(taper.fall, 0.0) * self.step
-        ceiling = self.ceiling - np.maximum(np.append(rise, 0.0), np.insert(rise, 0, 0.0))
+        ceiling = self.ceiling - largest_beside(rise)
         ceiling = np.maximum(ceiling, np.minimum(self.floor, self.ceiling))
         ceiling[0] = max(ceiling[0], self.initial)
         return replace(self, drag0=drag0, taper=taper, ceiling=ceiling)
@@ -440,6 +440,11 @@ def _used_inside(
     return np.asarray(np.where(near, chord / limit, 0.0).max(axis=1))
 
 
+def largest_beside(cells: FloatArray) -> FloatArray:
+    """The larger value of the two cells beside each node, (n + 1,); at least 0 at both ends."""
+    return np.asarray(np.maximum(np.append(cells, 0.0), np.insert(cells, 0, 0.0)))
+
+
 def inside(positions: FloatArray, parts: int) -> FloatArray:
     """Positions [m] of the ends of equal parts of each cell, (n, parts + 1).
 
@@ -473,8 +478,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
     limit = run.permitted_speed(middle)
     lowest = np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf))
     # Between its ends a cell's speed rises above them where the track's force changes in the cell.
-    highest = np.maximum(np.append(bulge, 0.0), np.insert(bulge, 0, 0.0))
-    ceiling = 0.5 * lowest**2 - highest
+    ceiling = 0.5 * lowest**2 - largest_beside(bulge)
     ceiling[0] = max(ceiling[0], 0.5 * run.initial_speed**2)
     passed = np.searchsorted(positions, [point.position for point in run.windows])
     floor = np.zeros(positions.size)

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 
-from analysis.trajectory.discretisation import DiscreteProblem, discretise
+from analysis.trajectory.discretisation import DiscreteProblem, discretise, largest_beside
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InfeasibleError
@@ -120,7 +120,7 @@ def fastest_run(run: TrajectoryProblem, cruising: float = np.inf) -> Envelope:
     InfeasibleError
         If a configuration cannot climb the line, or cannot brake for a limit or for the end.
     """
-    return _fastest_on(run, _fine_grid(run), cruising)
+    return _fastest_on(discretise(run, _fine_grid(run)), cruising)
 
 
 @lru_cache(maxsize=4)
@@ -140,6 +140,7 @@ def closer(run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...]) -> 
     some = [*rows, *{lightest}.difference(rows)]
     run = replace(run, configurations=[run.configurations[row] for row in some], weights=())
     fastest = fastest.select(some)
+    problem = discretise(run, fastest.positions)
     for _ in range(_SPLITS):
         z, s = 0.5 * fastest.speeds**2, fastest.positions
         step, slopes = np.diff(s), np.diff(z, axis=1) / np.diff(s)
@@ -147,7 +148,7 @@ def closer(run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...]) -> 
         turn = np.abs(np.diff(slopes, axis=1))
         turn = np.maximum(np.pad(turn, ((0, 0), (1, 0))), np.pad(turn, ((0, 0), (0, 1))))
         # Where full traction hardly keeps a limit the order of the slopes in a cell counts.
-        uneven = np.ptp(discretise(run, s).drag0, axis=2) * fastest.pulling
+        uneven = np.ptp(problem.drag0, axis=2) * fastest.pulling
         parts = np.sqrt(np.maximum(0.25 * turn, 0.125 * uneven) * step / least / _TURN).max(axis=0)
         parts = np.maximum(parts, (np.abs(slopes) * step / least).max(axis=0) / _CHANGE)
         parts = np.where(step > _SHORTEST, np.clip(np.ceil(parts), 1, _MOST_PARTS), 1).astype(int)
@@ -155,12 +156,13 @@ def closer(run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...]) -> 
             break
         cell = np.repeat(np.arange(parts.size), parts)
         share = np.concatenate([np.arange(count) / count for count in parts.tolist()])
-        fastest = _fastest_on(run, np.append(s[cell] + share * step[cell], s[-1]))
+        problem = discretise(run, np.append(s[cell] + share * step[cell], s[-1]))
+        fastest = _fastest_on(problem)
     return fastest.select(range(len(rows)))
 
 
-def _fastest_on(run: TrajectoryProblem, grid: FloatArray, cruising: float = np.inf) -> Envelope:
-    problem = discretise(run, grid)
+def _fastest_on(problem: DiscreteProblem, cruising: float = np.inf) -> Envelope:
+    run = problem.run
     traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
     if problem.curves is not None:
         # As published, not as plans keep to it: no trajectory is faster.
@@ -168,8 +170,7 @@ def _fastest_on(run: TrajectoryProblem, grid: FloatArray, cruising: float = np.i
     middles = problem.positions[:-1] + 0.5 * problem.step
     limits = 0.5 * np.minimum(run.permitted_speed(middles), cruising) ** 2
     # What a cell's constant efforts would have the speed rise above its ends does not count here.
-    bulge = np.maximum(np.append(problem.bulge, 0.0), np.insert(problem.bulge, 0, 0.0))
-    ceiling = np.minimum(problem.ceiling + bulge, 0.5 * cruising**2)
+    ceiling = np.minimum(problem.ceiling + largest_beside(problem.bulge), 0.5 * cruising**2)
     brakes = _brakes_of(problem)
     ends = problem.initial, problem.final
     curve, z, seconds = fastest_below(ceiling, limits, ends, traction, brakes, motion)

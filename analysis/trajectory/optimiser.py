@@ -327,13 +327,13 @@ def _renewed(
     for number in itertools.count():
         missing = found.energy - bound.value
         enough = options.tolerance * max(abs(bound.value), NEGLIGIBLE_ENERGY)
-        if number >= RENEWALS and not lower:
-            enough = max(enough, tolerated(bound.value, fastest))
         if lower:
             enough = min(enough, _LOWER * abs(bound.value))
-        now = worked()
-        if number >= RENEWALS + FINER_RENEWALS and not lower:
+        elif number >= RENEWALS + FINER_RENEWALS:
             break
+        elif number >= RENEWALS:
+            enough = max(enough, tolerated(bound.value, fastest))
+        now = worked()
         if missing <= enough or time_left() <= 0.0 or now - begun + taken > EFFORT:
             break
         note(f"the gap is {gap_of(found.energy, bound.value):.3%}; cells are laid anew")
