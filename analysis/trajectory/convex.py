@@ -341,11 +341,16 @@ class _Program(NamedTuple):
     def optimum(self) -> _Optimum | None:
         """By PIQP; None if it finds none."""
         busy = time.process_time()
-        solver = piqp.SparseSolver()
-        for name, value in _SETTINGS.items():
-            setattr(solver.settings, name, value)
-        solver.setup(**self._asdict())
-        status, result = solver.solve(), solver.result
+        # Rounding of the factors alone makes it call some programs unbounded; none is.
+        for refined in (False, True):
+            solver = piqp.SparseSolver()
+            solver.settings.iterative_refinement_always_enabled = refined
+            for name, value in _SETTINGS.items():
+                setattr(solver.settings, name, value)
+            solver.setup(**self._asdict())
+            status, result = solver.solve(), solver.result
+            if status in (piqp.PIQP_SOLVED, piqp.PIQP_PRIMAL_INFEASIBLE):
+                break
         _SPENT.set((time.process_time() - busy) / self.c.size)
         x = np.clip(result.x, self.x_l, self.x_u)
         if status != piqp.PIQP_SOLVED or not np.all(np.isfinite(x)):
