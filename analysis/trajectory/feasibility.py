@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from analysis.trajectory.convex import NoSolutionError, Relaxation
+from analysis.trajectory.convex import NoSolutionError, Relaxation, worked
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.problem import TrajectoryProblem
@@ -208,6 +208,9 @@ def check_speeds(run: TrajectoryProblem, fastest: Envelope) -> None:
 LATE = 5e-5
 """Lateness that counts [s]."""
 
+_SOUGHT = 4.0
+"""Processor time after which no lower speed at the end is looked for [s]."""
+
 
 class UnprovenError(InfeasibleError):
     """No trajectory was found, and none was proven impossible.
@@ -221,15 +224,14 @@ def time_explained(
 ) -> InfeasibleError:
     """Why the relaxation, and so the problem, has no solution."""
     names = names_of(problem)
-    try:
-        time = relaxation.least_time()
-    except NoSolutionError as other:
-        if str(other) != "infeasible":
-            return unsettled(problem, running_time, f"the relaxation is {other}")
+    time, other = _relaxed_time(relaxation)
+    if other == "infeasible":
         return InfeasibleError(
             f"no common run of {names}: the relaxation is {status}",
             remedy="allow more time, or plan for fewer configurations",
         )
+    if other:
+        return unsettled(problem, running_time, f"the relaxation is {other}")
     if time <= running_time:
         return unsettled(problem, running_time, f"the relaxation is {status}")
     return InfeasibleError(
@@ -274,7 +276,7 @@ def brakes_explained(
     """
     names = names_of(problem)
     least, status = _relaxed_time(Relaxation(problem, speeds, np.zeros_like(speeds)))
-    if status == "" and least <= running_time:
+    if least <= running_time:
         return unsettled(problem, running_time, "one braking effort for all leaves little choice")
     if status not in ("", "infeasible"):
         return unsettled(problem, running_time, f"the relaxation is {status}")
@@ -317,7 +319,7 @@ def _relaxed_time(relaxation: Relaxation) -> tuple[float, str]:
 def lowest_end_speed(
     problem: DiscreteProblem, speeds: FloatArray, running_time: float
 ) -> float | None:
-    """The lowest speed [m/s] at the end that a plan was found for, to 0.05 m/s.
+    """The lowest speed [m/s] at the end that a plan was found for, to 0.05 m/s, in `_SOUGHT`.
 
     With common braking the one that runs most easily decides how hard all brake, and the others
     must not come to a stand before the end.
@@ -348,9 +350,10 @@ def lowest_end_speed(
         return solution.lateness <= LATE
 
     low, high = float(np.sqrt(2.0 * problem.final)), float(np.sqrt(2.0 * problem.ceiling[-1]))
+    begun = worked()
     if not reached(high):
         return None
-    while high - low > 0.05:
+    while high - low > 0.05 and worked() - begun < _SOUGHT:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if reached(middle) else (middle, high)
     return high
