@@ -180,6 +180,7 @@ class QPSubproblem:
         radius: float,
         lateness_price: float,
         smoothing: float,
+        settled: bool = False,
     ) -> Solution:
         """The optimum of the program.
 
@@ -191,6 +192,8 @@ class QPSubproblem:
         lateness_price : float [J/(kg s)]
         smoothing : float [s²/m]
             Price of the squared change of effort from cell to cell.
+        settled : bool
+            Whether the plan is the optimum of a program like this one.
 
         Raises
         ------
@@ -226,8 +229,8 @@ class QPSubproblem:
         priced = cost.copy()
         priced[self.late] = lateness_price
         bends = curvature + smoothing * self._effort_changes()
-        # Where the worst of several regains least its plan shows too little of the next one.
-        near = self._planned() if unknowns.regained is None or q == 1 else None
+        # Where the worst of several regains least another plan shows too little of the optimum.
+        near = self._planned() if unknowns.regained is None or q == 1 or settled else None
         found = solve(unknowns, priced, self.equal, self.below, curvature=bends, near=near)
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
@@ -462,6 +465,9 @@ LATENESS_PRICE = 100.0
 _MORE = 1.1
 """Times what the next program would leave of a delay, by which it is to be earlier."""
 
+_SETTLED = 1e-4
+"""Part of the energy that a program changed, up to which its plan is near the next optimum."""
+
 _FREE_ITERATIONS = 10
 """Iterations before the steps are made to shrink."""
 
@@ -526,14 +532,17 @@ def minimise(
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
-    radius, energy, spare, last = 1.0, np.inf, 0.0, np.inf
+    radius, energy, spare, last, changed = 1.0, np.inf, 0.0, np.inf, np.inf
     statuses: list[str] = []
     solution = None
     while True:
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
         program = QPSubproblem(tapered, plan, price, given=given, spare=spare)
         try:
-            solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
+            settled = changed < _SETTLED * energy
+            solution = program.solve(
+                running_time, radius, lateness_price, tolerances.smoothing, settled
+            )
         except OutOfTimeError:
             raise OutOfTimeError(solution) from None
         statuses.extend(solution.statuses)
