@@ -548,8 +548,12 @@ def driven(answer: Answer) -> Audit:
 
 
 def searched(
-    problem: DiscreteProblem, guess: Guess, envelope: Envelope, running_time: float
-) -> tuple[Answer, Audit]:
+    problem: DiscreteProblem,
+    guess: Guess,
+    envelope: Envelope,
+    running_time: float,
+    in_hand: float = 0.0,
+) -> tuple[Answer, Audit, float]:
     """The optimum, if need be within stricter limits and on more cells, so that it can be driven.
 
     Parameters
@@ -560,6 +564,15 @@ def searched(
     envelope : Envelope
         Fast runs of each configuration.
     running_time : float [s]
+    in_hand : float [s]
+        By how much the audit is likely to arrive later than the programs do.
+
+    Returns
+    -------
+    answer : Answer
+    audit : Audit
+    later : float [s]
+        By how much the audit did.
 
     Raises
     ------
@@ -568,14 +581,15 @@ def searched(
     TrainlogError
         If the one that it finds does not pass.
     """
-    strict, asked = problem, running_time
+    strict, asked = problem, running_time - in_hand
     for _ in range(_CORRECTIONS + 1):
         answer = search(strict, guess, envelope.at(strict.positions), asked)
         found = driven(answer)
         failures = found.failures(problem.run, running_time)
         if not failures:
             # The bound is to hold for the limits as they are.
-            return replace(answer, problem=problem.tapered(answer.problem.taper)), found
+            later = max(float(found.arrival.max()) - asked, 0.0)
+            return replace(answer, problem=problem.tapered(answer.problem.taper)), found, later
         late = float(found.arrival.max()) - running_time
         split = split_where_slow(problem.positions, answer.plan.z)
         if _ends_elsewhere(found, problem.run):

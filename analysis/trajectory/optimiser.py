@@ -17,6 +17,7 @@ from analysis.trajectory.active_set import (
     paced_grid,
     search,
     searched,
+    split_where_slow,
 )
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.bound import MULTIPLIERS, ContinuousBound
@@ -98,7 +99,7 @@ _FINE = 4_000
 _CUT, _LOWER = 0.7, 2e-4
 """Times what is missing before, up to which more is tried; and the part of the energy."""
 
-_LONGER = 3.0
+_LONGER = 2.5
 """Times the time that twice as many cells take."""
 
 EFFORT, _LONGEST = 14.0, 18.0
@@ -290,10 +291,13 @@ class _Audited:
     ----------
     answer : Answer
     audit : Audit
+    later : float [s]
+        By how much the audit arrives later than the programs do.
     """
 
     answer: Answer
     audit: Audit
+    later: float
 
     @property
     def problem(self) -> DiscreteProblem:
@@ -321,8 +325,10 @@ def _renewed(
     cells = found.problem.shape[1]
     active = len(found.answer.active)
     finest = max(2 * cells, options.cells, _FINE // active) if active > 1 else MOST_CELLS
-    bound = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
-    last, excess, taken = found, bound.excess, 0.5 * (worked() - begun)
+    taken = 0.5 * (worked() - begun)
+    # New cells lower the energy, too: a cone program that takes longer waits for them.
+    bound = best_bound(found.answer, fastest, running_time, taken)
+    last, excess = found, bound.excess
     lower = False
     for number in itertools.count():
         missing = found.energy - bound.value
@@ -347,8 +353,9 @@ def _renewed(
         lower = again.energy < (1.0 - _LOWER) * found.energy
         # While the energy falls the bound only guides the cells; its cone program can wait.
         left = 0.0 if lower else _LONGEST - (worked() - begun)
+        taken = worked() - now
         other = best_bound(again.answer, fastest, running_time, left)
-        last, excess, taken = again, other.excess, worked() - now
+        last, excess = again, other.excess
         # On these cells the cone program that bounds best would take too long.
         given_up = not lower and other.source == MULTIPLIERS != bound.source
         bound = max(bound, other, key=lambda each: each.value)
@@ -364,7 +371,9 @@ def _renewed(
                 break
             continue
         cells, taken = 2 * cells, _LONGER * taken
-    if lower and found.energy - bound.value > tolerated(bound.value, fastest):
+    missing = found.energy - bound.value
+    waits = number == 0 and missing > enough
+    if waits or (lower and missing > tolerated(bound.value, fastest)):
         other = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
         bound = max(bound, other, key=lambda each: each.value)
     return found, bound
@@ -375,11 +384,13 @@ def _searched_again(
 ) -> _Audited | None:
     """The optimum on other cells, begun from the one found; None where it does not end well."""
     run = found.problem.run
-    positions = refined_mesh(run.breakpoints, found.problem.positions, excess, cells)
-    problem = discretise(run, positions)
-    guess = interpolated_guess(found.answer, found.problem.positions, problem)
+    nodes, z = found.problem.positions, found.answer.plan.z
+    positions = refined_mesh(run.breakpoints, nodes, excess, cells)
+    planned = np.array([np.interp(positions, nodes, row) for row in z])
+    problem = discretise(run, split_where_slow(positions, planned))
+    guess = interpolated_guess(found.answer, nodes, problem)
     try:
-        return _Audited(*searched(problem, guess, fastest, running_time))
+        return _Audited(*searched(problem, guess, fastest, running_time, found.later))
     except TrainlogError:
         return None
 
