@@ -50,6 +50,9 @@ _SETTINGS: dict[str, Any] = {
 }
 """What PIQP stops at: beyond it the rounding of large programs makes it stall."""
 
+_ENERGY_SETTINGS = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7}
+"""What Clarabel stops at where the multipliers give a bound: closer ones do not raise it."""
+
 _LONGEST = 15.0
 """Time after which a program with cones is given up [s]: it has no inside, or nearly none."""
 
@@ -241,6 +244,7 @@ def solve(
     cones: Sequence[Any] = (),
     variable: cp.Variable | None = None,
     near: FloatArray | None = None,
+    settings: dict[str, float] | None = None,
 ) -> ProgramSolution:
     """Minimise ``cost x + x curvature x / 2``, and accept nothing but a solution.
 
@@ -250,6 +254,8 @@ def solve(
     ----------
     near : (size,) array, optional
         A point that is likely to be near the optimum; it costs nothing but time where it is not.
+    settings : dict, optional
+        Of Clarabel.
 
     Raises
     ------
@@ -260,7 +266,7 @@ def solve(
     """
     begun = time.process_time()
     try:
-        return _solved(unknowns, cost, equal, below, curvature, cones, variable, near)
+        return _solved(unknowns, cost, equal, below, curvature, cones, variable, near, settings)
     finally:
         _WORKED.set(_WORKED.get() + time.process_time() - begun)
 
@@ -274,6 +280,7 @@ def _solved(
     cones: Sequence[Any],
     variable: cp.Variable | None,
     near: FloatArray | None,
+    settings: dict[str, float] | None,
 ) -> ProgramSolution:
     # PIQP cannot be stopped, Clarabel can.
     if time_left() <= (0.0 if cones else _PACE.get() * unknowns.size):
@@ -296,14 +303,14 @@ def _solved(
         begin, left = time.monotonic(), time_left()
         if left <= 0.0:
             raise OutOfTimeError
-        settings = _SETTINGS
+        own = _SETTINGS
         if solver == cp.CLARABEL:
-            settings = {"time_limit": min(left, _LONGEST)}
+            own = {"time_limit": min(left, _LONGEST), **(settings or {})}
         try:
             with warnings.catch_warnings():
                 # The status states what the warning would, and the certificate carries it.
                 warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
-                program.solve(solver=solver, **settings)
+                program.solve(solver=solver, **own)
         except (cp.SolverError, ValueError, ArithmeticError):
             # Numbers that are none, or too large, are refused before any solver runs.
             status = SOLVER_FAILED
@@ -717,7 +724,7 @@ class Relaxation:
         """
         problem, unknowns = self.problem, self.unknowns
         unknowns.high[self.longest] = running_time
-        found = self._solved(self.cost)
+        found = self._solved(self.cost, _ENERGY_SETTINGS)
         z = np.maximum(0.5 * self.scale**2 * found.unknowns[unknowns.z], 0.0)
         traction = np.maximum(found.unknowns[unknowns.traction], 0.0)
         braking = np.maximum(found.unknowns[unknowns.braking], 0.0)
@@ -763,10 +770,19 @@ class Relaxation:
         time[self.longest] = 1.0
         return self._solved(time).value
 
-    def _solved(self, cost: FloatArray) -> ProgramSolution:
+    def _solved(
+        self, cost: FloatArray, settings: dict[str, float] | None = None
+    ) -> ProgramSolution:
         x = bounded(self.unknowns)
-        cones = self._cones(x)
-        return solve(self.unknowns, cost, self.equal, self.below, cones=cones, variable=x)
+        return solve(
+            self.unknowns,
+            cost,
+            self.equal,
+            self.below,
+            cones=self._cones(x),
+            variable=x,
+            settings=settings,
+        )
 
     def _motion(self) -> tuple[IntArray, FloatArray]:
         """Eq. (2) over a cell, exact for the quadratic resistance; rows scaled by the speed.
