@@ -138,41 +138,45 @@ SURVEY = tuple(each.name for each in _SURVEY)
 
 COLUMNS: tuple[Column, ...] = (
     Column("trip", "", "name of the trip", "text"),
-    Column("sha256", "", "of its log", "text"),
+    Column("sha256", "", "checksum of its log", "text"),
     Column("train", "", "name of the train", "text"),
-    Column("software", "", "that made the summary, with its version", "text"),
+    Column("software", "", "software that made the summary, with its version", "text"),
     Column("refused", "", "why the trip does not determine the curve; empty if it does", "text"),
-    Column("message", "", "the same in a sentence, with the figures", "text"),
+    Column("message", "", "the reason in a sentence, with the figures", "text"),
     *(
         Column(name, unit, "running resistance", of=f"resistance.{name}")
         for name, unit in zip(TERMS, UNITS, strict=True)
     ),
-    Column("mass", "kg", "without rotating part"),
+    Column("mass", "kg", "mass without its rotating part"),
     *_COVARIANCE,
     Column("freedom", "1", "degrees of freedom of the covariance", "count"),
-    Column("rotating_mass", "kg", "from the train's file"),
+    Column("rotating_mass", "kg", "rotating mass of the train's file"),
     Column("train_power", "W", "largest traction power that the train's file states"),
-    Column("max_power", "W", "from stretches at the power limit; null if there was none"),
+    Column("max_power", "W", "power on stretches at the power limit; null if there was none"),
     Column("max_power_std", "W", "its standard deviation"),
     Column("asked_lowest", "m/s", "lowest speed that the curve was asked for", of="asked.0"),
-    Column("asked_highest", "m/s", "highest", of="asked.1"),
+    Column("asked_highest", "m/s", "highest speed that the curve was asked for", of="asked.1"),
     Column("speed_lowest", "m/s", "lowest mean speed of a window", of="speed_range.0"),
-    Column("speed_highest", "m/s", "highest", of="speed_range.1"),
+    Column("speed_highest", "m/s", "highest mean speed of a window", of="speed_range.1"),
     Column("condition", "1", "column-normalised condition number of the regressors"),
     Column("windows", "1", "windows used", "count", of="windows.used"),
     Column("outliers", "1", "windows left out", "count", of="windows.outlier"),
     Column("noise_speed", "m/s", "noise of the speed averaged at a window's end", of="noise.speed"),
-    Column("noise_gradient", "1", "of the gradient of a piece of the map", of="noise.gradient"),
-    Column("noise_position", "m", "of the chainage at a change of gradient", of="noise.position"),
-    Column("noise_effort", "1", "of one sample's effort, over the effort", of="noise.effort"),
-    Column("delay", "s", "by which efforts were recorded late"),
-    Column("brake_scale", "1", "dynamic brake's recorded effort over its size"),
-    Column("cluster_factor", "1", "by which the noise model's variances were enlarged"),
-    Column("residual_std", "1", "of the whitened residuals"),
-    Column("residual_correlation", "1", "between neighbouring whitened residuals"),
-    Column("speed_scale", "1", "measured over true speed", of="scale.factor"),
+    Column(
+        "noise_gradient", "1", "noise of the gradient of a piece of the map", of="noise.gradient"
+    ),
+    Column(
+        "noise_position", "m", "noise of the chainage at a change of gradient", of="noise.position"
+    ),
+    Column("noise_effort", "1", "noise of one sample's effort, over the effort", of="noise.effort"),
+    Column("delay", "s", "delay of recorded efforts"),
+    Column("brake_scale", "1", "ratio of the dynamic brake's recorded to its true effort"),
+    Column("cluster_factor", "1", "factor on the noise model's variances"),
+    Column("residual_std", "1", "standard deviation of the whitened residuals"),
+    Column("residual_correlation", "1", "correlation of neighbouring whitened residuals"),
+    Column("speed_scale", "1", "ratio of measured to true speed", of="scale.factor"),
     Column("speed_scale_std", "1", "its standard deviation", of="scale.std"),
-    Column("speed_scale_source", "", "what it was calibrated against", "text", of="scale.source"),
+    Column("speed_scale_source", "", "reference of the calibration", "text", of="scale.source"),
     Column(
         "gradients",
         "",
@@ -192,7 +196,7 @@ COLUMNS: tuple[Column, ...] = (
     Column(
         "effort_gain",
         "1",
-        "recorded over true effort, by which efforts were divided",
+        "ratio of recorded to true effort; efforts were divided by it",
         of="passport.effort_gain.value",
     ),
     Column(
@@ -200,7 +204,7 @@ COLUMNS: tuple[Column, ...] = (
         "1",
         "its standard deviation where no recorded load shows it; in the covariance, trips share it",
     ),
-    Column("identity", "", "of the drive, by its recorded samples; empty: not known", "text"),
+    Column("identity", "", "checksum of the drive's recorded samples; empty: not known", "text"),
 )
 
 _LATER = {"gradients", *SURVEY, "effort_gain", "assumed_gain_std", "identity"}
