@@ -26,21 +26,21 @@ Time that the reference lost in one of these ways is gained: the same cause, wit
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.comparison.causes import CAUSES, GAINED
 from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, normalised_energy
 from analysis.comparison.groups import line_energy
 from analysis.view import Given, each_given
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, TrainlogError
 from trainlog.presentation import (
@@ -113,10 +113,11 @@ class Sections:
         """Of each section: both its ends."""
         return [f"{first} - {last}" for first, last in zip(self.ends, self.ends[1:], strict=False)]
 
-    def of(self, position: float) -> int:
-        """Number of the section that holds a position [m]."""
-        found = int(np.searchsorted(self.edges, position, side="right")) - 1
-        return min(max(found, 0), self.edges.size - 2)
+    def of(self, position: ArrayLike) -> IntArray:
+        """Number of the section that holds each position [m]."""
+        return np.clip(
+            np.searchsorted(self.edges, position, side="right") - 1, 0, self.edges.size - 2
+        )
 
     def with_edges(self, nodes: FloatArray, step: float) -> FloatArray:
         """Nodes of cells as long as a step [m], and the edges, without a sliver beside one."""
@@ -222,7 +223,7 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     rows = {int(section): row for row, section in enumerate(ran)}
     for stand in trip.stands:
         edge = sections.edge_of(stand)
-        row = rows.get(sections.of(stand.position) if edge is None else edge - 1)
+        row = rows.get(int(sections.of(stand.position)) if edge is None else edge - 1)
         if row is not None:
             (stood if edge is None else dwell)[row] += stand.duration
 
@@ -242,37 +243,29 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     return pd.DataFrame(found, index=index)
 
 
-def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
+def _energies(
+    trip: DrivenTrip, between: Callable[[FloatArray], FloatArray]
+) -> dict[str, FloatArray]:
     """Work at the wheels and energy from the line of each section [J]."""
-    assert callable(between)
-    count = between(trip.running).size
-    unknown = np.full(count, np.nan)
-    sums = trip.sums
-    found = dict.fromkeys(("traction", "braking", "dynamic_braking", "line"), unknown)
-    if "traction" in sums:
-        gaps = between(sums["unknown_effort"]) > UNKNOWN_TIME
-        brakes = {
-            name: np.where(
-                between(sums[f"unknown_{name}"]) > UNKNOWN_TIME, np.nan, between(sums[name])
-            )
-            for name in ("dynamic_braking", "pneumatic_braking")
-            if name in sums
-        }
-        found["traction"] = np.where(gaps, np.nan, between(sums["traction"]))
-        if "dynamic_braking" in sums:
-            found["dynamic_braking"] = brakes["dynamic_braking"]
-        if len(brakes) == 2:
-            found["braking"] = np.sum(list(brakes.values()), axis=0)
-    if "supply" in sums:
-        gaps = between(sums["unknown_supply"]) > UNKNOWN_TIME
-        found["line"] = np.where(gaps, np.nan, between(sums["supply"]))
-    elif trip.train is not None and "traction" in sums and not trip.planned:
-        fed_back = found["dynamic_braking"] if "dynamic_braking" in sums else 0.0
-        found["line"] = (
-            found["traction"] / trip.train.efficiency_traction
-            - trip.train.efficiency_regeneration * fed_back
+    sums, train, none = trip.sums, trip.train, np.nan * between(trip.running)
+
+    def known(name: str, unknown: str = "") -> FloatArray:
+        if name not in sums:
+            return none
+        gaps = between(sums[f"unknown_{unknown or name}"]) > UNKNOWN_TIME
+        return np.where(gaps, np.nan, between(sums[name]))
+
+    traction, dynamic, line = known("traction", "effort"), known("dynamic_braking"), known("supply")
+    if "supply" not in sums and train is not None and not trip.planned:
+        line = line_energy(
+            train, traction, dynamic if "dynamic_braking" in sums else np.zeros(none.size)
         )
-    return found
+    return {
+        "traction": traction,
+        "braking": dynamic + known("pneumatic_braking"),
+        "dynamic_braking": dynamic,
+        "line": line,
+    }
 
 
 TO_THE_LETTER = "advice, to the letter"
@@ -285,7 +278,7 @@ ADVISED_BAND = 3.0 / KMH
 def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, FloatArray]:
     """Coasting, excess speed, slip and how well advice was followed, by section."""
     step = np.diff(trip.position, prepend=trip.position[0])
-    over = trip.speed - trip.limit
+    over = trip.speed - trip.limit_at(trip.position)
     number = np.searchsorted(high, trip.position, side="left")
     inside = (number < high.size) & (trip.position >= low[0])
     bins = np.where(inside, number, high.size)
@@ -294,14 +287,8 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
         sums = np.bincount(bins, weights=values, minlength=high.size + 1)
         return np.asarray(sums[: high.size], dtype=np.float64)
 
-    unknown = np.full(high.size, np.nan)
-    found = {
-        "coasting": unknown,
-        "slips": unknown,
-        "off_advised_speed": unknown,
-        "within_advice": unknown,
-        "lateness": unknown,
-    }
+    names = ("coasting", "slips", "off_advised_speed", "within_advice", "lateness")
+    found = dict.fromkeys(names, np.full(high.size, np.nan))
     distance = np.maximum(summed(step), 1e-9)
     if "coasting" in trip.flags:
         found["coasting"] = summed(step * trip.flags["coasting"]) / distance
@@ -352,18 +339,17 @@ def common_range(trip: DrivenTrip, reference: DrivenTrip) -> CommonRange | None:
     if last - first < 1000.0:
         return None
     both = (trip, reference)
-    starts = all(_stands_at(each, 0) for each in both) and _near(trip, reference, 0)
-    ends = all(_stands_at(each, -1) for each in both) and _near(trip, reference, -1)
-    return CommonRange(first, last, starts, ends)
+    return CommonRange(first, last, starts=_stand_at(both, 0), ends=_stand_at(both, -1))
 
 
-def _stands_at(trip: DrivenTrip, end: int) -> bool:
-    """Whether the trip begins or ends with a stand."""
-    return bool(trip.stands) and abs(trip.stands[end].position - trip.covered[end]) < 1.0
-
-
-def _near(trip: DrivenTrip, reference: DrivenTrip, end: int) -> bool:
-    return abs(trip.covered[end] - reference.covered[end]) <= STATION_REACH
+def _stand_at(both: Sequence[DrivenTrip], end: int) -> bool:
+    """Whether trips begin, or end, with a stand at the same place."""
+    places = [each.covered[end] for each in both]
+    stand = all(
+        each.stands and abs(each.stands[end].position - place) < 1.0
+        for each, place in zip(both, places, strict=True)
+    )
+    return stand and abs(places[0] - places[1]) <= STATION_REACH
 
 
 def running_times(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> FloatArray:
@@ -378,12 +364,8 @@ def running_times(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> F
 
 def counted_stands(trip: DrivenTrip, common: CommonRange) -> list[Stand]:
     """Stands in a common range; at an end where only one of two trips ends they do not count."""
-    low = common.first if common.starts else common.first + STATION_REACH
-    high = common.last if common.ends else common.last - STATION_REACH
-    if common.starts:
-        low = -np.inf
-    if common.ends:
-        high = np.inf
+    low = -np.inf if common.starts else common.first + STATION_REACH
+    high = np.inf if common.ends else common.last - STATION_REACH
     return [each for each in trip.stands if low < each.position < high]
 
 
@@ -443,6 +425,11 @@ class Lost:
         sums = self.losses.groupby("cause", sort=False)["lost"].sum()
         return {str(cause): float(s) for cause, s in sums.sort_values(ascending=False).items()}
 
+    def largest(self) -> list[tuple[str, float]]:
+        """The three causes with most seconds, either way."""
+        every = [(cause, s) for cause, s in self.by_cause().items() if abs(s) >= SMALL]
+        return sorted(every, key=lambda each: -abs(each[1]))[:3]
+
     def by_section(self, count: int) -> FloatArray:
         """Seconds of each of `count` sections, with the station where it ends."""
         section = self.losses["section"].to_numpy(np.int64)
@@ -478,7 +465,7 @@ class _Cells:
             nodes,
             np.diff(running_times(trip, nodes, common)),
             trip.at(trip.speed, middle),
-            _limit(trip, middle),
+            trip.limit_at(middle),
             often("slip", 0.2),
             often("full_effort", 0.5),
             counted_stands(trip, common),
@@ -488,15 +475,6 @@ class _Cells:
     def ends(self) -> list[Stand]:
         """Stands at which the trip itself begins or ends."""
         return [each for each in self.trip.stands if each.duration == 0.0]
-
-
-def _limit(trip: DrivenTrip, position: FloatArray) -> FloatArray:
-    """Permitted speed at each position [m/s]; a recorded limit that is lower counts."""
-    stated = trip.permitted(position)
-    if "limit" not in trip.signals:
-        return stated
-    row = np.clip(np.rint(trip.sample_at(position)).astype(np.int64), 0, trip.time.size - 1)
-    return np.fmin(stated, trip.signals["limit"][row])
 
 
 def lost_time(
@@ -581,7 +559,7 @@ def _of_stands(mine: _Cells, other: _Cells, sections: Sections) -> list[tuple[ob
     for each, sign in ((mine, 1.0), (other, -1.0)):
         for stand in each.stands:
             if sections.edge_of(stand) is None:
-                number = sections.of(stand.position)
+                number = int(sections.of(stand.position))
                 seconds, where = sign * stand.duration, stand.position
                 cause = "stop" if stand.station else "held"
                 found.append((seconds, cause, sections.names[number], number, where, where))
@@ -592,11 +570,10 @@ def _of_cells(
     lost: FloatArray, causes: NDArray[np.object_], nodes: FloatArray, sections: Sections
 ) -> pd.DataFrame:
     """Running time lost by section and cause."""
-    section = np.clip(
-        np.searchsorted(sections.edges, nodes[:-1], side="right") - 1, 0, sections.edges.size - 2
-    )
+    first, last = nodes[:-1], nodes[1:]
+    section = sections.of(first)
     cells = pd.DataFrame(
-        {"lost": lost, "cause": causes, "section": section, "first": nodes[:-1], "last": nodes[1:]}
+        {"lost": lost, "cause": causes, "section": section, "first": first, "last": last}
     )
     found = cells.groupby(["section", "cause"], as_index=False).agg(
         lost=("lost", "sum"), first=("first", "min"), last=("last", "max")
@@ -668,8 +645,7 @@ def _cell(cells: _Cells, position: float) -> int | None:
     low, high = cells.nodes[[0, -1]]
     if not low - STATION_REACH <= position <= high + STATION_REACH:
         return None
-    found = int(np.searchsorted(cells.nodes, position, side="right")) - 1
-    return min(max(found, 0), cells.nodes.size - 2)
+    return int(Sections(cells.nodes, ()).of(position))
 
 
 def _crawls(mine: _Cells, other: _Cells) -> list[tuple[int, int]]:
@@ -813,22 +789,23 @@ class ComparedTrip:
 
     def mean(self, column: str) -> float:
         """Mean of a column over the distance; NaN where no section has it."""
-        rows, distance = self.table, self.table["last"] - self.table["first"]
-        return float((rows[column] * distance).sum(min_count=1) / distance.sum())
+        return self._mean(self.table[column], self.table["last"] - self.table["first"])
 
     @property
     def off_advised_speed(self) -> float:
         """Root mean square [m/s] of the difference to the speed that it followed."""
-        rows, distance = self.table, self.table["last"] - self.table["first"]
-        squares = (rows["off_advised_speed"] ** 2 * distance).sum(min_count=1)
-        return float(np.sqrt(squares / distance.sum()))
+        distance = self.table["last"] - self.table["first"]
+        return float(np.sqrt(self._mean(self.table["off_advised_speed"] ** 2, distance)))
 
     @property
     def within_advice(self) -> float:
         """Share of the time in motion within `ADVISED_BAND` of the speed that it followed."""
-        rows = self.table
-        near = (rows["within_advice"] * rows["running_time"]).sum(min_count=1)
-        return float(near / rows["running_time"][rows["within_advice"].notna()].sum())
+        near, running = self.table["within_advice"], self.table["running_time"]
+        return self._mean(near, running.where(near.notna()))
+
+    @staticmethod
+    def _mean(values: pd.Series, weights: pd.Series) -> float:
+        return float((values * weights).sum(min_count=1) / weights.sum())
 
 
 def _energy(each: ComparedTrip, column: str) -> Said:
@@ -962,12 +939,10 @@ class ComparedDirection:
                 return ""
             own = each.trip is self.reference
             return "reference" if own else "nothing in common with the reference"
-        causes = [(cause, s) for cause, s in each.lost.by_cause().items() if abs(s) >= SMALL]
-        largest = sorted(causes, key=lambda cause: -abs(cause[1]))[:3]
         low, high = each.trip.covered
         parted = each.common[0] > low + 200.0 or each.common[1] < high - 200.0
         part = f" (km {self._km(*each.common)})" if parted else ""
-        return ", ".join(f"{cause} {s:+.0f}" for cause, s in largest) + part
+        return ", ".join(f"{cause} {s:+.0f}" for cause, s in each.lost.largest()) + part
 
     def sections_table(self) -> WordTable:
         """Running time by section, and dwell at the station behind it, side by side."""
@@ -1078,15 +1053,13 @@ class Comparison(Presented):
         """Each direction."""
         rows = {}
         for each in self.directions:
-            compared = [trip for trip in each.trips if trip.lost is not None]
             rows[each.direction] = f"{counted(len(each.trips), 'trip')}, reference" + (
                 f" '{each.reference.name}', {clock(each.reference.duration)}"
             )
-            for trip in compared[:4]:
-                assert trip.lost is not None
-                parts = sorted(trip.lost.by_cause().items(), key=lambda part: -abs(part[1]))
-                causes = [f"{cause} {s:+.0f} s" for cause, s in parts[:3]]
-                rows[f"  {trip.name}"] = f"{trip.lost.total:+.1f} s: {', '.join(causes)}"
+            lost = [(trip.name, trip.lost) for trip in each.trips if trip.lost is not None]
+            for name, found in lost[:4]:
+                causes = [f"{cause} {s:+.0f} s" for cause, s in found.largest()]
+                rows[f"  {name}"] = f"{found.total:+.1f} s: {', '.join(causes)}"
         if self.left_out:
             rows["left out"] = str(len(self.left_out))
         return rows

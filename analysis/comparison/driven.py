@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -47,7 +46,6 @@ from trainlog.resampling import (
     GAP_DISTANCE,
     LONGEST_GAP,
     POSITION_SOURCES,
-    TimeDistance,
     forward_chainage,
     joined,
     planned_time_distance,
@@ -586,28 +584,19 @@ class DrivenTrip:
         """From departure to arrival, dwell included [s]."""
         return float(self.time[-1])
 
-    @cached_property
-    def curve(self) -> TimeDistance:
-        """Time-distance curve since departure."""
-        nanoseconds = self.departure + np.rint(self.time * NANOSECONDS).astype(np.int64)
-        return TimeDistance(self.departure, nanoseconds, self.position)
-
-    @cached_property
-    def limit(self) -> FloatArray:
-        """Permitted speed [m/s] at each sample: the line's over the train, or a lower recorded."""
-        stated = self.permitted(self.position)
-        recorded = self.signals.get("limit")
-        return stated if recorded is None else np.fmin(stated, recorded)
+    def limit_at(self, position: ArrayLike) -> FloatArray:
+        """Permitted speed [m/s] at each position: the line's over the train, or a lower recorded."""
+        stated, recorded = self.permitted(position), self.signals.get("limit")
+        if recorded is None:
+            return stated
+        return np.fmin(stated, recorded[np.rint(self.sample_at(position)).astype(np.int64)])
 
     def permitted(self, position: ArrayLike) -> FloatArray:
         """Speed limit of the line over the train's length [m/s] at each position [m]."""
-        length = 0.0 if self.train is None else self.train.length
-        limits = self.line.limits_over(length)(position)
-        return np.asarray(limits if self.train is None else np.minimum(limits, self._top))
-
-    @property
-    def _top(self) -> float:
-        return np.inf if self.train is None else self.train.max_speed
+        if self.train is None:
+            return self.line.limits_over(0.0)(position)
+        limits = self.line.limits_over(self.train.length)(position)
+        return np.asarray(np.minimum(limits, self.train.max_speed))
 
     def sample_at(self, position: ArrayLike) -> FloatArray:
         """Number of the sample, with its fraction, at which each position is reached.
