@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from analysis.trajectory.advice import AdviceRow, advised_speeds
+from analysis.trajectory.advice import AdviceRow
 from analysis.trajectory.instructions import HELD
 from trainlog.railway import Trajectory
 from trainlog.spans import runs_of
@@ -100,10 +100,10 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
         if abs(begin - row.speed) > 1e-6 or abs(last - row.instruction.until) > 1e-6:
             found.append(f"{words}: other speeds at its ends")
     found += unnamed_brakes(plan, changes, ends)
-    for row, speed in zip(rows, advised_speeds(rows), strict=True):
-        if row.permitted is not None and speed > row.permitted + 1e-6:
+    for row in rows:
+        if row.permitted is not None and row.stated > row.permitted + 1e-6:
             found.append(
-                f"{row.words}: {KMH * speed:.1f} km/h where {KMH * row.permitted:.1f} are due"
+                f"{row.words}: {KMH * row.stated:.1f} km/h where {KMH * row.permitted:.1f} are due"
             )
     idle = coasts & ~brakes
     for before, after in pairwise(changes):

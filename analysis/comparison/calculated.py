@@ -39,9 +39,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.stats import f as f_distribution
 
-from analysis.comparison.compare import sections_between, with_units
+from analysis.comparison.compare import Sections, sections_between, with_units
 from analysis.comparison.driven import DrivenTrip, driven_trip
 from analysis.comparison.energy import (
     FIT,
@@ -441,9 +442,8 @@ class Cells:
     track: FloatArray
     tunnels: FloatArray
     wind: FloatArray
+    sections: Sections
     section: IntArray
-    edges: FloatArray
-    names: tuple[str, ...]
     unknown: BoolArray
     speedless: BoolArray
     inferred: BoolArray
@@ -469,7 +469,6 @@ class Cells:
         wind = np.zeros(middle.size)
         if inputs.windy:
             wind = trip.at(trip.signals["head_wind"], middle)
-        section = np.clip(np.searchsorted(sections.edges, middle) - 1, 0, sections.edges.size - 2)
         lacks, speedless = _unknown(trip, nodes)
         cells = Cells(
             nodes,
@@ -481,9 +480,8 @@ class Cells:
             model.train.track_force(trip.line, middle, 1.0) * step,
             model.tunnels(middle),
             wind,
-            section.astype(np.int64),
-            sections.edges,
-            tuple(sections.names),
+            sections,
+            sections.of(middle),
             lacks,
             speedless,
             np.zeros(step.size, dtype=np.bool_),
@@ -514,6 +512,11 @@ class Cells:
     def step(self) -> FloatArray:
         """Lengths of the cells [m]."""
         return np.diff(self.nodes)
+
+    def by_section(self, values: ArrayLike) -> FloatArray:
+        """Sums over the cells of each section."""
+        count = self.sections.edges.size - 1
+        return np.bincount(self.section, values, count).astype(np.float64)
 
     @property
     def squared(self) -> FloatArray:
@@ -546,11 +549,8 @@ def _unknown(trip: DrivenTrip, nodes: FloatArray) -> tuple[BoolArray, BoolArray]
     if "unknown_speed" in trip.flags:
         speedless = trip.share_of("unknown_speed", nodes) > 0.0
     lacks = speedless.copy()
-    for name in ("effort", "dynamic_braking", "pneumatic_braking"):
-        if (
-            f"unknown_{name}" in trip.sums
-            and ("traction" if name == "effort" else name) in trip.sums
-        ):
+    for name in ("traction", "dynamic_braking", "pneumatic_braking"):
+        if name in trip.sums:
             lacks |= np.diff(trip.at(trip.sums[f"unknown_{name}"], nodes)) > 0.2
     return lacks, speedless
 
@@ -572,35 +572,32 @@ def steps_of(inputs: Inputs) -> FloatArray:
 
 def predicted(inputs: Inputs, cells: Cells) -> tuple[pd.DataFrame, FloatArray, FloatArray]:
     """Times and works by section with their bands, and the calculated speeds with theirs."""
-    count, steps = len(cells.names), steps_of(inputs)
-    works = np.array([_work(inputs, cells, each, count) for each in steps])
-    times, speeds = zip(*(_driven(inputs, cells, each, count) for each in steps), strict=True)
+    steps = steps_of(inputs)
+    works = np.array([_work(inputs, cells, each) for each in steps])
+    times, speeds = zip(*(_driven(inputs, cells, each) for each in steps), strict=True)
     fast = np.zeros(cells.step.size, dtype=np.bool_)
     for begin, end in cells.runs():
         fast[begin:end] = True
-    measured = np.bincount(cells.section, cells.running, count)
     # Where nothing is calculated, the recorded time counts.
-    rest = np.bincount(cells.section, cells.running * ~fast, count)
-    lacks = np.bincount(cells.section, cells.unknown, count) > 0
+    rest = cells.by_section(cells.running * ~fast)
+    lacks = cells.by_section(cells.unknown) > 0
     speed = np.array(speeds)
     squares = np.where(fast, (speed[0][1:] - cells.speed[1:]) ** 2 * cells.step, 0.0)
-    length = np.maximum(np.bincount(cells.section, cells.step * fast, count), 1e-9)
-    recorded = np.bincount(cells.section, cells.work, count)
-    if not inputs.efforts:
-        recorded = np.full(count, np.nan)
+    length = np.maximum(cells.by_section(cells.step * fast), 1e-9)
+    recorded = cells.by_section(cells.work if inputs.efforts else np.full(fast.size, np.nan))
     table = pd.DataFrame(
         {
-            "first": cells.edges[:-1],
-            "last": cells.edges[1:],
-            "time": measured,
+            "first": cells.sections.edges[:-1],
+            "last": cells.sections.edges[1:],
+            "time": cells.by_section(cells.running),
             "calculated_time": times[0] + rest,
             "time_std": _spread(np.array(times)),
-            "speed_rms": np.sqrt(np.bincount(cells.section, squares, count) / length),
+            "speed_rms": np.sqrt(cells.by_section(squares) / length),
             "work": np.where(lacks, np.nan, recorded),
             "calculated_work": np.where(lacks, np.nan, works[0]),
             "work_std": np.where(lacks, np.nan, _spread(works)),
         },
-        index=pd.Index(cells.names, name="section"),
+        index=pd.Index(cells.sections.names, name="section"),
     )
     if not inputs.efforts:
         table[["calculated_time", "time_std", "speed_rms"]] = np.nan
@@ -609,7 +606,7 @@ def predicted(inputs: Inputs, cells: Cells) -> tuple[pd.DataFrame, FloatArray, F
     inside = np.append(fast, False) | np.append(False, fast)
     calculated = np.where(inside, speed[0], np.nan)
     wide = inside & (1.96 * spread >= calculated)  # down to a stand
-    wide_in = np.bincount(cells.section, wide[1:], count) > 0
+    wide_in = cells.by_section(wide[1:]) > 0
     for name, more in (("time", wide_in), ("work", False)):
         reach, value = 1.96 * table[f"{name}_std"], table[f"calculated_{name}"].abs()
         table[f"{name}_determined"] = ~((reach > WIDEST * value) | more)
@@ -626,7 +623,7 @@ def _spread(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(sides.max(axis=0) ** 2, axis=0)))
 
 
-def _work(inputs: Inputs, cells: Cells, at: FloatArray, count: int) -> FloatArray:
+def _work(inputs: Inputs, cells: Cells, at: FloatArray) -> FloatArray:
     """Tractive work [J] that the recorded motion of each section needs; `at` as of `steps_of`."""
     mass, gain, slope, start = at[-4:].tolist()
     inertia = mass + inputs.model.train.rotating_mass
@@ -638,19 +635,17 @@ def _work(inputs: Inputs, cells: Cells, at: FloatArray, count: int) -> FloatArra
         needed = needed + cells.braking * (2.0 - gain) - cells.work * (gain - 1.0)
     else:
         needed = np.maximum(needed, 0.0)
-    found = np.bincount(cells.section, needed, count)
-    uneven = np.sqrt(inputs.slope[1] * np.diff(cells.edges))
-    top = np.sqrt(np.array([cells.squared[cells.section == row].max() for row in range(count)]))
+    found = cells.by_section(needed)
+    uneven = np.sqrt(inputs.slope[1] * np.diff(cells.sections.edges))
+    top = np.sqrt([cells.squared[cells.section == row].max() for row in range(found.size)])
     found += slope * GRAVITY * mass * uneven + start * inertia * top
     return np.asarray(found + 2.0 * inputs.scale_std * (start > 0.0) * np.abs(found))
 
 
-def _driven(
-    inputs: Inputs, cells: Cells, at: FloatArray, count: int
-) -> tuple[FloatArray, FloatArray]:
+def _driven(inputs: Inputs, cells: Cells, at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Time of each section [s] and speed at the nodes [m/s] with the recorded efforts."""
     mass, gain, slope, start = at[-4:].tolist()
-    speed, times = cells.speed.copy(), np.zeros(count)
+    speed, times = cells.speed.copy(), np.zeros(cells.sections.edges.size - 1)
     inertia = mass + inputs.model.train.rotating_mass
     constant, linear, quadratic = RunningResistance.of(at[:-4]).parabola
     force = (cells.work - cells.braking) / cells.step / gain

@@ -249,13 +249,13 @@ def _energies(
     """Work at the wheels and energy from the line of each section [J]."""
     sums, train, none = trip.sums, trip.train, np.nan * between(trip.running)
 
-    def known(name: str, unknown: str = "") -> FloatArray:
+    def known(name: str) -> FloatArray:
         if name not in sums:
             return none
-        gaps = between(sums[f"unknown_{unknown or name}"]) > UNKNOWN_TIME
+        gaps = between(sums[f"unknown_{name}"]) > UNKNOWN_TIME
         return np.where(gaps, np.nan, between(sums[name]))
 
-    traction, dynamic, line = known("traction", "effort"), known("dynamic_braking"), known("supply")
+    traction, dynamic, line = known("traction"), known("dynamic_braking"), known("supply")
     if "supply" not in sums and train is not None and not trip.planned:
         line = line_energy(
             train, traction, dynamic if "dynamic_braking" in sums else np.zeros(none.size)
@@ -760,20 +760,18 @@ class ComparedTrip:
 
         The share is of the running time; None where none is recorded.
         """
-        sums = self.trip.sums
-        supply = column == "line" and "supply" in sums
-        name = "unknown_supply" if supply else "unknown_effort"
-        if name not in sums or self.table[column].dropna().empty:
+        sums, train = self.trip.sums, self.trip.train
+        work = "supply" if column == "line" and "supply" in sums else "traction"
+        if work not in sums or self.table[column].dropna().empty:
             return None, None
-        missing = float(np.ptp(sums[name]) / self.trip.running[-1])
+        missing = float(np.ptp(sums[f"unknown_{work}"]) / self.trip.running[-1])
         whole = self.sum(column)
-        if math.isfinite(whole):
-            return whole, missing
-        if supply or column == "traction":
-            return float(sums["supply" if supply else "traction"][-1]), missing
-        assert self.trip.train is not None
-        dynamic = sums.get("dynamic_braking", np.zeros(1))[-1]
-        return line_energy(self.trip.train, float(sums["traction"][-1]), float(dynamic)), missing
+        if not math.isfinite(whole):
+            whole = float(sums[work][-1])
+            if work != "supply" and column == "line" and train is not None:
+                dynamic = sums.get("dynamic_braking", np.zeros(1))[-1]
+                whole = line_energy(train, whole, float(dynamic))
+        return whole, missing
 
     def section_words(self, name: str) -> str:
         """What the trip took in a section, in words."""

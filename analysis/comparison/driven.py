@@ -389,12 +389,11 @@ def _thinned(frame: pd.DataFrame, state: str, gaps: tuple[Gap, ...]) -> Samples:
     columns = {name: whole[name].to_numpy(dtype=np.float64) for name in whole.columns}
     sums = {name[1:]: columns.pop(name) for name in list(columns) if name.startswith("∫")}
     time = columns.pop("time")
-    if "unknown_effort" in sums:
-        unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
-        silent = time_in(unknown, time, columns["position"])
-        for name in ("unknown_effort", "unknown_dynamic_braking", "unknown_pneumatic_braking"):
-            if name in sums:
-                sums[name] = sums[name] + silent
+    unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
+    silent = time_in(unknown, time, columns["position"])
+    for name in (f"unknown_{work}" for work in _WORKS.values()):
+        if name in sums:
+            sums[name] = sums[name] + silent
     gaps = (*gaps, *_without(columns.get("tractive_effort"), time))
     estimated = state != TRAIN_STATE.name
     return Samples(int(origin.as_unit("ns").value), estimated, time, columns, sums, gaps)
@@ -428,8 +427,7 @@ def _integrals(frame: pd.DataFrame) -> pd.DataFrame:
             values = frame[effort].to_numpy(dtype=np.float64)
             found[f"∫{_WORKS[effort]}"] = integral(np.nan_to_num(values) * speed)
             lacks = (~np.isfinite(values) & (speed > STANDSTILL)).astype(np.float64)
-            name = "effort" if effort == "tractive_effort" else _WORKS[effort]
-            found[f"∫unknown_{name}"] = integral(lacks)
+            found[f"∫unknown_{_WORKS[effort]}"] = integral(lacks)
     if "line_voltage" in frame and "line_current" in frame:
         power = frame["line_voltage"].to_numpy() * frame["line_current"].to_numpy()
         found["∫supply"] = integral(np.nan_to_num(power))
@@ -511,7 +509,7 @@ class DrivenTrip:
     sums : dict of str to array
         Cumulated since the recording began: work ``traction``, ``dynamic_braking``,
         ``pneumatic_braking`` at the wheel rims and ``supply`` from the line [J], time in motion of
-        ``unknown_effort`` or braking [s]; what is not recorded is missing.
+        ``unknown_traction`` or braking [s]; what is not recorded is missing.
     flags : dict of str to bool array
         ``coasting``, ``full_effort``, ``slip``, ``doubtful`` (position), ``unknown_speed``
         (neither recorded nor bridged before the sample); what is not recorded is missing.
@@ -561,8 +559,7 @@ class DrivenTrip:
 
     def unknown(self, work: str = "traction") -> bool:
         """Whether a work is not known for more than `UNKNOWN_TIME` of the trip."""
-        time = self.sums["unknown_effort" if work == "traction" else f"unknown_{work}"]
-        return bool(time[-1] - time[0] > UNKNOWN_TIME)
+        return bool(np.ptp(self.sums[f"unknown_{work}"]) > UNKNOWN_TIME)
 
     @property
     def drawn_speed(self) -> FloatArray:
@@ -576,7 +573,7 @@ class DrivenTrip:
     @property
     def drawn_work(self) -> FloatArray:
         """Tractive work [J] with breaks (NaN) where no efforts are recorded."""
-        unknown = self.sums["unknown_effort"]
+        unknown = self.sums["unknown_traction"]
         return np.where(np.diff(unknown, prepend=unknown[0]) > 0.0, np.nan, self.sums["traction"])
 
     @property
@@ -585,7 +582,7 @@ class DrivenTrip:
         return float(self.time[-1])
 
     def limit_at(self, position: ArrayLike) -> FloatArray:
-        """Permitted speed [m/s] at each position: the line's over the train, or a lower recorded."""
+        """Permitted speed [m/s] at each position; a recorded limit that is lower counts."""
         stated, recorded = self.permitted(position), self.signals.get("limit")
         if recorded is None:
             return stated
@@ -722,7 +719,7 @@ def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None)
         speed=trajectory.speed_at(row, curve.position),
         stands=tuple(ends),
         distance=float(np.ptp(trajectory.positions)),
-        sums={"traction": work, "unknown_effort": np.zeros(work.size)},
+        sums={"traction": work, "unknown_traction": np.zeros(work.size)},
         flags={} if train is None else {"coasting": idle},
         planned=True,
     )
@@ -770,21 +767,13 @@ class _Reduction:
                 f"trip '{self.bare.name}' never moves: there is nothing to compare",
                 remedy="leave it out",
             )
-        rest = np.zeros(table.time.size)
-        step = np.diff(table.time)
-        listed = []
+        rest, step, listed = np.zeros(table.time.size), np.diff(table.time), list[Stand]()
         for begin, end in stands:
-            if begin >= first and end <= last and begin < end:
+            where, lasts = float(position[begin]), 0.0
+            if first <= begin and end <= last:
                 rest[begin + 1 : end + 1] = step[begin:end]
-            inside = first <= begin and end <= last
-            where = float(position[begin])
-            listed.append(
-                Stand(
-                    where,
-                    float(table.time[end] - table.time[begin]) if inside else 0.0,
-                    station_at(self.line, where),
-                )
-            )
+                lasts = float(table.time[end] - table.time[begin])
+            listed.append(Stand(where, lasts, station_at(self.line, where)))
         kept = slice(first, last + 1)
         time = table.time[kept] - table.time[first]
         standing = np.cumsum(rest[kept])
@@ -796,11 +785,13 @@ class _Reduction:
             name: values[kept] / (1.0 if "supply" in name or "unk" in name else gain)
             for name, values in table.sums.items()
         }
-        if "traction" in sums and sums["unknown_effort"][-1] > 0.5 * (time[-1] - standing[-1]):
-            sums = {name: values for name, values in sums.items() if "supply" in name}
+        works, most = _WORKS.values(), 0.5 * (time[-1] - standing[-1])
+        unknown = [work for work in works if work in sums and sums[f"unknown_{work}"][-1] > most]
+        if "traction" in unknown:
+            unknown = list(works)
             flags = {name: flag for name, flag in flags.items() if name in _OF_MOTION}
-        for name in ("dynamic_braking", "pneumatic_braking"):
-            if name in sums and sums[f"unknown_{name}"][-1] > 0.5 * (time[-1] - standing[-1]):
+        for name in list(sums):
+            if name.removeprefix("unknown_") in unknown:
                 del sums[name]
         return DrivenTrip(
             name=self.bare.name,

@@ -172,6 +172,23 @@ def _slips(trip: Trip) -> int | None:
     return None if onsets is None else len(onsets)
 
 
+def lateness_of(trip: Trip) -> float:
+    """Lateness at the end of a trip that followed a trajectory [s].
+
+    Raises
+    ------
+    LogError
+        If it followed none.
+    """
+    late = _late(trip)
+    if late is None:
+        raise LogError(
+            f"trip '{trip.name}' followed no trajectory: it has no /reference",
+            remedy="give the trips of 'trainlog simulate follow'",
+        )
+    return late
+
+
 def _late(trip: Trip) -> float | None:
     """Lateness at the end of the trip."""
     if REFERENCE.name not in trip:
@@ -237,16 +254,10 @@ def punctuality(followed: Sequence[Given]) -> Punctuality:
     LogError
         If one of them has no reference.
     """
-    late, slips = [], list[int | None]()
+    late, slips = list[float](), list[int | None]()
     for given in followed:
         trip = trip_of(given, [REFERENCE.name, EVENTS.name, TRAIN_SLIP_PROTECTION.name])
-        found = _late(trip)
-        if found is None:
-            raise LogError(
-                f"trip '{trip.name}' followed no trajectory: it has no /reference",
-                remedy="give the trips of 'trainlog simulate follow'",
-            )
-        late.append(found)
+        late.append(lateness_of(trip))
         slips.append(_slips(trip))
     known = [each for each in slips if each is not None]
     acted = sum(known) if len(known) == len(slips) else None

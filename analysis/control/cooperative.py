@@ -594,30 +594,26 @@ class CooperativeController:
         other = self._cost(task, tracking)
         return (shifted, cost) if cost <= other else (tracking, other)
 
+    def _errors(
+        self, task: Task, plan: FloatArray, sensitive: bool = False
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Errors of slip under a plan [m/s], how they change with its levels, and these."""
+        scale = self.locomotive.torque_limit
+        slip, change = predicted(
+            task.state, task.at_work, plan, task.demand.rail, self._loads, task.constants,
+            task.how, sensitive,
+        )  # fmt: skip
+        return slip - task.reference, scale * change, plan.ravel() / scale
+
     def _cost(self, task: Task, plan: FloatArray) -> float:
         """Of a plan by the motion itself, eq. (16); infinite where that leaves the numbers."""
-        slip, _ = predicted(
-            task.state, task.at_work, plan, task.demand.rail, self._loads, task.constants,
-            task.how, False,
-        )  # fmt: skip
-        tuning = self.tuning
-        found = float(
-            tracking_cost(
-                slip - task.reference, task.weights, task.margins,
-                plan.ravel() / self.locomotive.torque_limit, tuning.torque, tuning.slack,
-            )
-        )  # fmt: skip
+        error, _, levels = self._errors(task, plan)
+        weights, tuning = (task.weights, task.margins), self.tuning
+        found = float(tracking_cost(error, *weights, levels, tuning.torque, tuning.slack))
         return found if np.isfinite(found) else np.inf
 
     def _quadratic(self, task: Task, plan: FloatArray) -> Quadratic:
-        slip, change = predicted(
-            task.state, task.at_work, plan, task.demand.rail, self._loads, task.constants,
-            task.how, True,
-        )  # fmt: skip
-        scale = self.locomotive.torque_limit
-        change *= scale
-        error = slip - task.reference
-        levels = plan.ravel() / scale
+        error, change, levels = self._errors(task, plan, sensitive=True)
         hessian, gradient = normal_equations(change, 2.0 * task.weights, error)
         hessian[np.diag_indices_from(hessian)] += 2.0 * self.tuning.torque
         gradient += 2.0 * self.tuning.torque * levels

@@ -23,6 +23,7 @@ from analysis.charts import (
     limit_curve,
     shades,
 )
+from analysis.comparison.groups import lateness_of
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import LogError
@@ -55,13 +56,8 @@ def following_charts(trips: Sequence[Trip]) -> list[Chart]:
     if not trips:
         raise LogError("no trip to draw", remedy="give one that followed a trajectory")
     for trip in trips:
-        if "/reference" not in trip:
-            raise LogError(
-                f"trip '{trip.name}' followed no trajectory: it has no /reference",
-                remedy="give the trips of 'trainlog simulate follow'",
-            )
-    forward = trips[0].metadata.get("direction", "forward") == "forward"
-    line = line_of(trips[0]) if forward else line_of(trips[0]).reversed()
+        lateness_of(trip)  # refuses a trip that followed none
+    line = line_of(trips[0])
     late, error = list[Curve](), list[Curve]()
     for trip in trips:
         off = KMH * (trip["/train/state"]["speed"] - trip["/reference"]["speed"])

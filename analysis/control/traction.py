@@ -224,10 +224,8 @@ class CooperativeTraction:
         if here is None or ahead is None or not np.any(ahead != here[0]):
             return rail, slips
         maxima = np.clip(found.maximum * np.exp(ahead - here[0]), 0.02, 0.9)
-        now, then = (
-            creep_coefficients(np.clip(found.maximum, 0.02, 0.9)),
-            creep_coefficients(maxima),
-        )
+        now = creep_coefficients(np.clip(found.maximum, 0.02, 0.9))
+        then = creep_coefficients(maxima)
         # As much steeper as the rail here is than a rail of its maximum.
         rail *= then / now
         slips *= peak_slips(then) / peak_slips(now)
@@ -235,12 +233,9 @@ class CooperativeTraction:
 
     def _limits(self, speed: float, wanted: float, braking: bool) -> tuple[FloatArray, float]:
         """The most of each motor, and of all together [N m]."""
-        n, radius = self._train.axles.count, self._model.wheel_radius
-        if braking:
-            most = float(self._train.dynamic_braking_effort_limit(speed)) / n
-        else:
-            most = float(self._train.tractive_effort_limit(speed)) / n
-        return np.full(n, most * radius), wanted * radius
+        train, n, radius = self._train, self._train.axles.count, self._model.wheel_radius
+        of = train.dynamic_braking_effort_limit if braking else train.tractive_effort_limit
+        return np.full(n, float(of(speed)) / n * radius), wanted * radius
 
     def _held_back(self, reading: DriveReading) -> float:
         """Force against the train besides running resistance and motors [N]."""

@@ -70,6 +70,8 @@ class AdviceRow:
         When the timetable has it; None where it says nothing.
     speed : float [m/s]
         There.
+    stated : float [m/s]
+        The same as the words of the row before have it.
     permitted : float or None [m/s]
         There, where something is to be done.
     instruction : Instruction or None
@@ -87,6 +89,7 @@ class AdviceRow:
     time: float
     timetable: float | None
     speed: float
+    stated: float
     permitted: float | None
     instruction: Instruction | None
     to_km: float
@@ -167,7 +170,7 @@ class JourneyAdvice(Presented):
                 "time_s": row.time,
                 "clock": self.time(row.time),
                 "timetable_s": row.timetable,
-                "speed_m_s": speed,
+                "speed_m_s": row.stated,
                 "permitted_m_s": row.permitted,
                 "advice": row.words,
                 "target_m_s": row.instruction and row.instruction.stated_target,
@@ -175,7 +178,7 @@ class JourneyAdvice(Presented):
                 "lowest_m_s": row.instruction and row.instruction.lowest,
                 "highest_m_s": row.instruction and row.instruction.highest,
             }
-            for row, speed in zip(self.rows, advised_speeds(self.rows), strict=True)
+            for row in self.rows
         ]
         return {
             "line": self.line.name,
@@ -336,15 +339,20 @@ def _rows(section: Trajectory, departure: float, line: Line) -> Iterator[AdviceR
     rows.sort(key=lambda each: each[1])
     rows = [("departs", first, ends[0], None), *rows, ("arrives", last, ends[1], None)]
     timetable = {"departs": departure, "arrives": departure + section.running_time}
+    asked: Instruction | None = None
     for event, position, station, own in rows:
         time, speed = (
             float(np.interp(position, section.positions, each[section.latest]))
             for each in (section.times, section.speeds)
         )
+        stated = speed
+        if asked is not None and (asked.hold or own is not None):
+            stated = asked.target if own is None else asked.stated_until
+        asked = own or asked
         km = float(in_km(line, position))
         yield AdviceRow(
             event, position, km, station, near(line, [position], _AT_STATION)[0],
-            departure + time, timetable.get(event), speed,
+            departure + time, timetable.get(event), speed, stated,
             permitted=None if own is None else float(limits(position)),
             instruction=own,
             to_km=km if own is None else float(in_km(line, own.end)),
@@ -405,37 +413,15 @@ def stations_table(found: JourneyAdvice) -> WordTable:
     return table
 
 
-def advised_speeds(rows: Sequence[AdviceRow]) -> list[float]:
-    """Speed at the place of each row, as the words of the row before have it [m/s].
-
-    Examples
-    --------
-    >>> advised_speeds([])
-    []
-    """
-    found, asked = list[float](), None
-    for row in rows:
-        speed = row.speed
-        if row.event == "departs":
-            asked = None
-        elif row.instruction is not None and asked is not None:
-            speed = asked.stated_until
-        elif asked is not None and asked.hold:
-            speed = asked.target
-        asked = row.instruction or asked
-        found.append(speed)
-    return found
-
-
 def driver_table(found: JourneyAdvice) -> WordTable:
     """The journey as a driver reads it: kilometre, place, time, what to do."""
     table = new_table("", "km", "where", "time", "speed\n[km/h]", "limit\n[km/h]", "advice")
     begins: AdviceRow | None = None
-    for row, shown in zip(found.rows, advised_speeds(found.rows), strict=True):
+    for row in found.rows:
         if row.event == "departs":
             begins = row
             continue
-        place, words, speed = row.station or row.place, row.words, f"{KMH * shown:.0f}"
+        place, words, speed = row.station or row.place, row.words, f"{KMH * row.stated:.0f}"
         if begins is not None and row.position <= begins.position + JOINS:
             place, words, speed = begins.station or begins.place, f"departs: {words}", ""
         begins = None

@@ -21,6 +21,9 @@ from trainlog.railway.line import in_km
 from trainlog.spans import runs_of
 from trainlog.units import KMH
 
+LETTERS = "TPCHB"
+"""The phases in a trajectory's certificate."""
+
 
 class Phase(IntEnum):
     """Control phases of the robust maximum principle; Cunillera et al. (2022), section 3."""
@@ -34,15 +37,12 @@ class Phase(IntEnum):
     @property
     def letter(self) -> str:
         """The phase as one letter, as a trajectory's certificate lists it."""
-        return "TPCHB"[self]
+        return LETTERS[self]
 
     @property
     def label(self) -> str:
         """The phase in words."""
         return self.name.replace("_", " ").lower()
-
-
-_LETTERS = np.array([phase.letter for phase in Phase], dtype="S1")
 
 
 def phases_by_control(
@@ -122,13 +122,12 @@ def phases_of(trajectory: Trajectory, row: int) -> IntArray:
         raise InputError(
             "the trajectory has no phases", remedy="make it with `trainlog plan`"
         ) from None
-    codes = {phase.letter: int(phase) for phase in Phase}
-    return np.array([codes[letter] for letter in letters], dtype=np.int64)
+    return np.array([LETTERS.index(letter) for letter in letters], dtype=np.int64)
 
 
 def phase_letters(phases: IntArray) -> str:
     """The phases as letters, one a cell."""
-    return _LETTERS[phases].tobytes().decode("ascii")
+    return "".join(LETTERS[phase] for phase in phases.tolist())
 
 
 HELD = 2.0 / KMH
