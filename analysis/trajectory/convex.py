@@ -234,6 +234,17 @@ class ProgramSolution:
     status: str
 
 
+@contextmanager
+def _counted() -> Iterator[None]:
+    """Count the processor time that a program takes."""
+    begun = time.process_time()
+    try:
+        yield
+    finally:
+        _WORKED.set(_WORKED.get() + time.process_time() - begun)
+
+
+@_counted()
 def solve(
     unknowns: Unknowns,
     cost: FloatArray,
@@ -264,24 +275,6 @@ def solve(
     OutOfTimeError
         If no time is left.
     """
-    begun = time.process_time()
-    try:
-        return _solved(unknowns, cost, equal, below, curvature, cones, variable, near, settings)
-    finally:
-        _WORKED.set(_WORKED.get() + time.process_time() - begun)
-
-
-def _solved(
-    unknowns: Unknowns,
-    cost: FloatArray,
-    equal: Rows,
-    below: Rows,
-    curvature: sp.csc_array | None,
-    cones: Sequence[Any],
-    variable: cp.Variable | None,
-    near: FloatArray | None,
-    settings: dict[str, float] | None,
-) -> ProgramSolution:
     # PIQP cannot be stopped, Clarabel can.
     if time_left() <= (0.0 if cones else _PACE.get() * unknowns.size):
         raise OutOfTimeError
