@@ -15,7 +15,7 @@ from trainlog.errors import InputError
 from trainlog.formats.declared import file_content, read_thing, write_thing
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
-from trainlog.railway import Journey, Line, TimingPoint, Train
+from trainlog.railway import Line, Train
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,21 +90,3 @@ def test_a_network_in_place_of_a_line_asks_for_a_route(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"name a route of the network: '.*json#FROM,TO'"):
         read_line(file)
     refused(InputError, "check which file is meant", read_train, file)
-
-
-def test_a_journey_is_shown_by_its_places() -> None:
-    points = (
-        TimingPoint(0.0, earliest=0.0, latest=0.0, highest_speed=0.0),
-        TimingPoint(5_000.0, earliest=240.0, lowest_speed=10.0),
-        TimingPoint(8_000.0, earliest=620.0, latest=680.0, highest_speed=0.0),
-        TimingPoint(8_000.0, latest=840.0, highest_speed=0.0),
-        TimingPoint(9_000.0, highest_speed=20.0),
-    )
-    assert repr(Journey("shuttle", "A - B", points)).splitlines() == [
-        "Journey 'shuttle'",
-        "  line      A - B",
-        "  km 0.000  stands at 0:00 min",
-        "  km 5.000  from 4:00 min, at least 36 km/h",
-        "  km 8.000  stands 10:20 to 11:20 min, then stands by 14:00 min",
-        "  km 9.000  at any time, at most 72 km/h",
-    ]

@@ -74,13 +74,14 @@ SURVIVING: dict[str, tuple[st.SearchStrategy[Any], Callable[..., bytes], Callabl
     "parameters": (PARAMETER_SETS, thing_to_bytes, partial(thing_from_bytes, ParameterSet)),
     "trajectory": (trajectories(), thing_to_bytes, partial(thing_from_bytes, Trajectory)),
 }
+TOML: dict[str, Callable[..., Any]] = {"line": write_line, "train": write_train}
 
 
 @pytest.mark.parametrize("kind", SURVIVING)
 @quick
 @given(data=st.data())
 def test_what_is_written_survives_and_results_to_the_last_bit(
-    kind: str, data: st.DataObject
+    kind: str, data: st.DataObject, tmp_path: Path
 ) -> None:
     drawn, write, read = SURVIVING[kind]
     thing = data.draw(drawn)
@@ -88,6 +89,11 @@ def test_what_is_written_survives_and_results_to_the_last_bit(
     found = read(written)
     assert_same(found, thing, *() if kind in ("parameters", "trajectory") else (ROUNDING,))
     assert write(found) == written
+    if kind in TOML:
+        TOML[kind](thing, tmp_path / "a.toml")
+        again = read((tmp_path / "a.toml").read_bytes(), file="a.toml")
+        assert_same(again, thing, ROUNDING)
+        assert write(again) == written
 
 
 @quick

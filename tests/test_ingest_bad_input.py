@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
-from ingest_logs import clean_run, plain_profile, plain_rows, plain_text, ublox, write
+from ingest_logs import clean_run, plain_profile, plain_rows, plain_text, write
 
 from trainlog.errors import InputError
 from trainlog.formats.samples import sample
@@ -169,51 +167,3 @@ def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path: Path) -> None:
         complete = whole[:end].count(b"\n") - 1
         assert complete <= report_of(trip).rows_read <= complete + 1
         assert complete <= len(trip["/train/state"]) <= complete + 1
-
-
-@settings(max_examples=60, suppress_health_check=list(HealthCheck))
-@given(st.data())
-def test_random_damage_never_gives_anything_but_our_error(
-    tmp_path: Path, data: st.DataObject
-) -> None:
-    kind = data.draw(st.sampled_from(["csv", "ublox", "parquet"]))
-    ticks = np.arange(60)
-    if kind == "parquet":
-        sink = pa.BufferOutputStream()
-        pa.parquet.write_table(pa.table({"t": ticks, "v": ticks / 7, "s": ticks * 1.0}), sink)
-        good = sink.getvalue().to_pybytes()
-    elif kind == "ublox":
-        good = ublox(ticks // 5, ticks / 5).text().encode()
-    else:
-        good = plain_text(clean_run(60, 0.5).rows()).encode()
-    damaged = bytearray(good)
-    for _ in range(data.draw(st.integers(1, 12))):
-        start = data.draw(st.integers(0, len(damaged) - 1))
-        what = data.draw(st.sampled_from(["flip", "cut", "copy", "fill"]))
-        length = data.draw(st.integers(1, 40))
-        if what == "flip":
-            damaged[start] ^= data.draw(st.integers(1, 255))
-        elif what == "cut":
-            del damaged[start : start + length]
-        elif what == "copy":
-            damaged[start:start] = damaged[start : start + length]
-        else:
-            fill = data.draw(st.sampled_from([b"\0", b",", b"\n", b'"', b"9", b"-", b"e", b"#"]))
-            damaged[start : start + length] = fill * len(damaged[start : start + length])
-        if not damaged:
-            damaged = bytearray(b"x")
-    path = tmp_path / "run.dat"
-    path.write_bytes(damaged)
-    time = {"column": "t", "format": "elapsed", "start": "2024-05-01T00:00:00Z"}
-    profile = plain_profile(time=time) if kind == "parquet" else plain_profile()
-    complaint = None
-    try:
-        trip = ingest(path, profile=profile, format=kind)
-    except InputError as error:
-        complaint = str(error)
-    if complaint is None:
-        report = report_of(trip)
-        assert 2 <= report.rows_kept <= report.rows_read
-    else:
-        assert complaint.startswith(str(path))
-        assert "\n" not in complaint

@@ -263,6 +263,3 @@ def test_quantised_columns_are_reported_with_their_step(
     assert stated == pytest.approx(step, rel=0.01)
     assert np.abs(trip["/train/state"]["speed"] - run.speed).max() <= 0.5 * stated + 0.002
     assert len(repairs_of(trip)) == 0, "nothing was changed"
-
-
-# ------------------------------------------------------------------ everything at once

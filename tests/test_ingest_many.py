@@ -22,8 +22,6 @@ from trainlog.ingest import Ingested, ingest_all
 from trainlog.ingest.batch import files_of
 from trainlog.mcap import read_log, write_log
 
-SHARED = Path(__file__).parents[2] / "shared" / "data"
-
 
 def states(result: Ingested) -> dict[str, str]:
     return {each.recording or each.file.name: each.state for each in result.outcomes}
@@ -278,18 +276,3 @@ def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path: Path) -> None:
     assert all(log.name in shown for log in finished[:-1])
     for log in finished:
         assert len(read_log(log)["/gnss/fix"]) > 1_500
-
-
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the public data are not beside the checkout")
-def test_public_recordings_in_one_call(tmp_path: Path) -> None:
-    folders = [SHARED / name for name in ("aalto", "eth_localization", "foreign_mcap")]
-    result = ingest_all(folders, tmp_path)
-    found = {each.file.name: each.state for each in result.outcomes if not each.recording}
-    assert sum(each.file.name == "device_data.csv" for each in result.outcomes) == 73
-    assert found["manual_log.csv"] == "passed_over", "it was read with device_data.csv"
-    assert found["device_models.csv"] == "refused"
-    assert found["20221019_1217_R90121_Modena_SN1_sample.csv"] == "made"
-    assert found["rosbag2_py_test_resources_mcap_talker_talker.mcap"] == "made"
-    assert result.counts["refused"] == 3
-    assert len(list(tmp_path.glob("*.mcap"))) == 77
-    assert ingest_all(folders, tmp_path).counts["unchanged"] == 77

@@ -5,15 +5,25 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 import test_ingest_aalto as phones
 import test_ingest_mdf as measured
+from ingest_logs import clean_run, plain_profile, plain_text, ublox
 from recorder_files import drive, gpx_text, hexlines, mtk, nmea_lines
 
 from trainlog.errors import TrainlogError
 from trainlog.ingest import ingest_each, repairs_of, report_of
 
-FILLS = (b"\0", b",", b"\n", b'"', b"9", b"-", b"e", b"<")
+FILLS = (b"\0", b",", b"\n", b'"', b"9", b"-", b"e", b"<", b"#")
+TIME = {"column": "t", "format": "elapsed", "start": "2024-05-01T00:00:00Z"}
+PROFILES = {
+    "mdf": measured.profile({"/train/state.speed": {"column": "v"}}),
+    "csv": plain_profile(),
+    "parquet": plain_profile(time=TIME),
+}
 
 
 def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
@@ -27,7 +37,14 @@ def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
         samples = [measured.signal(measured.speed(measured.SLOW), measured.SLOW, "v", "km/h")]
         path = measured.measured(folder / "run.mf4", groups=[samples])
         return path, path.read_bytes()
+    ticks = np.arange(60)
+    if kind == "parquet":
+        sink = pa.BufferOutputStream()
+        pa.parquet.write_table(pa.table({"t": ticks, "v": ticks / 7, "s": ticks * 1.0}), sink)
+        return folder / "run.dat", sink.getvalue().to_pybytes()
     text = {
+        "csv": plain_text(clean_run(60, 0.5).rows()),
+        "ublox": ublox(ticks // 5, ticks / 5).text(),
         "gpx": gpx_text(run),
         "nmea": "\n".join(nmea_lines(run)),
         "hexlines": hexlines(0, 8, 20).text,
@@ -53,21 +70,20 @@ def damaged(draw: random.Random, data: bytes) -> bytes:
     return bytes(found)
 
 
-@pytest.mark.parametrize("kind", ["gpx", "nmea", "hexlines", "mtk", "aalto", "mdf"])
+@pytest.mark.parametrize("kind", ["gpx", "nmea", "hexlines", "mtk", "aalto", *PROFILES, "ublox"])
 def test_damage_gives_trips_or_our_error(tmp_path: Path, kind: str) -> None:
     path, data = whole(kind, tmp_path)
     draw = random.Random(kind)
-    profile = measured.profile({"/train/state.speed": {"column": "v"}}) if kind == "mdf" else None
     for _ in range(8 if kind == "mdf" else 20):
         path.write_bytes(damaged(draw, data))
         message, trips = "", []
         try:
-            trips.extend(ingest_each(path, format=kind, profile=profile))
+            trips.extend(ingest_each(path, format=kind, profile=PROFILES.get(kind)))
         except TrainlogError as error:
             message = str(error)
         assert message.startswith(str(path.parent)) if message else trips
         assert "\n" not in message
         for trip in trips:
             report = report_of(trip)
-            assert 0 < report.rows_kept <= report.rows_read
+            assert 2 <= report.rows_kept <= report.rows_read
             assert len(repairs_of(trip)) == report.raw_kept

@@ -90,6 +90,8 @@ def test_numbered_trips_become_logs_with_their_load_and_weather(tmp_path: Path) 
         assert float(trip.metadata["load"]) == run.payload
         assert trip.metadata["weather"] == {"trocken": "dry", "nass": "wet"}[run.weather]
         assert np.ptp(trip["/train/state"].position) == pytest.approx(run.stops[-1], abs=0.2)
+        # A quantity without a field is kept.
+        assert trip["/recorded/other"]["oil_level"].max() == pytest.approx(0.046)
     # No row of the file is lost between the trips.
     assert sum(each.report.rows_read for each in result.outcomes if each.report) == sum(
         len(driven(run)[0]) for run in RUNS
@@ -129,15 +131,6 @@ def test_a_clock_that_leaps_while_the_train_runs_parts_no_trip(tmp_path: Path) -
     file = written(tmp_path, "\n".join([*text[:180], *late]))
     result = ingest_all(file, tmp_path / "logs", propose_profile(file).profile)
     assert len(result.outcomes) == 1
-
-
-def test_a_quantity_without_a_field_is_kept(tmp_path: Path) -> None:
-    file = written(tmp_path, table(RUNS[:1]))
-    profile = propose_profile(file).profile
-    trip = ingest(file, profile)
-    assert "/recorded/other" in trip
-    assert trip["/recorded/other"]["oil_level"].max() == pytest.approx(0.046)
-    assert trip.metadata["load"] == "9400"
 
 
 def test_a_load_that_changes_within_a_trip_is_not_used(tmp_path: Path) -> None:

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 from refusals import refused
 
 import analysis
@@ -21,7 +19,6 @@ from trainlog.condition import estimated
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.condition import (
-    ADHESION_CLASSES,
     AdhesionEstimate,
     ConditionChange,
     ConditionLayer,
@@ -119,31 +116,6 @@ def test_the_default_time_is_right_after_the_last_evidence(track: TrackCondition
     assert naive.at == AT
     assert "Passing spots" in naive._repr_html_()
     assert "expected at 2024-10-09 06:00 UTC" in repr(naive)
-
-
-def words_of(figure: Figure) -> set[str]:
-    """All texts of a figure, its legends and titles among them."""
-    return {each.get_text() for each in figure.findobj(Text) if each.get_text()}
-
-
-def test_the_picture_names_stations_and_dates_and_what_is_unknown(
-    track: TrackConditionMap, line: Line
-) -> None:
-    texts = words_of(track.plot(line=line, at=AT))
-    assert {station.name for station in line.stations} <= texts
-    assert f"2024-10-07, {SPOT.alive(AT):.0%}" in texts
-    assert "changed 2024-10-06" in texts
-    assert {"not observed", "passing spot", "lasting change", *ADHESION_CLASSES} <= texts
-    later = AT + pd.Timedelta("30D")
-    figure = track.plot(line=line, at=later, part=(9e3, 12e3))
-    texts = words_of(figure)
-    # The spot is gone; the change, and all stations but one, are elsewhere.
-    assert "Gossau SG" in texts
-    assert "passing spot, gone" in texts
-    assert not {"Uzwil", "changed 2024-10-06"} & texts
-    assert not any("2024-10-07" in text for text in texts)
-    assert figure.axes[0].get_xlim() == (9.0, 12.0)
-    refused(InputError, "the map is of line", track.plot, line=replace(line, name="elsewhere"))
 
 
 @pytest.mark.usefixtures("unpainted")

@@ -131,11 +131,3 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
 def test_a_configuration_with_negative_resistance_is_refused() -> None:
     with pytest.raises(InputError, match="running resistance is negative at"):
         Configuration("c", 1e5, 1e4, RunningResistance(1000.0, -200.0, 0.1), 1e6)
-
-
-def test_reversing_twice_changes_nothing() -> None:
-    twice = LINE.reversed().reversed()
-    assert twice.speed_limits == LINE.speed_limits
-    assert twice.gradients == LINE.gradients
-    assert twice.stations == LINE.stations
-    assert twice.tunnels == LINE.tunnels

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
-from tests.mcap_trips import START, frames, trip_of, trips
+from tests.mcap_trips import START, frames, trip_of
 from trainlog.errors import InputError, LogError
 from trainlog.resampling import interpolated, joined, regular_clock, resampled, resampled_frame
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, column_field
@@ -200,13 +200,3 @@ def test_a_longest_gap_that_is_no_positive_number_is_refused(wrong: Any) -> None
     refused(InputError, "max_gap is", resampled, two_topics(), 0.5, max_gap=wrong)
     with pytest.raises(InputError, match="max_gap is"):
         joined(two_topics(), ["/train/state.speed"], on=0.5, max_gap=wrong)
-
-
-@settings(max_examples=30)
-@given(trips())
-def test_resampling_twice_to_one_clock_changes_nothing_more(trip: Trip) -> None:
-    times = clock(0.0, 1.0, 2.5)
-    once = resampled(trip, times, max_gap=None)
-    twice = resampled(once, times, max_gap=None)
-    for name, frame in once.topics.items():
-        pd.testing.assert_frame_equal(frame, twice[name], check_exact=True)

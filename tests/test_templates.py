@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_examples import TRAINS, assert_same, lines
+from format_examples import assert_same
 from hypothesis import HealthCheck, given, settings, strategies as st
 from refusals import refused
 
@@ -14,16 +14,11 @@ from trainlog.declaration import entries, example, meanings
 from trainlog.errors import InputError
 from trainlog.formats import railway as templates
 from trainlog.formats.railway import (
-    line_from_bytes,
-    line_to_bytes,
     read_journey,
     read_line,
     read_line_table,
     read_train,
-    train_from_bytes,
-    write_line,
     write_template,
-    write_train,
 )
 from trainlog.ingest import ingest, read_profile
 from trainlog.railway import Line, Train
@@ -118,24 +113,6 @@ def test_a_train_is_not_made_from_a_table(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------ TOML equals JSON
-
-
-@quick
-@given(lines())
-def test_lines_in_toml(tmp_path: Path, line: Line) -> None:
-    write_line(line, tmp_path / "a.toml")
-    data = (tmp_path / "a.toml").read_bytes()
-    found = line_from_bytes(data, file="a.toml")
-    assert_same(found, line, ROUNDING)
-    assert line_to_bytes(found) == line_to_bytes(line)
-
-
-@quick
-@given(TRAINS)
-def test_trains_in_toml(tmp_path: Path, train: Train) -> None:
-    write_train(train, tmp_path / "a.toml")
-    found = train_from_bytes((tmp_path / "a.toml").read_bytes(), file="a.toml")
-    assert_same(found, train, ROUNDING)
 
 
 # ------------------------------------------------------------------ a line from a table

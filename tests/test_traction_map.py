@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from map_bytes import map_from_bytes
 from refusals import refused
 from rich.console import Console
@@ -21,7 +21,6 @@ from analysis.adhesion.condition_map import (
     UpdatedMap,
     adhesion_map,
     empty_map,
-    merge,
     recording_of,
     update,
 )
@@ -32,7 +31,6 @@ from estimators.condition_field import Prior, common_std, onset_std
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.mapfile import MapFile, map_to_bytes
-from trainlog.mcap import write_log
 from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence, fixed
@@ -151,37 +149,11 @@ class TestBounds:
 
 
 class TestMerging:
-    @settings(max_examples=3)
-    @given(st.permutations(range(6)), st.lists(st.integers(0, 6), min_size=2, max_size=2))
-    def test_any_order_and_grouping_gives_the_same_bytes(
-        self, order: list[int], cuts: list[int]
-    ) -> None:
-        pieces = [piece(i, ("dry", "wet")[i % 2]) for i in range(6)]
-        together, _ = update(empty_map(LINE), pieces)
-        shuffled = [pieces[i] for i in order]
-        a, b = sorted(cuts)
-        groups = [shuffled[:a], shuffled[a:b], shuffled[b:]]
-        one_by_one = empty_map(LINE)
-        for group in groups:
-            one_by_one, skipped = update(one_by_one, group)
-            assert skipped == ()
-        apart = [update(empty_map(LINE), group)[0] for group in groups]
-        merged = merge(merge(apart[0], apart[2]), apart[1])
-        expected = map_to_bytes(together)
-        assert map_to_bytes(one_by_one) == expected
-        assert map_to_bytes(merged) == expected
-
     def test_the_same_log_is_counted_once_and_reported(self) -> None:
         first, _ = update(empty_map(LINE), [piece(1)])
         again, skipped = update(first, [replace(piece(1), trip="renamed"), piece(2), piece(2)])
         assert skipped == ("renamed", "trip-2")
         assert map_to_bytes(again) == map_to_bytes(update(first, [piece(2)])[0])
-
-    def test_maps_that_share_a_trip_cannot_be_merged(self) -> None:
-        first, _ = update(empty_map(LINE), [piece(1), piece(2)])
-        second, _ = update(empty_map(LINE), [piece(2), piece(3)])
-        with pytest.raises(InputError, match=r"has trip .trip-2. in its sums, and so"):
-            merge(first, second)
 
 
 class TestObserved:
@@ -219,18 +191,6 @@ def trip() -> Trip:
 
 
 class TestTrips:
-    def test_logs_become_a_map(self, trip: Trip, tmp_path: Path) -> None:
-        write_log(trip, tmp_path / "a.mcap")
-        found = adhesion_map([tmp_path / "a.mcap"])
-        track = found.track
-        assert found.skipped == ()
-        assert track.line == "hilly"
-        assert track.layer("dry").events.sum() > 0
-        again = adhesion_map(tmp_path, track)
-        assert again.skipped == (trip.name,)
-        assert map_to_bytes(again.track) == map_to_bytes(track)
-        assert trip.name in repr(again)
-
     def test_evidence_of_a_trip_is_one_entry_a_bin(self, trip: Trip) -> None:
         found = evidence(trip, empty_map(hilly_line()))
         events = found.daily.by_bin("events")
@@ -239,13 +199,6 @@ class TestTrips:
         assert found.daily.weight.max() <= SETTINGS["trip_std"] ** -2
         assert (found.daily.weight > 0).sum() == (events > 0).sum()
         assert (found.daily.trips == 1).all()
-
-    def test_a_log_without_axles_is_refused_by_name(self, trip: Trip, tmp_path: Path) -> None:
-        topics = {n: f for n, f in trip.topics.items() if n != "/train/axles"}
-        write_log(replace(trip, topics=topics), tmp_path / "b.mcap")
-        with pytest.raises(LogError, match=r"b\.mcap: .* no topic /train/axles") as refused:
-            adhesion_map([tmp_path / "b.mcap"])
-        assert refused.value.file == tmp_path / "b.mcap"
 
 
 class TestWhatRecordersLack:
