@@ -14,22 +14,26 @@ from trainlog.ingest import Profile, profile_of
 START = pd.Timestamp("2024-05-01T06:00:00Z").value
 SECOND = 1_000_000_000
 
+HEAD = {"format": "trainlog/recorder-profile", "version": 1, "name": "plain"}
 PLAIN = {
-    "format": "trainlog/recorder-profile",
-    "version": 1,
-    "name": "plain",
+    **HEAD,
     "time": {"column": "t"},
     "columns": {
         "/train/state.speed": {"column": "v", "unit": "m/s"},
         "/train/state.position": {"column": "s", "unit": "m"},
     },
 }
-"""A profile for the files that `plain_csv` writes."""
+"""A profile for the files that `write` writes."""
 
 
 def plain_profile(**sections: object) -> Profile:
     """`PLAIN` with sections added or replaced."""
     return profile_of({**PLAIN, **sections})
+
+
+def profile(columns: object, **sections: object) -> Profile:
+    """A profile of these columns, by field, and other sections."""
+    return profile_of({**HEAD, "columns": columns, **sections})
 
 
 def plain_text(rows: list[str], header: str = "t,v,s") -> str:

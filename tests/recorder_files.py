@@ -197,9 +197,6 @@ def mtk_frozen(seed: int, rows: int = 7318) -> Recorded:
     return Recorded(text, run, {"frozen": rows - 1})
 
 
-# ------------------------------------------------------------------ NMEA
-
-
 def checked(body: str) -> str:
     """An NMEA sentence with its checksum."""
     total = 0
@@ -239,9 +236,6 @@ def nmea_lines(
         }
         lines += [checked(sentences[kind]) for kind in kinds]
     return lines
-
-
-# ------------------------------------------------------------------ hex lines
 
 
 def ubx(kind: bytes, payload: bytes) -> bytes:

@@ -147,9 +147,6 @@ def errors(estimate: pd.DataFrame, truth: pd.DataFrame, name: str) -> tuple[np.n
     return stated[0] - np.interp(at, known, truth[name]), stated[1]
 
 
-# --- Receivers whose errors no estimator assumes ------------------------------------------------
-
-
 def valley() -> Geometry:
     """Up a valley's side: winding, a hairpin with tracks 40 m apart, and a loop over itself."""
     s = np.arange(0.0, 26_000.0, 5.0)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ingest_logs import HEAD
 from satellite_trips import Receiver, curve_of, drive, errors, winding
 
 from analysis.geometry.centre_line import CentreLine, geometry_of, line_of
@@ -17,7 +18,7 @@ from trainlog.railway import Geometry
 from trainlog.railway.geometry import beside, nearest_on, track_of
 from trainlog.trip import Trip
 
-PLAIN = profile_of({"format": "trainlog/recorder-profile", "version": 1, "name": "plain"})
+PLAIN = profile_of(HEAD)
 
 
 def trips(count: int, track: Geometry | None = None, **options: object) -> list[Trip]:
@@ -40,6 +41,13 @@ def across(centre_line: CentreLine, track: Geometry) -> np.ndarray:
     true = track_of(track)
     points = true.plane(centre_line.latitude, centre_line.longitude)
     return beside(true, points, nearest_on(true, points)[0])[1]
+
+
+def of_rows(trip: Trip, rows: slice | np.ndarray) -> Trip:
+    frames = {name: frame.iloc[rows] for name, frame in trip.topics.items()}
+    for name, frame in frames.items():
+        frame.attrs = trip[name].attrs
+    return Trip(frames, trip.metadata)
 
 
 @pytest.fixture(scope="module")
@@ -106,10 +114,7 @@ def test_stretches_without_fixes_are_reported() -> None:
             truth["position"],
         )
         seen = (at < 4_000.0) | (at > 5_000.0)
-        frames = {name: frame[seen] for name, frame in trip.topics.items()}
-        for name, frame in frames.items():
-            frame.attrs = trip[name].attrs
-        found.append(Trip(frames, trip.metadata))
+        found.append(of_rows(trip, seen))
     centre_line = geometry_of(found)
     ((begin, end),) = centre_line.unsupported
     assert abs(begin - 4_200.0) < 60.0
@@ -124,11 +129,7 @@ def test_trips_over_parts_of_a_line_are_put_together() -> None:
     parts = []
     for trip, share in zip(whole, (slice(0, 0.7), slice(0.3, 1.0)), strict=True):
         count = len(trip["/gnss/fix"])
-        rows = slice(int(share.start * count), int(share.stop * count))
-        frames = {name: frame.iloc[rows] for name, frame in trip.topics.items()}
-        for name, frame in frames.items():
-            frame.attrs = trip[name].attrs
-        parts.append(Trip(frames, trip.metadata))
+        parts.append(of_rows(trip, slice(int(share.start * count), int(share.stop * count))))
     centre_line = geometry_of(parts)
     assert abs(centre_line.length - 12_000.0) < 30.0
     assert len(centre_line.used) == 2

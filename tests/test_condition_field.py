@@ -48,26 +48,16 @@ def day(number: int) -> pd.Timestamp:
     return pd.Timestamp(0, tz="UTC") + pd.Timedelta(days=DAY + number, hours=6)
 
 
-@pytest.fixture(scope="module")
-def visited() -> ConditionLayer:
-    """Thirty days of trips that bear 0.15; on the last three days a spot of 0.07 in three bins."""
-    pieces = [calm(DAY + number, 0.15) for number in range(27)]
-    return layer_of(pieces + [met(DAY + number, 40, 0.07, 0.15) for number in range(27, 30)])
-
-
 class TestWhatPasses:
-    def test_a_spot_does_not_become_the_lasting_condition(self, visited: ConditionLayer) -> None:
+    def test_a_spot_has_its_place_and_days_and_is_not_the_lasting_condition(self) -> None:
+        """Thirty days of trips that bear 0.15; on the last three a spot of 0.07 in three bins."""
+        pieces = [calm(DAY + number, 0.15) for number in range(27)]
+        visited = layer_of(pieces + [met(DAY + n, 40, 0.07, 0.15) for n in range(27, 30)])
         assert np.all(visited.quantile(0.5)[40:43] > 0.14)
-
-    def test_yesterday_counts_and_last_month_hardly(self, visited: ConditionLayer) -> None:
-        soon = visited.expected(day(30)).below(0.1)[41]
-        late = visited.expected(day(75)).below(0.1)[41]
-        elsewhere = visited.expected(day(30)).below(0.1)[80]
-        assert soon > 0.3
-        assert late < 0.1
-        assert elsewhere < 0.1
-
-    def test_the_spot_has_its_place_and_its_days(self, visited: ConditionLayer) -> None:
+        # Yesterday counts, last month hardly.
+        assert visited.expected(day(30)).below(0.1)[41] > 0.3
+        assert visited.expected(day(75)).below(0.1)[41] < 0.1
+        assert visited.expected(day(30)).below(0.1)[80] < 0.1
         (spot,) = visited.spots
         assert (spot.start, spot.end) == (1000.0, 1075.0)
         assert (spot.first - DAY, spot.last - DAY) == (27, 29)

@@ -101,9 +101,6 @@ def test_censored_values_do_not_bend_the_observed_shares() -> None:
     assert np.all(np.diff(trips) <= 0.0)
 
 
-# ------------------------------------------------------------------ demand and references
-
-
 def evidence(day: int, met: dict[int, float], used: dict[int, int]) -> DailyEvidence:
     weight, log, levels = np.zeros(BINS), np.zeros(BINS), np.zeros((BINS, LEVELS.size))
     for place, value in met.items():
@@ -128,9 +125,6 @@ def test_demand_leaves_out_the_day_and_spreads_what_slipped_over_higher_demands(
     # Whether a trip slips on a day does not change the demand by which it is scored.
     changed = Demand([evidence(1, {0: 0.05, 1: 0.05}, {}), *days[1:]], LEVELS)
     np.testing.assert_array_equal(shares, changed.without(1, np.array([0, 1, 2])))
-
-
-# --------------------------------------------------- rails that the forecasters do not know
 
 
 @dataclass(frozen=True, eq=False)

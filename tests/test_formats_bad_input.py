@@ -111,16 +111,6 @@ def test_another_format_a_newer_version_and_an_unknown_key_are_reported(kind: st
 
 
 @pytest.mark.parametrize("kind", GOOD)
-def test_every_truncation_is_refused_in_one_line(kind: str) -> None:
-    data, read = GOOD[kind]
-    for end in range(0, len(data) - 2, 7):
-        with pytest.raises(InputError) as caught:
-            read(data[:end], file="f.json")
-        assert str(caught.value).startswith("f.json")
-        assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("kind", GOOD)
 @pytest.mark.parametrize("content", [b"[]", b"3", b'"text"', b"null", b'{"a": 1}'])
 def test_other_json_is_refused(kind: str, content: bytes) -> None:
     with pytest.raises(InputError, match=r"^f\.json: is not a trainlog/"):
@@ -142,7 +132,8 @@ def test_no_wrong_value_anywhere_makes_a_traceback(kind: str) -> None:
         return found
 
     for index in range(len(places(json.loads(data)))):
-        for nonsense in ("x", None, [], {}, -7, True, 1e308, [[1]], {"value": 1}):
+        # Three of nine, in turn.
+        for nonsense in ("x", None, [], {}, -7, True, 1e308, [[1]], {"value": 1})[index % 3 :: 3]:
             content = json.loads(data)
             parent, key = places(content)[index]
             parent[key] = nonsense
@@ -253,13 +244,6 @@ def test_nonsense_is_refused_at_its_place(kind: str, path: str, value: Any, mess
     assert complaint.startswith(message), complaint
 
 
-@pytest.mark.parametrize("number", [b"NaN", b"Infinity", b"-Infinity"])
-def test_numbers_that_json_has_not_are_refused(number: bytes) -> None:
-    data = GOOD["train"][0].replace(b"122", number)
-    with pytest.raises(InputError, match=rf"^f\.json, line 6, column 21: {number.decode()} is not"):
-        train_from_bytes(data, file="f.json")
-
-
 def test_a_number_too_large_for_a_double_is_refused() -> None:
     data = GOOD["train"][0].replace(b"122", b"1e999")
     with pytest.raises(InputError, match=r"^f\.json, mass\.value: is not a finite number"):
@@ -272,9 +256,6 @@ def test_unknown_braking_parameters_are_not_dropped_when_written() -> None:
     train = replace(simple_train(), braking_curves=BrakingCurves(parameters={"T_new": 1.0}))
     with pytest.raises(InputError, match="parameter 'T_new' is not known, so its unit is not"):
         train_to_bytes(train)
-
-
-# ------------------------------------------------------------------ all at once
 
 
 def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path: Path) -> None:
@@ -301,8 +282,6 @@ def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path: Path) -> None
     assert str(caught.value).startswith(f"{path}: 5 problems: (1) colour: unknown key 'colour'; ")
     assert "\n" not in str(caught.value)
 
-
-# ------------------------------------------------------------------ what cannot be meant
 
 TRAINS_FOUND = {
     "mass": (122, "kg", "mass: 0.122 t is not plausible: trains have 5 to 20000 t; were t meant"),

@@ -61,7 +61,7 @@ from trainlog.trip import Trip
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
-quick = settings(max_examples=25)
+quick = settings(max_examples=15)
 ROUNDING = 5e-14
 """Values that no number in the file's unit gives exactly keep 14 significant digits."""
 

@@ -15,18 +15,13 @@ from trainlog.errors import InputError
 from trainlog.ingest import Profile, ingest, repairs_of, report_of
 from trainlog.trip import Trip
 
-FILES = settings(
-    max_examples=25,
-)
+FILES = settings(max_examples=25)
 
 
 def read(tmp_path: Path, rows: list[str], header: str, profile: Profile | None = None) -> Trip:
     path = tmp_path / "run.csv"
     path.write_text(plain_text(rows, header), "utf-8")
     return ingest(path, profile=profile or plain_profile())
-
-
-# ------------------------------------------------------------------ empty cells
 
 
 @FILES
@@ -76,9 +71,6 @@ def plain_columns() -> dict[str, object]:
         "/train/state.speed": {"column": "v", "unit": "m/s"},
         "/train/state.position": {"column": "s", "unit": "m"},
     }
-
-
-# ------------------------------------------------------------------ rows that do not fit
 
 
 def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:

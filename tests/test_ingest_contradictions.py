@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from ingest_logs import plain_profile
 from satellite_trips import winding
 from scipy.integrate import cumulative_trapezoid
 from simulated_line import flirt, hilly_line
@@ -19,7 +20,6 @@ from trainlog.ingest import (
     Profile,
     ingest,
     ingest_all,
-    profile_of,
     propose_profile,
     repairs_of,
     report_of,
@@ -39,8 +39,7 @@ COLUMNS = {
 
 
 def profile(**sections: object) -> Profile:
-    head = {"format": "trainlog/recorder-profile", "version": 1, "name": "odometer and receiver"}
-    return profile_of({**head, "time": {"column": "t"}, "columns": COLUMNS, **sections})
+    return plain_profile(columns=COLUMNS, **sections)
 
 
 @pytest.fixture(scope="module", params=["forward", "reverse"])
@@ -77,10 +76,11 @@ def error_of(trip: Trip, truth: Trip) -> pd.Series:
     return position - truth["/truth"]["position"].reindex(position.index)
 
 
-# ------------------------------------------------------------------ an odometer against the fixes
-
-
-@pytest.mark.parametrize("offset", [7_000.0, -7_000.0, 150.0])
+@pytest.mark.parametrize(
+    ("driven", "offset"),
+    [("forward", 7_000.0), ("reverse", -7_000.0), ("forward", 150.0)],
+    indirect=["driven"],
+)
 def test_a_constant_offset_of_the_odometer_is_put_back(
     driven: Trip, tmp_path: Path, offset: float
 ) -> None:
@@ -123,9 +123,6 @@ def test_positions_that_contradict_by_no_constant_offset_are_absent(
     assert "none of it is used" in " ".join(report_of(most).lines())
 
 
-# ------------------------------------------------------------------ the direction
-
-
 def test_fixes_give_the_direction_that_nothing_states(driven: Trip, tmp_path: Path) -> None:
     path, truth = recorded(driven, tmp_path), driven.metadata["direction"]
     trip = ingest(path, profile(), line=LINE)
@@ -148,22 +145,6 @@ def test_a_stated_direction_that_the_fixes_contradict_is_refused(
             ingest(path, profile(repair={"direction": False}), line=LINE)
 
 
-# ------------------------------------------------------------------ the load
-
-
-@pytest.mark.parametrize("driven", ["forward"], indirect=True)
-@pytest.mark.parametrize(("load", "likely"), [("11.7", "were t meant"), ("900000", "900 t")])
-def test_a_load_that_cannot_be_meant_is_refused(
-    driven: Trip, tmp_path: Path, load: str, likely: str
-) -> None:
-    path = recorded(driven, tmp_path)
-    with pytest.raises(InputError, match=rf"{float(load) / 1e3:g} t is not plausible") as refused:
-        ingest(path, profile(), train=TRAIN, metadata={"load": load})
-    assert likely in str(refused.value)
-    with pytest.raises(InputError, match="is not plausible"):
-        ingest(path, profile(metadata={"load": load}), train=TRAIN)
-
-
 def test_a_load_may_be_given_in_tonnes() -> None:
     stated = pairs(["load=11.7t"])
     assert stated == pairs(["load=11700kg"]) == {"load": "11700"}
@@ -173,9 +154,6 @@ def test_a_load_may_be_given_in_tonnes() -> None:
         pairs(["load=11.7"])
     with pytest.raises(InputError, match="load '3km' is not a valid mass"):
         pairs(["load=3km"])
-
-
-# ------------------------------------------------------------------ proposals
 
 
 @pytest.mark.parametrize("driven", ["forward"], indirect=True)
@@ -225,16 +203,8 @@ def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, rows: slice | np.
     frame[rows].to_csv(tmp_path / "run.csv", index=False)
     names = {"/gnss/motion.speed": ("v", "m/s")}
     names |= {f"/gnss/fix.{each}": (each[:3], "deg") for each in ("latitude", "longitude")}
-    profile = Profile.model_validate(
-        {
-            "format": "trainlog/recorder-profile",
-            "version": 1,
-            "name": "walked",
-            "file": {"format": "csv"},
-            "time": {"column": "t", "timezone": "UTC"},
-            "columns": {field: {"column": name, "unit": u} for field, (name, u) in names.items()},
-        }
-    )
+    columns = {field: {"column": name, "unit": unit} for field, (name, unit) in names.items()}
+    profile = plain_profile(columns=columns)
     return ingest(tmp_path / "run.csv", profile)
 
 

@@ -14,9 +14,7 @@ from trainlog.errors import InputError
 from trainlog.ingest import ingest, repairs_of, report_of
 from trainlog.trip import Trip
 
-FILES = settings(
-    max_examples=10,
-)
+FILES = settings(max_examples=10)
 
 COLUMN = "/train/state.position"
 

@@ -18,9 +18,7 @@ from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.ingest import ingest, repairs_of, report_of
 from trainlog.trip import Trip
 
-FILES = settings(
-    max_examples=10,
-)
+FILES = settings(max_examples=10)
 
 WEEKS = 1024 * 7 * 86_400
 
@@ -34,9 +32,6 @@ def shifted(run: Run, rows: slice, seconds: float) -> list[str]:
     time = run.time.copy()
     time[rows] += int(seconds * SECOND)
     return Run(time, run.speed, run.position).rows()
-
-
-# ------------------------------------------------------------------ clocks that were set
 
 
 @FILES
@@ -116,9 +111,6 @@ def test_an_hours_pause_is_a_gap_and_stays_one(tmp_path: Path) -> None:
     # The train goes on where it was, as fast: whether the clock was set is asked, not answered.
     assert report_of(trip).counts == {"gaps": 1, "clock_step_suspected": 1}
     assert trip.duration == pytest.approx(199 + 3600)
-
-
-# ------------------------------------------------------------------ units and signs
 
 
 UNITS = {"m/s": 1.0, "km/h": 3.6, "mph": 2.236936, "knot": 1.943844}
@@ -238,9 +230,6 @@ def test_a_satellite_speed_that_the_fixes_contradict(
             ingest(path)
     else:
         assert report_of(ingest(path)).count("unit_suspected") == (factor > 1.15)
-
-
-# ------------------------------------------------------------------ quantisation
 
 
 @FILES

@@ -67,31 +67,21 @@ def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     refused(InputError, "has no row of data", ingest, path, profile=plain_profile())
 
 
-# ------------------------------------------------------------------ odd but good text files
+ENDINGS = [("\n", "utf-8"), ("\r\n", "utf-8-sig"), ("\r", "cp1252"), ("\r\n", "utf-16")]
+LAYOUTS = [
+    ("t,v,s\n", "\n", {}),
+    ("t,v,s\n", "", {}),
+    ('"t", v ,"s"\n', "\n", {}),
+    ("# recorder 7\n\nt,v,s\n\n# started\n", "\n\n\n", {}),
+    ("t,v,s,\n", "\n", {}),
+    ("Recorder 7\nsome, words\nt,v,s\nunix,m/s,m\n", "\n", {"header": 3, "skip_after_header": 1}),
+]
 
 
-@pytest.mark.parametrize(
-    ("head", "tail", "options"),
-    [
-        ("t,v,s\n", "\n", {}),
-        ("t,v,s\n", "", {}),
-        ('"t", v ,"s"\n', "\n", {}),
-        ("# recorder 7\n\nt,v,s\n\n# started\n", "\n\n\n", {}),
-        ("t,v,s,\n", "\n", {}),
-        (
-            "Recorder 7\nsome, words\nt,v,s\nunix,m/s,m\n",
-            "\n",
-            {"header": 3, "skip_after_header": 1},
-        ),
-    ],
-)
-@pytest.mark.parametrize(
-    ("ending", "encoding"),
-    [("\n", "utf-8"), ("\r\n", "utf-8-sig"), ("\r", "cp1252"), ("\r\n", "utf-16")],
-)
-def test_layouts_of_text(
-    tmp_path: Path, head: str, tail: str, options: dict[str, object], ending: str, encoding: str
-) -> None:
+@pytest.mark.parametrize(("layout", "place"), [(n, n % 4 + k) for n in range(6) for k in (0, 2)])
+def test_layouts_of_text(tmp_path: Path, layout: int, place: int) -> None:
+    """Each layout with two of the endings of lines, each with its encoding."""
+    (head, tail, options), (ending, encoding) = LAYOUTS[layout], ENDINGS[place % 4]
     run = clean_run(10, 1.0)
     text = head + "\n".join(run.rows()) + tail
     path = tmp_path / "run.csv"
@@ -141,9 +131,6 @@ def test_quoted_cells_may_hold_the_delimiter(tmp_path: Path) -> None:
     assert set(trip["/events"]["message"]) == {"doors, left"}
 
 
-# ------------------------------------------------------------------ formats of one's own
-
-
 def blocks(language: str, name: str) -> str:
     """The block of the page in `language` whose first line names a file."""
     found = re.findall(rf"^```{language}\n# {re.escape(name)}\n(.*?)^```", PAGE, re.M | re.S)
@@ -190,9 +177,6 @@ def test_a_format_that_cannot_be_loaded_is_named(installed: Path) -> None:
 
     sys.modules.pop("wayside_log", None)
     refused(InputError, "format 'wayside' cannot be loaded from wayside_log:WAY", formats)
-
-
-# ------------------------------------------------------------------ profiles of one's own
 
 
 MINE = """
@@ -317,9 +301,6 @@ def test_lines_of_a_recorder_of_ones_own(tmp_path: Path) -> None:
         parse_profile(TAGGED.replace("S.2", "S.3").encode(), file="mine.toml")
     with pytest.raises(InputError, match=r"kinds\.S: type '>x2' must be 'ubx', 'nmea' or numbers"):
         parse_profile(TAGGED.replace(">u2", ">x2").encode(), file="mine.toml")
-
-
-# ------------------------------------------------------------------ the page is complete
 
 
 def test_every_rule_has_its_row_in_the_page() -> None:

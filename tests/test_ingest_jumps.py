@@ -102,6 +102,3 @@ def test_a_value_that_stays_where_it_jumped_is_no_spike() -> None:
     assert not spikes(time, values, 1.0, 2.0).any()
     values[:20] = 900.0
     assert np.flatnonzero(spikes(time, values, 1.0, 2.0)).tolist() == list(range(20))
-
-
-# ------------------------------------------------------------------ every row and cell counted

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from ingest_logs import HEAD
 from refusals import refused
 
 from trainlog.errors import InputError, MissingExtraError
@@ -27,10 +28,8 @@ COLUMNS: dict[str, Any] = {
 }
 
 
-def profile(columns: dict[str, Any] | None = None, **sections: Any) -> Profile:
-    content = {"format": "trainlog/recorder-profile", "version": 1, "name": "unit 7"}
-    content |= {"file": {"format": "mdf"}, "columns": COLUMNS if columns is None else columns}
-    return profile_of({**content, **sections})
+def profile(columns: dict[str, Any] = COLUMNS, **sections: Any) -> Profile:
+    return profile_of({**HEAD, "file": {"format": "mdf"}, "columns": columns, **sections})
 
 
 def speed(seconds: np.ndarray) -> np.ndarray:
@@ -73,7 +72,7 @@ def standard() -> list[list[Any]]:
     ]
 
 
-@pytest.mark.parametrize("version", ["4.10", "4.20", "3.30"])
+@pytest.mark.parametrize("version", ["4.20", "3.30"])
 def test_channels_come_back_in_the_files_units(tmp_path: Path, version: str) -> None:
     trip = ingest(measured(tmp_path / "run.dat", version=version), profile=profile())
     report = report_of(trip)

@@ -142,9 +142,6 @@ def test_profiles_for_tables_need_time_and_columns(tmp_path: Path) -> None:
             ingest(rows, profile=profile_of(content))
 
 
-# ------------------------------------------------------------------ what columns can do
-
-
 def column(tmp_path: Path, cells: list[str], **options: object) -> np.ndarray:
     """Lever [1] from cells in per cent, however written."""
     rows = [f"2024-05-01T06:00:{i:02d}.5Z;{cell}" for i, cell in enumerate(cells)]
@@ -156,14 +153,6 @@ def column(tmp_path: Path, cells: list[str], **options: object) -> np.ndarray:
     )
     topic, _, field = name.partition(".")
     return ingest(path, profile=profile)[topic][field].to_numpy()
-
-
-def test_a_train_that_runs_against_the_kilometres_counts_from_the_other_end(tmp_path: Path) -> None:
-    """As the page says: sign -1, and minus the line's length as offset."""
-    raw = ["29.8", "29.5", "29.0", "28.0"]
-    options = {"unit": "km", "sign": -1, "offset": -29.8}
-    found = column(tmp_path, raw, name="/train/state.position", **options)
-    np.testing.assert_allclose(found, [0.0, 300.0, 800.0, 1800.0], atol=1e-9)
 
 
 def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path: Path) -> None:
@@ -214,24 +203,6 @@ def test_constants_fill_their_topic_or_stand_at_both_ends(tmp_path: Path) -> Non
     air = trip["/environment"]
     assert air["air_temperature"].tolist() == [285.15] * 2
     assert [air.index[0], air.index[-1]] == [trip.start, trip.end]
-
-
-def test_events_come_from_text_columns(tmp_path: Path) -> None:
-    rows = [
-        f"{row},{'' if i % 5 else f'door {i}'}" for i, row in enumerate(clean_run(20, 1).rows())
-    ]
-    columns = {
-        **PLAIN["columns"],
-        "/events.message": {"column": "e"},
-        "/events.name": {"value": "d"},
-    }
-    trip = ingest(
-        write(tmp_path / "run.csv", rows, "t,v,s,e"), profile=plain_profile(columns=columns)
-    )
-    events = trip["/events"]
-    assert events["message"].tolist() == ["door 0", "door 5", "door 10", "door 15"]
-    assert events["level"].tolist() == [2] * 4
-    assert set(events["name"]) == {"d"}
 
 
 def test_mass_becomes_load_and_position_gets_its_start(tmp_path: Path) -> None:

@@ -625,7 +625,7 @@ def table(verdicts: list[Verdict]) -> str:
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
 RECORDER = Path("sample_logs/recorder.csv")
-LAYOUTS = range(500, 515)
+LAYOUTS = range(500, 510)
 
 
 def drive(count: int = 600, step: float = 1.0) -> pd.DataFrame:

@@ -20,9 +20,7 @@ from trainlog.ingest.report import Repairs
 from trainlog.mcap import read_log, write_log
 from trainlog.trip import Trip
 
-FILES = settings(
-    max_examples=10,
-)
+FILES = settings(max_examples=10)
 
 
 def assert_restored(trip: Trip, raw: pd.DataFrame) -> None:

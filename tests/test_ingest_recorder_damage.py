@@ -74,7 +74,7 @@ def damaged(draw: random.Random, data: bytes) -> bytes:
 def test_damage_gives_trips_or_our_error(tmp_path: Path, kind: str) -> None:
     path, data = whole(kind, tmp_path)
     draw = random.Random(kind)
-    for _ in range(8 if kind == "mdf" else 20):
+    for _ in range(6 if kind == "mdf" else 14):
         path.write_bytes(damaged(draw, data))
         message, trips = "", []
         try:

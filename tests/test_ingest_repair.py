@@ -37,16 +37,11 @@ from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import NO_TIME, Table
 from trainlog.trip import Trip
 
-FILES = settings(
-    max_examples=20,
-)
+FILES = settings(max_examples=20)
 
 
 def read(tmp_path: Path, rows: list[str], **sections: object) -> Trip:
     return ingest(write(tmp_path / "run.csv", rows), profile=plain_profile(**sections))
-
-
-# ------------------------------------------------------------------ damaged at random
 
 
 def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path: Path) -> None:
@@ -195,20 +190,6 @@ def test_what_changes_no_faster_than_the_rate_is_no_spike(
     assert not spikes(time, values, rate, 1e-6 * rate).any()
 
 
-# ------------------------------------------------------------------ one rule at a time
-
-
-def test_a_single_wild_time_goes_wherever_it_stands(tmp_path: Path) -> None:
-    for place in (0, 1, 30, 58, 59):
-        rows = plain_rows(60)
-        for stamp in ("1999-01-01", "2024-05-03", "2060-12-31"):
-            wild = [*rows]
-            wild[place] = stamp + rows[place][10:]
-            report = report_of(read(tmp_path, wild))
-            assert report.counts.pop("clock_jump") == 1
-            assert report.rows_kept == 59
-
-
 def test_gaps_are_counted_and_never_filled(tmp_path: Path) -> None:
     rows = plain_rows(200)
     kept = rows[:50] + rows[80:120] + rows[130:]
@@ -305,9 +286,6 @@ def test_values_stay_when_their_rules_are_off(tmp_path: Path) -> None:
     assert trip["/train/state"]["speed"].iloc[30] == 400.0
     assert report_of(trip).switched_off == ("out_of_limits", "spikes")
     assert trip.metadata["repair.switched_off"] == "out_of_limits, spikes"
-
-
-# ------------------------------------------------------------------ u-blox: parts of a second
 
 
 def read_ublox(tmp_path: Path, text: str, **options: object) -> Trip:

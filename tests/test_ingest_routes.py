@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command import run
+from ingest_logs import plain_profile
 from refusals import refused
 from route_networks import (
     GPX,
@@ -247,25 +248,6 @@ def test_an_edge_without_a_course_is_refused_where_the_distance_is_another_or_un
         ingested(tmp_path, unknown, without_course(CHAIN, "bend"))
 
 
-@pytest.mark.parametrize(
-    ("network", "places"),
-    [(Y, ("A", "C")), (Y, ("C", "A")), (WYE, ("B", "C")), (BALLOON, ("A", "loop@2.0", "A"))],
-    ids=["along", "against", "curve", "loop"],
-)
-def test_stated_stations_are_the_route_where_there_are_neither_fixes_nor_courses(
-    tmp_path: Path, network: Network, places: tuple[str, ...]
-) -> None:
-    bare = without_course(network)
-    route = bare.route(*places)
-    assert route.line.geometry is None
-    file, position = write_odometer(tmp_path / "run.csv", [0.0, 0.4 * route.length, route.length])
-    stated = {"stations": ",".join(places)}
-    trip = ingest(file, odometer_profile(), network=bare, metadata=stated)
-    assert line_of(trip).legs == route.legs
-    assert trip.metadata["route_evidence"] == f"stated: {', '.join(places)}"
-    assert np.abs(trip["/train/state"]["position"].to_numpy() - position).max() < 80.0
-
-
 @pytest.mark.parametrize("back", [False, True])
 def test_distances_between_stops_show_the_route_of_an_imported_network_without_courses(
     tmp_path: Path, back: bool
@@ -380,19 +362,13 @@ def write_odometer(
 
 
 def odometer_profile(**columns: str) -> Profile:
-    return Profile.model_validate(
-        {
-            "format": "trainlog/recorder-profile",
-            "version": 1,
-            "name": "odometer",
-            "file": {"format": "csv"},
-            "time": {"column": "time", "format": "iso"},
-            "columns": {
-                "/train/state.position": {"column": "position", "unit": "m"},
-                "/train/state.speed": {"column": "speed", "unit": "m/s"},
-            },
-            "trip": {"columns": columns},
-        }
+    return plain_profile(
+        time={"column": "time"},
+        columns={
+            "/train/state.position": {"column": "position", "unit": "m"},
+            "/train/state.speed": {"column": "speed", "unit": "m/s"},
+        },
+        trip={"columns": columns},
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
-from ingest_logs import START, Run, clean_run
+from ingest_logs import HEAD, START, Run, clean_run
 from refusals import refused
 
 import trainlog
@@ -45,9 +45,7 @@ LAYOUT: dict[str, Any] = {
 }
 
 PROFILE: dict[str, Any] = {
-    "format": "trainlog/recorder-profile",
-    "version": 1,
-    "name": "control system",
+    **HEAD,
     "file": {"format": "telegrams"},
     "telegram": LAYOUT,
     "time": {"columns": ["second", "hundredth"], "format": "epoch", "fraction": 0.01},

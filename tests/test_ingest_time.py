@@ -14,6 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 from hypothesis import given, settings, strategies as st
+from ingest_logs import HEAD, PLAIN
 from recorder_files import MTK_HEADER, START, Drive, gpx_text, mtk_rows, nmea_lines
 from satellite_trips import PACES, paced
 from simulated_line import hilly_line
@@ -158,17 +159,8 @@ def _parquet(path: Path, run: Drive, clock: np.ndarray, distance: np.ndarray) ->
 
 
 def table_profile(time: dict[str, Any], speed: str = "m/s", **file: Any) -> dict[str, Any]:
-    return {
-        "format": "trainlog/recorder-profile",
-        "version": 1,
-        "name": "clock",
-        "file": file,
-        "time": {"column": "t"} | time,
-        "columns": {
-            "/train/state.speed": {"column": "v", "unit": speed},
-            "/train/state.position": {"column": "s", "unit": "m"},
-        },
-    }
+    columns = PLAIN["columns"] | {"/train/state.speed": {"column": "v", "unit": speed}}
+    return {**PLAIN, "file": file, "time": {"column": "t"} | time, "columns": columns}
 
 
 LAYOUTS = (
@@ -365,16 +357,14 @@ def test_a_wrong_unit_of_time_leaves_no_time(column: str, options: dict[str, obj
     assert set(found) == {NO_TIME} or ("time reads as 1" in message and "unit" in message)
 
 
-# ------------------------------------------------------------------ clocks that were set
-
 LINE_NAMES = list(LINES)
 COMMON = [
     (LINE_NAMES[(number + place) % len(LINE_NAMES)], layout, step)
     for number, layout in enumerate(LAYOUTS)
     for place, step in enumerate(("back", "forward", "mixed"))
-    if (number + place) % 3
+    if (number + place) % 3 == 0
 ]
-"""Every layout with two of a step back, a step forward and mixed clocks, the lines in turn."""
+"""Every layout with one of a step back, a step forward and mixed clocks, the lines in turn."""
 
 RARE = [
     (line, layout, step)
@@ -410,7 +400,7 @@ def test_a_clock_that_was_set_is_found(
     assert_step_found(tmp_path, line, layout, step)
 
 
-@pytest.mark.parametrize("step", ["back 20", "back 7.4", "forward 2.6", "forward 30"])
+@pytest.mark.parametrize("step", ["back 7.4", "forward 2.6", "forward 30"])
 def test_any_seconds_may_be_set_and_a_cut_agrees(tmp_path: Path, step: str) -> None:
     """Sizes that no receiver learns; three cuts of the rows give the times of the whole."""
     layout = LAYOUTS[5]
@@ -539,7 +529,7 @@ def test_other_settings_of_the_clock_are_found(
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 def test_clocks_that_were_not_set_are_left_alone(tmp_path: Path, layout: Layout) -> None:
     """With and without gaps of 1 to 18 whole seconds, in which the train moves on."""
-    for lost in (0, 1, 3, 17):
+    for lost in ((0, 3), (1, 17))[LAYOUTS.index(layout) % 2]:
         case = recorded(tmp_path, "hilly", layout, None, count=240.0, lost=lost)
         trip = ingest(case.path, profile=case.profile)
         report = report_of(trip)
@@ -569,8 +559,9 @@ def undated(folder: Path, date: str, rows: int) -> tuple[Case, Path]:
     return case, case.path
 
 
-@pytest.mark.parametrize("date", ["2000,0,0", "1980,1,6", "2000,1,1", "2080,1,6"])
-@pytest.mark.parametrize("rows", [7, 300, 900])
+@pytest.mark.parametrize(
+    ("date", "rows"), [("2000,0,0", 7), ("1980,1,6", 300), ("2000,1,1", 900), ("2080,1,6", 300)]
+)
 def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(
     tmp_path: Path, date: str, rows: int
 ) -> None:
@@ -620,14 +611,7 @@ def test_old_dates_of_a_receiver_are_suspected(tmp_path: Path) -> None:
     report = report_of(ingest(case.path))
     assert report.counts == {"clock_step_suspected": 1}
     assert any("all dates are of 2004: 1024 weeks too early?" in line for line in report.lines())
-    stated = profile_of(
-        {
-            "format": "trainlog/recorder-profile",
-            "version": 1,
-            "name": "logger",
-            "limits": {"not_before": datetime.date(2012, 1, 1)},
-        }
-    )
+    stated = profile_of({**HEAD, "limits": {"not_before": datetime.date(2012, 1, 1)}})
     trip = ingest(case.path, profile=stated)
     assert trip.start == pd.Timestamp(case.truth[0], tz="UTC")
 
@@ -668,27 +652,6 @@ def test_other_defects_are_no_steps_of_the_clock(tmp_path: Path, layout: Layout,
     layout.write(path, run, run.time, distance("hilly", run))
     profile = None if layout.profile is None else profile_of(layout.profile)
     assert "clock_step" not in report_of(ingest(path, profile=profile)).counts
-
-
-@pytest.mark.parametrize("step", [-12, -3, 5])
-def test_a_clock_that_was_set_while_rows_are_missing_is_put_right(
-    tmp_path: Path, step: int
-) -> None:
-    """Nothing but the way across a gap of 4 s shows by how much."""
-    layout = LAYOUTS[5]
-    run = drive("Chemnitz-Cranzahl", 10.0, 2000)
-    order = np.flatnonzero((np.arange(2000) < 730) | (np.arange(2000) >= 770))
-    kept = run.take(order)
-    path = tmp_path / layout.name
-    clock = kept.time - np.where(order < 730, step, 0) * 1_000_000_000
-    layout.write(path, kept, clock, distance("Chemnitz-Cranzahl", kept))
-    trip = ingest(path, profile=profile_of(table_profile({})))
-    assert report_of(trip).counts["clock_step"] == np.count_nonzero(order < 730)
-    found = trip["/train/state"].index.as_unit("ns").asi8
-    assert np.abs(found - kept.time).max() < 0.5e9
-    layout.write(path, kept, kept.time, distance("Chemnitz-Cranzahl", kept))
-    real = ingest(path, profile=profile_of(table_profile({})))
-    assert "clock_step" not in report_of(real).counts
 
 
 def test_rows_of_another_column_are_no_samples_of_their_own() -> None:

@@ -228,20 +228,6 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
     assert (tmp_path / "map.gpkg").read_text() == "older"
 
 
-def test_the_command_takes_the_line_from_a_file_a_log_or_the_samples(tmp_path: Path) -> None:
-    condition = str(trainlog.sample("CH_StGallen_Wil.map"))
-    at = ["--at", "2024-10-09T08:00", "--zone", "Europe/Zurich"]
-    written = []
-    for number, given in enumerate(([], ["--line", "CH_StGallen_Wil.line.json"],
-                                    ["--line", "stopping.mcap"])):  # fmt: skip
-        words = [str(trainlog.sample(word)) if "." in word else word for word in given]
-        path = tmp_path / f"{number}.geojson"
-        assert run(["map", "export", condition, "-o", str(path), *words, *at]) == 0
-        written.append(path.read_bytes())
-    assert written[0] == written[1] == written[2]
-    assert json.loads(written[0])["trainlog"]["expected_at"] == "2024-10-09T06:00:00+00:00"
-
-
 def test_the_line_is_taken_from_a_log_that_the_map_was_made_from(
     line: Line, tmp_path: Path
 ) -> None:

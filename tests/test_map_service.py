@@ -97,10 +97,6 @@ class TestProcesses:
     def test_killed_updaters_lose_nothing_that_they_acknowledged(self, appended: Any) -> None:
         check_killed(appended[1], kills=3)
 
-    @pytest.mark.long
-    def test_a_hundred_kills_of_five_updaters(self, tmp_path: Path) -> None:
-        kill_and_add(tmp_path, updaters=5, kills=100, each=20)
-
     def test_updaters_that_begin_one_map_at_once_lose_nothing(self, appended: Any) -> None:
         """Before, two at once lost a trip in ten of ten tries."""
         found = appended[0]

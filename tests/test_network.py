@@ -263,20 +263,17 @@ def test_a_section_of_a_route_keeps_what_its_legs_are() -> None:
     refused(InputError, "is not a part of it", line.section, 4_000.0, 6_000.0)
 
 
-def test_what_no_node_can_be() -> None:
-    with pytest.raises(InputError, match="no such kind 'halt'; it is one of station, junction"):
-        Node("Y", "halt")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="latitude: 95 deg is not between -90 and 90 deg"):
-        Node("Y", latitude=95.0, longitude=8.0)
-    with pytest.raises(InputError, match=r"node 'Y' lies at latitude 47\.0 and longitude None"):
-        Node("Y", latitude=47.0)
-
-
 def test_what_no_network_can_be_is_listed_at_once() -> None:
     with pytest.raises(InputError) as caught:
         Network("bad", (Node("A"), Node("A"), Node("B"), Node("X"), Node("Y")), (
             edge("1", "A", "B"), edge("1", "A", "Bb"),
         ), {"B": (("1", "2"),), "C": ()})  # fmt: skip
+    for error, node in (
+        ("no such kind 'halt'; it is one of station, junction", {"kind": "halt"}),
+        ("95 deg is not between -90 and 90 deg", {"latitude": 95.0, "longitude": 8.0}),
+        (r"node 'Y' lies at latitude 47\.0 and longitude None", {"latitude": 47.0}),
+    ):
+        refused(InputError, error, Node, "Y", **node)
     words = str(caught.value)
     for part in (
         "2 nodes have the name 'A'",

@@ -483,9 +483,6 @@ def test_infrastructure_of_osrd_that_contradicts_itself_is_refused(
     refused(InputError, words, read_small, tmp_path, **changes)
 
 
-# ---- railML
-
-
 def railml(text: str, tmp_path: Path) -> Infrastructure:
     path = tmp_path / "given.xml"
     path.write_text(text, encoding="utf-8")
@@ -647,9 +644,6 @@ def test_railml_that_is_damaged_or_dangling_is_refused_with_its_place(
     refused(InputError, words, railml, text.replace(old, new, 1), tmp_path)
 
 
-# ---- lines
-
-
 def plain(name: str, *stations: tuple[str, float], gradient: float = 0.0) -> Line:
     length = stations[-1][1]
     return Line(
@@ -674,12 +668,6 @@ def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -
     assert "'branch A - B' is the track of 'main A - B', which stays" in notes
     assert network.route("A", "D").length == pytest.approx(6e3)
     assert network.route("C", "D").line.gradient(100.0) == pytest.approx(0.01)
-
-
-# ---- tables
-
-
-# ---- commands
 
 
 @needs_osrd

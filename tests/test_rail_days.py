@@ -145,19 +145,12 @@ class TestChanges:
         assert 0.0 < share(0.3) < 0.7 * share(1.0)
         assert share(4.0) > 2.0 * share(1.0)
 
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
-            ((10e3, 40e3, "2026-10-15"), "ends at km 29.556"),
-            ((10e3, 14e3, "2026-11-15"), "is not one of the days simulated"),
-        ],
-    )
-    def test_changes_beyond_line_and_days_are_refused(
-        self, line: Line, change: tuple[float, float, str], words: str
-    ) -> None:
-        start, end, date = change
-        with pytest.raises(InputError, match=words):
-            Rail.draw(line, 30, "2026-10-10", 1, [Change(start, end, at(date), 1.3)])
+    def test_changes_beyond_line_and_days_are_refused(self, line: Line) -> None:
+        for change, words in (
+            (Change(10e3, 40e3, at("2026-10-15"), 1.3), "ends at km 29.556"),
+            (Change(10e3, 14e3, at("2026-11-15"), 1.3), "is not one of the days simulated"),
+        ):
+            refused(InputError, words, Rail.draw, line, 30, "2026-10-10", 1, [change])
 
     def test_a_change_must_be_one(self) -> None:
         refused(InputError, "ends after it starts", Change, 5e3, 4e3, 0)

@@ -186,17 +186,14 @@ def test_a_step_is_a_duration_or_seconds(step: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", ["500ms", [0, 1], np.arange(3), None, True, pd.Timedelta("-1s"), pd.NaT]
+    ("on", "gap", "said"),
+    [
+        *((on, 1.0, "clock") for on in ("500ms", [0, 1], np.arange(3), None, True, pd.NaT)),
+        (pd.Timedelta("-1s"), 1.0, "clock"),
+        *((0.5, gap, "max_gap is") for gap in (-1, 0, float("nan"), "1", pd.Timedelta("1s"))),
+    ],
 )
-def test_what_is_no_clock_is_refused(wrong: Any) -> None:
-    refused(InputError, "clock", resampled, two_topics(), wrong, max_gap=1.0)
-    if not isinstance(wrong, str):
-        with pytest.raises(InputError, match="clock"):
-            joined(two_topics(), ["/train/state.speed"], on=wrong, max_gap=1.0)
-
-
-@pytest.mark.parametrize("wrong", [-1, 0, float("nan"), "1", pd.Timedelta("1s")])
-def test_a_longest_gap_that_is_no_positive_number_is_refused(wrong: Any) -> None:
-    refused(InputError, "max_gap is", resampled, two_topics(), 0.5, max_gap=wrong)
-    with pytest.raises(InputError, match="max_gap is"):
-        joined(two_topics(), ["/train/state.speed"], on=0.5, max_gap=wrong)
+def test_what_is_no_clock_or_no_longest_gap_is_refused(on: Any, gap: Any, said: str) -> None:
+    refused(InputError, said, resampled, two_topics(), on, max_gap=gap)
+    if not isinstance(on, str):
+        refused(InputError, said, joined, two_topics(), ["/train/state.speed"], on, max_gap=gap)

@@ -28,9 +28,6 @@ ROUNDING = 5e-14
 quick = settings(max_examples=20, suppress_health_check=list(HealthCheck))
 
 
-# ------------------------------------------------------------------ templates
-
-
 @pytest.mark.parametrize(
     ("kind", "read", "expected"),
     [
@@ -110,12 +107,6 @@ def test_a_train_is_not_made_from_a_table(tmp_path: Path) -> None:
         write_template("train", tmp_path / "a.toml", table=tmp_path / "b.csv")
     with pytest.raises(InputError, match=r"'trainlog ingest .*b\.csv -o FOLDER' proposes one"):
         write_template("profile", tmp_path / "a.toml", table=tmp_path / "b.csv")
-
-
-# ------------------------------------------------------------------ TOML equals JSON
-
-
-# ------------------------------------------------------------------ a line from a table
 
 
 def table(tmp_path: Path, text: str, name: str = "A-B.csv") -> Path:

@@ -385,12 +385,11 @@ class TestTripsThatDisagree:
             assert found.evidence["wet"][0] == DailyEvidence.total(each.daily for each in trips)
 
 
-@pytest.mark.parametrize("years", [26])
-def test_dates_that_no_recorder_had_are_refused(years: int) -> None:
-    """A clock that fell back to 1984, and one that jumped by 26 years on the way."""
+def test_dates_that_no_recorder_had_are_refused() -> None:
+    """A clock that jumped by 26 years on the way."""
     found = slip(simulate(draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]))
     moved = found.time.as_unit("ns").asi8.copy()
-    moved[0 if years < 0 else moved.size // 2 :] += years * 365 * 86_400 * 10**9
+    moved[moved.size // 2 :] += 26 * 365 * 86_400 * 10**9
     wrong = replace(found, time=pd.DatetimeIndex(moved, tz="UTC"))
     refused(
         LogError, "is dated .*not_before in", evidence_of, wrong, empty_map(hilly_line()), "wet"

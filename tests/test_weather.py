@@ -27,6 +27,7 @@ pytestmark = pytest.mark.usefixtures("remembered")
 
 HOUR = 3600 * 10**9
 
+TRACK = empty_map(read_line(sample(DEFAULT_LINE)))
 HEADER = "time [UTC],condition,temperature [degC],humidity [%],precipitation [mm/h]\n"
 
 
@@ -183,10 +184,9 @@ def onsets(found: Evidence) -> dict[str, float]:
 
 class TestTrips:
     def test_a_condition_that_changes_on_the_way_splits_the_evidence(self, trip: Trip) -> None:
-        track = empty_map(read_line(sample(DEFAULT_LINE)))
-        whole = evidence(trip, track, layer="wet").daily
+        whole = evidence(trip, TRACK, layer="wet").daily
         weather = changing(trip, (-1.0, 0.4, "wet"), (0.4, 2.0, "dry"))
-        found = evidence(trip, track, weather=weather)
+        found = evidence(trip, TRACK, weather=weather)
         assert found.layer == "dry"
         assert set(found.layers) == {"dry", "wet"}
         assert sum(onsets(found).values()) == whole.events.sum()
@@ -198,41 +198,37 @@ class TestTrips:
         assert abs(total - whole.censored.sum()) <= 2.0
 
     def test_what_was_seen_while_nothing_is_known_is_left_out_with_a_note(self, trip: Trip) -> None:
-        track = empty_map(read_line(sample(DEFAULT_LINE)))
         weather = changing(trip, (-1.0, 0.5, "wet"), (0.6, 2.0, "wet"))
-        found = evidence(trip, track, weather=weather)
+        found = evidence(trip, TRACK, weather=weather)
         assert any("rail condition not known for" in note for note in found.details["notes"])
-        used = evidence(trip, track, layer="wet").daily.censored.sum()
+        used = evidence(trip, TRACK, layer="wet").daily.censored.sum()
         assert 0.6 * used < found.daily.censored.sum() < used - 10.0
 
     def test_a_trip_of_which_nothing_is_known_is_refused(self, trip: Trip) -> None:
-        track = empty_map(read_line(sample(DEFAULT_LINE)))
         with pytest.raises(LogError, match=r"states no rail condition from 2024-10-07 08:\d\d to"):
-            evidence(trip, track, weather=changing(trip, (-3.0, -1.0, "wet")))
+            evidence(trip, TRACK, weather=changing(trip, (-3.0, -1.0, "wet")))
         with pytest.raises(LogError, match=r"does not state .* a weather file \(--weather\)"):
-            evidence(trip, track)
+            evidence(trip, TRACK)
 
     def test_the_layer_given_comes_first_then_the_log_then_the_weather(self, trip: Trip) -> None:
-        track = empty_map(read_line(sample(DEFAULT_LINE)))
         weather = changing(trip, (-1.0, 2.0, "leaves"))
         stated = replace(trip, metadata={**trip.metadata, "weather": "wet"})
-        assert evidence(stated, track, layer="frost", weather=weather).layer == "frost"
-        found = evidence(stated, track, weather=weather)
+        assert evidence(stated, TRACK, layer="frost", weather=weather).layer == "frost"
+        found = evidence(stated, TRACK, weather=weather)
         assert found.layer == "wet"
         assert found.details["weather"]["condition"] == "leaves"
 
     def test_covariates_are_kept_with_the_evidence(self, trip: Trip) -> None:
-        track = empty_map(read_line(sample(DEFAULT_LINE)))
         weather = changing(trip, (-1.0, 2.0, "wet"))
         measured = trip["/environment"]["air_temperature"].mean()
-        kept = evidence(trip, track, weather=weather).details["weather"]
+        kept = evidence(trip, TRACK, weather=weather).details["weather"]
         assert kept["temperature"] == pytest.approx(measured, abs=0.01)
         assert (kept["temperature_source"], kept["humidity"]) == ("log", 0.9)
         assert (kept["condition"], kept["precipitation"]) == ("wet", 0.0)
         without = replace(
             trip, topics={n: f for n, f in trip.topics.items() if n != "/environment"}
         )
-        kept = evidence(without, track, weather=weather).details["weather"]
+        kept = evidence(without, TRACK, weather=weather).details["weather"]
         assert (kept["temperature"], kept["temperature_source"]) == (280.0, "weather")
         # Between 8 and 9 in October in eastern Switzerland the sun is low, but up.
         assert 10.0 < kept["sun_elevation"] < 35.0
