@@ -17,13 +17,30 @@ from refusals import refused
 
 import analysis
 import trainlog
-from analysis.adhesion.condition_table import bins_table, sections_table
+from analysis.adhesion.condition_map import empty_map
+from analysis.adhesion.condition_table import bins_table, line_table, sections_table
+from analysis.charts import draw
 from trainlog.cli.main import run
+from trainlog.condition import estimated
 from trainlog.errors import InputError, MissingExtraError
-from trainlog.formats.railway import line_to_bytes
+from trainlog.formats.railway import line_to_bytes, read_line
+from trainlog.formats.samples import sample
 from trainlog.formats.ttobench import read_adhesion
-from trainlog.railway import Line, LineReference, TrackConditionMap
-from trainlog.railway.condition import ConditionChange, PassingSpot
+from trainlog.railway import (
+    CurvatureProfile,
+    Line,
+    LineReference,
+    Station,
+    StepProfile,
+    TrackConditionMap,
+    Tunnel,
+)
+from trainlog.railway.condition import (
+    ConditionChange,
+    ConditionLayer,
+    PassingSpot,
+)
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.trip import LINE_ATTACHMENT
 
 pytestmark = pytest.mark.usefixtures("remembered")
@@ -246,3 +263,139 @@ def test_the_line_is_taken_from_a_log_that_the_map_was_made_from(
     assert content["trainlog"]["operators_line"] == "850"
     log.unlink()
     refused(InputError, r"needs the coordinates of line 'own'.*--line", run, words)
+
+
+def made_up(**changes: object) -> Line:
+    """A line that begins and ends its elements within bins, and whose last bin is short."""
+    line = Line(
+        "made up",
+        1_010.0,
+        (Station("A", 0.0), Station("B west", 502.0), Station("B", 510.0), Station("C", 1_010.0)),
+        StepProfile([0.0, 333.0, 340.0], [30.0, 10.0, 25.0]),
+        StepProfile([0.0, 410.0], [0.012, -0.004]),
+        CurvatureProfile(
+            [0.0, 205.0, 260.0, 400.0], [0.0, 0.0, -1 / 350, 0.0], [0, -1 / 350, 0, 0]
+        ),
+        (Tunnel(610.0, 4.0, 40.0),),
+    )
+    return replace(line, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["made up", "CH_StGallen_Wil", "DE_Chemnitz_Cranzahl"])
+def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
+    line = made_up() if name == "made up" else read_line(sample(f"{name}.line.json"))
+    table = line_table(line, empty_map(line))
+    assert table["end_m"].iloc[-1] == line.length
+    for row in table.iloc[:: max(1, len(table) // 150)].to_dict("records"):
+        # Every centimetre of the bin, its last one left out: there the next begins.
+        within = np.arange(row["start_m"], row["end_m"] - 0.005, 0.01)
+        assert row["tunnel"] == bool(line.tunnel_cross_section(within).any())
+        assert row["gradient_permil"] == pytest.approx(1e3 * line.gradient(within).mean(), abs=0.02)
+        assert row["speed_limit_km_h"] == pytest.approx(3.6 * line.speed_limit(within).min())
+        if line.curvatures is None:
+            assert np.isnan(row["curvature_per_km"])
+            continue
+        sharpest = np.abs(line.curvature(within)).max()
+        assert row["curvature_per_km"] == pytest.approx(1e3 * sharpest, rel=2e-3, abs=1e-6)
+
+
+def test_what_the_line_does_not_state_is_not_a_number() -> None:
+    line = made_up(curvatures=None, assumed=("gradients", "speed_limits", "stations"))
+    table = line_table(line, empty_map(line))
+    unknown = table[["gradient_permil", "curvature_per_km", "speed_limit_km_h"]]
+    assert unknown.isna().all(axis=None)
+    assert table.station.isna().all()
+
+
+def test_a_map_of_another_line_is_refused() -> None:
+    other = empty_map(made_up(name="other"))
+    refused(InputError, "the map is of 'other'", line_table, made_up(), other)
+
+
+def test_limits_of_both_directions_stand_where_they_differ() -> None:
+    line = made_up(speed_limits_reverse=StepProfile([0.0, 600.0], [15.0, 35.0]))
+    table = line_table(line, empty_map(line))
+    assert table.speed_limit_km_h.iloc[[0, -1]].tolist() == pytest.approx([108.0, 90.0])
+    assert table.speed_limit_reverse_km_h.iloc[[0, -1]].tolist() == pytest.approx([54.0, 126.0])
+    unknown = replace(line, assumed=("speed_limits",))
+    assert line_table(unknown, empty_map(line)).speed_limit_reverse_km_h.isna().all()
+
+
+def days_of(track: TrackConditionMap, shift: int) -> TrackConditionMap:
+    """The map with all its evidence again so many days later, under other trip names."""
+    wet = track.layer("wet").evidence
+    later = replace(wet, day=wet.day + shift, used_day=wet.used_day + shift)
+    both = ConditionLayer.unestimated(DailyEvidence.total([wet, later]))
+    trips = [each for each in track.trips if each["layer"] == "wet"]
+    again = [
+        {**each, "trip": "again", "weather": {"time": "2024-10-10T08:00:00Z"}} for each in trips
+    ]
+    return estimated(replace(track, layers={"wet": both}, trips=(*trips, *again)))
+
+
+def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -> None:
+    track = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map"))
+    longer, past = days_of(track, 3), pd.Timestamp("2024-10-09T06:00Z")
+    assert longer.days.tolist() == [20_003, 20_006]
+    then = analysis.map_state(longer, past)
+    assert then.layers["last_day"].tolist() == ["2024-10-07"]
+    assert then.layers["onsets"].tolist() == [203]
+    assert [each["trip"] for each in then.data()["trips"]] == ["trip-03", "trip-07", "trip-11"]
+    assert then.data()["trips"][0]["day"] == "2024-10-07"
+    left = "without the evidence of 1 day, 2024-10-10, which is not from before 2024-10-09 (UTC)"
+    assert then.notes[-1] == left
+    for name, given in (("then", longer), ("now", track)):
+        path = tmp_path / f"{name}.csv"
+        analysis.export_map(given, path, at=past, layers=["wet"])
+    assert (tmp_path / "then.csv").read_bytes() == (tmp_path / "now.csv").read_bytes()
+    early = pd.Timestamp("2024-10-07T23:00Z")
+    for view in (
+        lambda: analysis.map_state(longer, early),
+        lambda: analysis.export_map(longer, tmp_path / "none.csv", at=early),
+        lambda: draw(longer, tmp_path / "none.png", at=early),
+    ):
+        refused(InputError, "has no evidence of a day before 2024-10-07", view)
+    assert not list(tmp_path.glob("none*"))
+
+
+def test_the_default_time_is_right_after_the_last_evidence(track: TrackConditionMap) -> None:
+    state = analysis.map_state(track)
+    assert state.at == state.last_evidence == pd.Timestamp("2024-10-08", tz="UTC")
+    assert state.spots["probability"].tolist() == [0.9]
+    naive = analysis.map_state(track, pd.Timestamp("2024-10-09T06:00"))
+    assert naive.at == AT
+    assert "Passing spots" in naive._repr_html_()
+    assert "expected at 2024-10-09 06:00 UTC" in repr(naive)
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    condition = str(trainlog.sample("CH_StGallen_Wil.map"))
+    words = ["map", "show", condition, "--layer", "wet", "--at", "2024-10-09T08:00"]
+    assert run([*words, "--zone", "Europe/Zurich", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["expected_at"] == "2024-10-09T06:00:00+00:00"
+    assert [each["layer"] for each in found["layers"]] == ["wet"]
+    assert [each["last_day"] for each in found["layers"]] == ["2024-10-07"]
+    assert found["last_evidence"] == "2024-10-07"
+    assert found["evidence_ends"] == "2024-10-08T00:00:00+00:00"
+    lowest = found["lowest"][0]
+    assert lowest["near"] == "at Flawil"
+    assert lowest["expected_low"] < lowest["expected"] < lowest["expected_high"]
+    assert run([*words, "--picture", str(tmp_path / "wet.png")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "states no zone: taken for UTC" in shown
+    assert (tmp_path / "wet.png").is_file()
+    unread = tmp_path / "other.map"
+    unread.write_bytes(b"not a map")
+    drawn = ["--picture", str(tmp_path / "no.png")]
+    for given, message, more in (
+        ("8:8", "not a part of a line", drawn),
+        ("8:9", "what a picture shows", []),
+    ):
+        refused(InputError, message, run, ["map", "show", str(unread), "--km", given, *more])
+    with pytest.raises(InputError, match="has no layer 'frost'"):
+        run(["map", "show", condition, "--layer", "frost", "--picture", str(tmp_path / "no.png")])
+    assert not (tmp_path / "no.png").exists()

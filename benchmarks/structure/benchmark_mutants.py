@@ -45,7 +45,7 @@ NEAREST = {
     "estimators/rls.py": "rls resets estimators resistance_windows",
     "estimators/condition_passes.py": "condition_passes condition_field traction_map",
     "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
-    "trainlog/formats/mapfile.py": "map_file merge map_service map_views",
+    "trainlog/formats/mapfile.py": "map_file merge map_service map_export",
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
     "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
     " trajectory_random",
@@ -58,7 +58,7 @@ WIDER = {
     "analysis/resistance/regression.py": "coast_down resistance_fit resistance_together calculated"
     " golden tunnels",
     "estimators/rls.py": "study_rls_sliding_mode resistance_fit golden",
-    "estimators/condition_passes.py": "map_views map_difference traction_map_figures golden",
+    "estimators/condition_passes.py": "map_export map_difference traction_map_figures golden",
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
     "trainlog/formats/mapfile.py": "network_maps traction_map formats_samples golden",
     "analysis/trajectory/audit.py": "trajectory_many trajectory_limits trajectory_curves",
