@@ -8,7 +8,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import partial
 from random import Random
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -53,26 +54,16 @@ def _piece(random: Random, data: bytes, longest: int) -> tuple[int, int]:
     return start, min(len(data), start + random.randint(1, longest))
 
 
-def _pick(random: Random, data: bytes, *opcodes: int) -> Record | None:
-    """One of the file's records, each kind equally likely; None if it has none."""
+def _pick(random: Random, data: bytes, *opcodes: int) -> Record:
+    """One of the file's records, each kind equally likely."""
     found = [each for each in records_of(data) if not opcodes or each.opcode in opcodes]
-    if not found:
-        return None
     opcode = random.choice(sorted({each.opcode for each in found}))
     return random.choice([each for each in found if each.opcode == opcode])
 
 
-def _cut(random: Random, data: bytes) -> bytes:
-    return data[: random.randrange(len(data))]
-
-
-def _cut_at_record(random: Random, data: bytes) -> bytes:
-    record = _pick(random, data)
-    return data[: record.end] if record else data[:-1]
-
-
-def _lost_front(random: Random, data: bytes) -> bytes:
-    return MAGIC + data[random.randrange(len(MAGIC), len(data)) :]
+def _put(data: bytes, start: int, end: int, value: bytes = b"") -> bytes:
+    """The file with other bytes in the place of some."""
+    return data[:start] + value + data[end:]
 
 
 def _flip_bits(random: Random, data: bytes) -> bytes:
@@ -85,152 +76,93 @@ def _flip_bits(random: Random, data: bytes) -> bytes:
 def _flip_in_head(random: Random, data: bytes) -> bytes:
     """One bit in the first bytes of a record, where opcode and lengths are."""
     record = _pick(random, data)
-    if record is None:
-        return _flip_bits(random, data)
     at = random.randrange(record.start, min(record.end, record.start + 60))
-    flipped = bytearray(data)
-    flipped[at] ^= 1 << random.randrange(8)
-    return bytes(flipped)
+    return _put(data, at, at + 1, bytes([data[at] ^ 1 << random.randrange(8)]))
 
 
 def _zero_page(random: Random, data: bytes) -> bytes:
     page = random.choice((16, 512, 4096))
     start = random.randrange(len(data)) // page * page
-    return data[:start] + bytes(min(page, len(data) - start)) + data[start + page :]
+    return _put(data, start, start + page, bytes(min(page, len(data) - start)))
 
 
 def _noise_page(random: Random, data: bytes) -> bytes:
     start, end = _piece(random, data, 2048)
-    return data[:start] + random.randbytes(end - start) + data[end:]
+    return _put(data, start, end, random.randbytes(end - start))
 
 
-def _zero_tail(random: Random, data: bytes) -> bytes:
-    """A file system after a loss of power: the length is right, the last pages were not written."""
-    start = random.randrange(len(MAGIC), len(data))
-    return data[:start] + bytes(len(data) - start)
-
-
-def _insert_noise(random: Random, data: bytes) -> bytes:
-    start, _ = _piece(random, data, 1)
-    return data[:start] + random.randbytes(random.randint(1, 600)) + data[start:]
-
-
-def _insert_own(random: Random, data: bytes) -> bytes:
+def _own_bytes(random: Random, data: bytes) -> bytes:
     """A piece of the file again, somewhere else in it."""
-    start, end = _piece(random, data, 3000)
-    at = random.randrange(len(data))
-    return data[:at] + data[start:end] + data[at:]
-
-
-def _remove_piece(random: Random, data: bytes) -> bytes:
-    start, end = _piece(random, data, 2000)
-    return data[:start] + data[end:]
-
-
-def _remove_record(random: Random, data: bytes) -> bytes:
-    record = _pick(random, data)
-    return data[: record.start] + data[record.end :] if record else data[:-1]
+    (start, end), at = _piece(random, data, 3000), random.randrange(len(data))
+    return _put(data, at, at, data[start:end])
 
 
 def _repeat_record(random: Random, data: bytes) -> bytes:
     record = _pick(random, data)
-    if record is None:
-        return data[:-1]
-    whole = data[record.start : record.end]
     at = random.choice([record.end, *(each.start for each in records_of(data))])
-    return data[:at] + whole + data[at:]
+    return _put(data, at, at, data[record.start : record.end])
 
 
 def _repeat_chunk(random: Random, data: bytes) -> bytes:
     """A chunk with its message indexes again, behind itself or at the end of the data."""
-    groups = _groups(data)
-    if not groups:
-        return _repeat_record(random, data)
-    start, end = random.choice(groups)
-    at = random.choice((end, groups[-1][1]))
-    return data[:at] + data[start:end] + data[at:]
-
-
-def _groups(data: bytes) -> list[tuple[int, int]]:
-    """Each chunk with the message indexes that follow it."""
     groups: list[tuple[int, int]] = []
     for record in records_of(data):
         if record.opcode == CHUNK:
             groups.append((record.start, record.end))
         elif record.opcode == MESSAGE_INDEX and groups and groups[-1][1] == record.start:
             groups[-1] = (groups[-1][0], record.end)
-    return groups
+    if not groups:
+        return _repeat_record(random, data)
+    start, end = random.choice(groups)
+    at = random.choice((end, groups[-1][1]))
+    return _put(data, at, at, data[start:end])
 
 
-def _hide_record(random: Random, data: bytes) -> bytes:
-    """A record becomes a private one, which readers pass over."""
+def _change_opcode(random: Random, data: bytes, *, hidden: bool) -> bytes:
+    """Of a record, which becomes a private one where it is hidden: readers pass over it."""
     record = _pick(random, data)
-    if record is None:
-        return _flip_bits(random, data)
-    return _with(data, record.start, bytes([record.opcode | 0x80]))
+    opcode = record.opcode | 0x80 if hidden else random.choice((random.randrange(17), PRIVATE))
+    return _put(data, record.start, record.start + 1, bytes([opcode]))
 
 
-def _change_opcode(random: Random, data: bytes) -> bytes:
-    record = _pick(random, data)
-    if record is None:
-        return _flip_bits(random, data)
-    return _with(data, record.start, bytes([random.choice((random.randrange(17), PRIVATE))]))
-
-
-def _wrong_checksum(random: Random, data: bytes) -> bytes:
-    """Of a chunk, an attachment, the data section or the summary."""
+def _checksum(random: Random, data: bytes, *, absent: bool) -> bytes:
+    """Of a chunk, an attachment, the data section or the summary: wrong, or not computed."""
     record = _pick(random, data, CHUNK, ATTACHMENT, DATA_END, FOOTER)
-    if record is None:
-        return _flip_bits(random, data)
     at = record.start + HEAD + 24 if record.opcode == CHUNK else record.end - 4
-    return _with(data, at, random.randbytes(4))
+    return _put(data, at, at + 4, bytes(4) if absent else random.randbytes(4))
 
 
-def _no_checksum(random: Random, data: bytes) -> bytes:
-    """As writers leave it that do not compute one. Nothing else is damaged."""
-    record = _pick(random, data, CHUNK, ATTACHMENT, DATA_END, FOOTER)
-    if record is None:
-        return _cut(random, data)
-    at = record.start + HEAD + 24 if record.opcode == CHUNK else record.end - 4
-    return _with(data, at, bytes(4))
-
-
-def _twice(random: Random, data: bytes) -> bytes:
-    """The file behind itself, whole or its end lost."""
-    return data + data[: random.choice((len(data), random.randrange(len(data))))]
-
-
-def _torn_and_joined(random: Random, data: bytes) -> bytes:
-    """The beginning of the file and, behind it, the whole file."""
-    return data[: random.randrange(len(MAGIC), len(data))] + data
-
-
-def _with(data: bytes, at: int, value: bytes) -> bytes:
-    """The file with these bytes at this place, as long as before."""
-    return (data[:at] + value + data[at + len(value) :])[: len(data)]
+def _inside(random: Random, data: bytes) -> int:
+    return random.randrange(len(MAGIC), len(data))
 
 
 MUTATIONS: dict[str, Callable[[Random, bytes], bytes]] = {
-    "cut": _cut,
-    "cut at a record": _cut_at_record,
-    "front lost": _lost_front,
+    "cut": lambda random, data: data[: random.randrange(len(data))],
+    "cut at a record": lambda random, data: data[: _pick(random, data).end],
+    "front lost": lambda random, data: MAGIC + data[_inside(random, data) :],
     "bits flipped": _flip_bits,
     "bit flipped in a head": _flip_in_head,
     "page zeroed": _zero_page,
     "page of noise": _noise_page,
-    "tail zeroed": _zero_tail,
-    "noise inserted": _insert_noise,
-    "own bytes inserted": _insert_own,
-    "piece removed": _remove_piece,
-    "record removed": _remove_record,
+    # A file system after a loss of power: the length is right, the last pages were not written.
+    "tail zeroed": lambda random, data: data[: _inside(random, data)].ljust(len(data), b"\0"),
+    "noise inserted": lambda random, data: _put(
+        data, *[random.randrange(len(data))] * 2, random.randbytes(random.randint(1, 600))
+    ),
+    "own bytes inserted": _own_bytes,
+    "piece removed": lambda random, data: _put(data, *_piece(random, data, 2000)),
+    "record removed": lambda random, data: _put(data, *astuple(_pick(random, data))[1:]),
     "record repeated": _repeat_record,
     "chunk repeated": _repeat_chunk,
-    "record hidden": _hide_record,
-    "opcode changed": _change_opcode,
-    "checksum wrong": _wrong_checksum,
-    "checksum absent": _no_checksum,
-    "file twice": _twice,
-    "torn and joined": _torn_and_joined,
+    "record hidden": partial(_change_opcode, hidden=True),
+    "opcode changed": partial(_change_opcode, hidden=False),
+    "checksum wrong": partial(_checksum, absent=False),
+    "checksum absent": partial(_checksum, absent=True),
+    # Whole, or its end lost; and the file behind its own beginning.
+    "file twice": lambda random, data: (
+        data + data[: random.choice((len(data), random.randrange(len(data))))]
+    ),
+    "torn and joined": lambda random, data: data[: _inside(random, data)] + data,
 }
 
 _ALONE = {"checksum absent", "record repeated", "chunk repeated"}

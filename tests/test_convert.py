@@ -19,7 +19,7 @@ from tests.foreign_logs import json_log
 from tests.mcap_trips import START, assert_same, trip_of
 from trainlog.cli.options import stretch, times
 from trainlog.errors import InputError, LogError
-from trainlog.formats.trip_tables import CsvTripIndex, folder_writer, read_parquet, write_parquet
+from trainlog.formats.trip_tables import CsvTripIndex, folder_writer, read_parquet
 from trainlog.mcap import DamageWarning, convert as module, read_log, write_log
 from trainlog.mcap.convert import convert, span_of
 from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, TRAIN_AXLES, TRAIN_STATE
@@ -162,6 +162,17 @@ def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> N
         assert_same(wanted, read_parquet(tmp_path / f"{number}.parquet"))
 
 
+def damage(path: Path, chunks: slice) -> None:
+    """Damage chunks of a log."""
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    for index in sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset)[chunks]:
+        data[index.chunk_start_offset + index.chunk_length - 5] ^= 0xFF
+    path.write_bytes(data)
+
+
 @pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
 @pytest.mark.parametrize("foreign", [False, True])
 def test_a_log_without_one_readable_message_is_refused(
@@ -172,13 +183,7 @@ def test_a_log_without_one_readable_message_is_refused(
         json_log(source, "/things", [{"x": 1}])
     else:
         write_log(trip_of(rows=20), source)
-    data = bytearray(source.read_bytes())
-    with source.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    for index in summary.chunk_indexes:
-        data[index.chunk_start_offset + index.chunk_length - 5] ^= 0xFF
-    source.write_bytes(data)
+    damage(source, slice(None))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DamageWarning)
         with pytest.raises((LogError, InputError)) as caught:
@@ -273,12 +278,6 @@ def test_stretches_are_kilometres() -> None:
             stretch(wrong)
 
 
-def test_a_stretch_of_a_folder_without_positions_is_refused(tmp_path: Path) -> None:
-    write_parquet(Trip({}, {"trip": "t7"}), tmp_path / "none.parquet")
-    with pytest.raises(LogError, match="does not know where the train was"):
-        convert(tmp_path / "none.parquet", tmp_path / "none.mcap", position=(0.0, 1.0))
-
-
 @pytest.mark.parametrize("suffix", [".mcap", pytest.param(".parquet", marks=pytest.mark.long)])
 def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(
     suffix: str, log: Path, tmp_path: Path
@@ -292,14 +291,7 @@ def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(
         minutes[name].attrs = frame.attrs
     long = tmp_path / "long.mcap"
     write_log(Trip(minutes, trip.metadata, trip.provenance), long)
-    data = bytearray(long.read_bytes())
-    with long.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    last = max(summary.chunk_indexes, key=lambda each: each.chunk_start_offset)
-    data[last.chunk_start_offset + last.chunk_length - 5] ^= 0xFF
-    long.write_bytes(data)
-
+    damage(long, slice(-1, None))
     with pytest.warns(DamageWarning) as caught:
         convert(long, tmp_path / f"made{suffix}")
     account = caught[0].message.account  # type: ignore[union-attr]

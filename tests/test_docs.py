@@ -27,6 +27,7 @@ sys.path.append(str(DOCS / "tools"))
 import notebook  # noqa: E402
 import pages  # noqa: E402
 import sources  # noqa: E402
+from topic_table import with_topics  # noqa: E402
 
 PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
 LONG = ("engineer.md", "gallery.md", "network.md", "planner.md", "simulation.md")
@@ -94,6 +95,11 @@ def test_the_notebook_is_the_tutorial() -> None:
     """To renew it: python docs/tools/notebook.py docs/tutorials/developer.md THE_NOTEBOOK."""
     kept = TUTORIAL.with_suffix(".ipynb").read_text("utf-8")
     assert kept == notebook.written(notebook.from_page(TUTORIAL.read_text("utf-8")))
+
+
+def test_the_page_on_logs_ends_with_todays_table_of_topics() -> None:
+    page = (DOCS / "log.md").read_text("utf-8")
+    assert page == with_topics(page), "run docs/tools/topic_table.py docs/log.md"
 
 
 PACKAGES = ("trainlog", "analysis", "estimators")

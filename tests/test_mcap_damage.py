@@ -5,27 +5,22 @@ from __future__ import annotations
 import struct
 import tempfile
 import tracemalloc
-import warnings
 import zlib
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import pytest
-import zstandard
 from hypothesis import given, settings, strategies as st
-from mcap.data_stream import RecordBuilder
 from mcap.reader import SeekingReader
-from mcap.records import Chunk
-from mcap_trips import assert_same, trip_of
+from mcap.records import ChunkIndex
+from mcap_trips import ATTACHMENTS, assert_same, trip_of
 from refusals import refused
 
 from trainlog.errors import LogError
-from trainlog.mcap import Account, DamageWarning, account_of, describe, read_log, write_log
+from trainlog.mcap import DamageWarning, account_of, describe, read_log, write_log
 from trainlog.mcap.records import Source
-from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
+from trainlog.topics import EVENTS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
 
@@ -43,39 +38,16 @@ def data(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-def read_with_account(path: Path) -> tuple[Trip, Account | None]:
-    """The trip, and the account of what is lost if the user was warned."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        trip = read_log(path)
-    accounts = [each.message.account for each in caught if isinstance(each.message, DamageWarning)]
-    assert len(accounts) == len(caught) <= 1
-    for account in accounts:
-        assert not account.whole
-        rows = sum(len(frame) for frame in trip.topics.values())
-        if account.messages != rows:
-            # A broken name makes a topic a foreign one, which is no part of the trip.
-            foreign = [each for each in describe(path).topics if each.name not in trip.topics]
-            rows += sum(each.count for each in foreign)
-        assert account.messages == rows
-        for loss in account.losses:
-            assert 0 <= loss.start <= loss.end <= path.stat().st_size
-            assert loss.reason.isprintable()
-    return trip, accounts[0] if accounts else None
-
-
-def small(tmp_path: Path) -> tuple[Trip, bytes]:
-    trip = trip_of(rows=12, axles=2, topics=[TRAIN_STATE.name, GNSS_FIX.name, EVENTS.name])
-    write_log(trip, tmp_path / "small.mcap")
-    return trip, (tmp_path / "small.mcap").read_bytes()
+def chunks_of(data: bytes) -> list[ChunkIndex]:
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes
 
 
 def without_checksums(data: bytes) -> bytearray:
     """The same log as a writer without checksums would leave it."""
     stripped = bytearray(data)
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    for index in summary.chunk_indexes:
+    for index in chunks_of(data):
         struct.pack_into("<I", stripped, index.chunk_start_offset + 9 + 24, 0)
     footer = len(data) - 8 - 20
     (summary_start,) = struct.unpack_from("<Q", data, footer)
@@ -84,14 +56,12 @@ def without_checksums(data: bytes) -> bytearray:
     return stripped
 
 
-@pytest.mark.parametrize("claimed", [2**20, 2**29, 2**31, 2**62, 2**64 - 1])
+@pytest.mark.parametrize("claimed", [2**29, 2**64 - 1])
 def test_forged_chunk_sizes_do_not_exhaust_the_memory(
     claimed: int, data: bytes, tmp_path: Path
 ) -> None:
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
     forged = without_checksums(data)
-    for index in summary.chunk_indexes:
+    for index in chunks_of(data):
         struct.pack_into("<Q", forged, index.chunk_start_offset + 9 + 16, claimed)
     (tmp_path / "forged.mcap").write_bytes(forged)
     tracemalloc.start()
@@ -101,38 +71,43 @@ def test_forged_chunk_sizes_do_not_exhaust_the_memory(
     assert peak < 50e6
 
 
-def test_attachments_are_checked_on_their_own(tmp_path: Path) -> None:
-    _, data = small(tmp_path)
+def test_attachments_are_checked_on_their_own(trip: Trip, data: bytes, tmp_path: Path) -> None:
     flipped = without_checksums(data)
-    flipped[flipped.index(b'{"format": "trainlog/line"}')] ^= 1
+    flipped[flipped.index(ATTACHMENTS["line.json"])] ^= 1
     (tmp_path / "flipped.mcap").write_bytes(flipped)
-    trip, account = read_with_account(tmp_path / "flipped.mcap")
-    assert account is not None
-    assert [loss.reason for loss in account.losses] == ["attachment 'line.json' fails its checksum"]
-    assert "line.json" not in trip.attachments
+    with pytest.warns(DamageWarning) as caught:
+        found = read_log(tmp_path / "flipped.mcap")
+    (loss,) = caught[0].message.account.losses  # type: ignore[union-attr]
+    assert loss.reason == "attachment 'line.json' fails its checksum"
+    assert found.attachments == {"notes": ATTACHMENTS["notes"]}
+    assert found.topics.keys() == trip.topics.keys()
 
 
-def test_statistics_that_contradict_the_indexes_do_not_hide_messages(
+def test_an_index_that_contradicts_its_chunk_is_not_followed(
     trip: Trip, data: bytes, tmp_path: Path
 ) -> None:
-    """A message index that lists fewer messages than there are is not followed."""
+    """It lists too few messages, or one twice: the chunk's own records are asked instead."""
+    path = tmp_path / "forged.mcap"
+    offsets = chunks_of(data)[0].message_index_offsets
     forged = without_checksums(data)
-    at = forged.index(bytes([0x07]), 0)
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    at = summary.chunk_indexes[0].message_index_offsets[1]
     # The channel's index becomes a private record, which readers pass over.
-    forged[at] = 0x87
-    (tmp_path / "forged.mcap").write_bytes(forged)
-    assert_same(trip, read_log(tmp_path / "forged.mcap"))
+    forged[offsets[1]] = 0x87
+    path.write_bytes(forged)
+    assert_same(trip, read_log(path))
+    for at in offsets.values():
+        forged = bytearray(data)
+        # The second entry's offset becomes the first one's.
+        forged[at + 15 + 24 : at + 15 + 32] = forged[at + 15 + 8 : at + 15 + 16]
+        path.write_bytes(forged)
+        for topic, frame in trip.topics.items():
+            assert frame.equals(read_log(path, topics=[topic])[topic])
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         (b"", "is empty"),
-        (b"time,speed\n1,2\n", "is not an MCAP file"),
-        (b"time,speed\n1,2\n", "but text; 'trainlog ingest' makes logs of recordings"),
+        (b"time,speed\n1,2\n", "is not an MCAP file but text; 'trainlog ingest' makes logs of"),
         ("Züge\n".encode()[:-4] + b"\xc3", "but text"),
         ("Züge;Größe km/h\n1;2\n".encode("cp1252") * 20, "but text; 'trainlog ingest' makes"),
         (b"PAR1\x15\x04", "but a Parquet file; 'trainlog convert FOLDER.parquet -o"),
@@ -160,24 +135,8 @@ def test_converted_line_ends_are_named(
     path.write_bytes(data.replace(old, new))
     for read in (read_log, describe, account_of):
         caught = refused(LogError, f"line ends were converted from {conversion}", read, path)
-        assert "binary mode" in caught.remedy
-        assert ".gitattributes" in caught.remedy
-
-
-def test_an_index_that_leads_to_a_message_twice_is_not_followed(
-    trip: Trip, data: bytes, tmp_path: Path
-) -> None:
-    """Reading a part does not verify the whole file: the chunk's own records are asked instead."""
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    for at in summary.chunk_indexes[0].message_index_offsets.values():
-        forged = bytearray(data)
-        # The second entry's offset becomes the first one's.
-        forged[at + 15 + 24 : at + 15 + 32] = forged[at + 15 + 8 : at + 15 + 16]
-        (tmp_path / "forged.mcap").write_bytes(forged)
-        for topic, frame in trip.topics.items():
-            part = read_log(tmp_path / "forged.mcap", topics=[topic])
-            assert frame.equals(part[topic])
+        assert "binary mode" in str(caught.remedy)
+        assert ".gitattributes" in str(caught.remedy)
 
 
 @settings(max_examples=20)
@@ -192,90 +151,3 @@ def test_any_part_of_a_file_is_read_as_it_stands(parts: list[tuple[int, int]]) -
                 assert source.read(offset, length) == data[offset : offset + length]
                 assert source.read(offset, length % 99) == data[offset : offset + length % 99]
             assert source.checksum(7, 190_000) == zlib.crc32(data[7:190_000])
-
-
-TRIES = (30, pytest.param(500, marks=pytest.mark.long))
-"""How often bytes of a log are changed."""
-
-
-_T = TypeVar("_T")
-
-
-def outcome(read: Callable[[Path], _T], path: Path) -> _T | LogError:
-    """What reading gives: a result, or the one kind of error that it may raise, in one line."""
-    try:
-        return read(path)
-    except LogError as error:
-        found = error
-    assert found.file == path
-    assert found.remedy
-    assert str(found).isprintable()
-    return found
-
-
-@pytest.mark.parametrize("count", TRIES)
-def test_uncompressed_messages_with_broken_bytes(tmp_path: Path, count: int) -> None:
-    """Damage inside a chunk that is not compressed reaches the message parsers."""
-    _, data = small(tmp_path)
-    start, end, content = only_chunk(data)
-    plain = without_checksums(data)
-    chunk = record(Chunk("", content, 0, 0, 0, len(content)))
-    random = np.random.default_rng(5)
-    path = tmp_path / "flipped.mcap"
-    noticed = 0
-    for _ in range(count):
-        flipped = bytearray(chunk)
-        flipped[random.integers(len(chunk) - len(content), len(chunk))] = random.integers(256)
-        path.write_bytes(with_summary_moved(plain, start, end, bytes(flipped)))
-        found = outcome(read_with_account, path)
-        noticed += isinstance(found, LogError) or found[1] is not None
-    assert noticed > count // 10
-
-
-def only_chunk(data: bytes) -> tuple[int, int, bytes]:
-    """Start, end and decompressed content of the chunk of a log that has one."""
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    (index,) = summary.chunk_indexes
-    end = index.chunk_start_offset + index.chunk_length
-    content = zstandard.decompress(data[end - index.compressed_size : end])
-    return index.chunk_start_offset, end, content
-
-
-def record(chunk: Chunk) -> bytes:
-    builder = RecordBuilder()
-    chunk.write(builder)
-    return builder.end()
-
-
-def with_summary_moved(data: bytes, start: int, end: int, chunk: bytes) -> bytes:
-    """The file with another chunk in this place, its footer pointing right again."""
-    moved = bytearray(data[:start] + chunk + data[end:])
-    shift = len(chunk) - (end - start)
-    footer = len(moved) - 8 - 20
-    for at in (footer, footer + 8):
-        (offset,) = struct.unpack_from("<Q", moved, at)
-        struct.pack_into("<Q", moved, at, offset + shift)
-    return bytes(moved)
-
-
-CLAIMED = (0xFFFFFFFF, 0x7FFFFFFF, 0x00FFFFFF, 0)
-
-
-@pytest.mark.parametrize("opcode", [0x03, 0x04, 0x06, 0x07, 0x09, 0x0B, 0x0C])
-def test_forged_record_lengths(opcode: int, tmp_path: Path) -> None:
-    """A length field of each kind of record claims more than there is."""
-    _, data = small(tmp_path)
-    at = 8
-    while data[at] != opcode:
-        (length,) = struct.unpack_from("<Q", data, at + 1)
-        at += 9 + length
-    (length,) = struct.unpack_from("<Q", data, at + 1)
-    plain = without_checksums(data)
-    for place in range(at + 1, at + 9 + min(length, 20) - 3):
-        # Within the record one claim at each place, in turn; at its own length all of them.
-        for claimed in CLAIMED if place < at + 9 else (CLAIMED[place % len(CLAIMED)],):
-            forged = bytearray(plain)
-            struct.pack_into("<I", forged, place, claimed)
-            (tmp_path / "forged.mcap").write_bytes(forged)
-            outcome(read_with_account, tmp_path / "forged.mcap")

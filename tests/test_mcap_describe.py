@@ -17,11 +17,6 @@ from trainlog.topics import TOPICS, TRAIN_STATE
 from trainlog.trip import Trip
 
 
-def described(trip: Trip, folder: Path) -> LogDescription:
-    write_log(trip, folder / "trip.mcap")
-    return describe(folder / "trip.mcap")
-
-
 def printed(description: LogDescription) -> str:
     console = Console(file=StringIO(), width=140)
     console.print(*description.shown())
@@ -30,16 +25,13 @@ def printed(description: LogDescription) -> str:
 
 
 def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
-    trip = trip_of(rows=120, axles=3)
-    found = described(trip, tmp_path)
-    data = (tmp_path / "trip.mcap").read_bytes()
-    assert found.path == tmp_path / "trip.mcap"
-    assert found.size == len(data)
-    assert found.problem is None
+    trip, path = trip_of(rows=120, axles=3), tmp_path / "trip.mcap"
+    write_log(trip, path)
+    found = describe(path)
+    assert (found.path, found.size, found.problem) == (path, path.stat().st_size, None)
     assert found.complete
     assert found.schema_version == "1"
-    assert found.metadata == METADATA
-    assert found.provenance == PROVENANCE
+    assert (found.metadata, found.provenance) == (METADATA, PROVENANCE)
     assert [(a.name, a.size, a.sha256) for a in found.attachments] == [
         (name, len(content), hashlib.sha256(content).hexdigest())
         for name, content in sorted(ATTACHMENTS.items())
@@ -47,13 +39,10 @@ def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
     assert [topic.name for topic in found.topics] == list(trip.topics)
     for topic in found.topics:
         frame = trip[topic.name]
-        assert topic.message == TOPICS[topic.name].message
-        assert topic.encoding == "protobuf"
-        assert topic.count == 120
-        assert topic.rate == pytest.approx(10.0)
-        assert topic.median_interval == pytest.approx(0.1)
-        assert topic.largest_gap == pytest.approx(0.1)
-        assert topic.gaps == 0
+        assert (topic.message, topic.encoding) == (TOPICS[topic.name].message, "protobuf")
+        assert (topic.count, topic.gaps) == (120, 0)
+        stated = [topic.rate, topic.median_interval, topic.largest_gap]
+        assert stated == pytest.approx([10.0, 0.1, 0.1])
         assert (topic.first, topic.last) == (frame.index[0], frame.index[-1])
         assert topic.units == {field.name: field.unit for field in TOPICS[topic.name].fields}
         per_axle = [field.name for field in TOPICS[topic.name].fields if field.per_axle]
@@ -69,8 +58,9 @@ def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
 
 
 def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None:
-    trip = Trip({}, {"trip": "[red]night[/red]", "note": "a\x1b[2Jb\nc", "long": "x" * 500})
-    text = printed(described(trip, tmp_path))
+    metadata = {"trip": "[red]night[/red]", "note": "a\x1b[2Jb\nc", "long": "x" * 500}
+    write_log(Trip({}, metadata), tmp_path / "trip.mcap")
+    text = printed(describe(tmp_path / "trip.mcap"))
     assert "[red]night[/red]" in text
     assert "\x1b" not in text
     assert "x" * 500 not in text.replace("\n", "").replace(" ", "")
@@ -78,15 +68,13 @@ def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None
 
 def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path: Path) -> None:
     trip = trip_of(rows=300, step=6 * 10**8)
-    write_log(trip, tmp_path / "trip.mcap")
-    data = (tmp_path / "trip.mcap").read_bytes()
+    write_log(trip, tmp_path / "cut.mcap")
+    data = (tmp_path / "cut.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     found = describe(tmp_path / "cut.mcap")
     assert not found.complete
-    assert found.problem is not None
-    assert found.problem.startswith("byte ")
-    assert found.metadata == METADATA
-    assert found.provenance == PROVENANCE
+    assert str(found.problem).startswith("byte ")
+    assert (found.metadata, found.provenance) == (METADATA, PROVENANCE)
     assert 0 < found.count < 300 * len(TOPICS)
     kept = trip[TRAIN_STATE.name].iloc[: found.topics[0].count]["position"]
     assert found.position_span == (kept.min(), kept.max())

@@ -26,55 +26,36 @@ SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 KEPT = Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap"
 
 
-def fix_message(row):
-    return {
-        "header": {"stamp": {"sec": 1_700_000_000 + row, "nanosec": 5}, "frame_id": "gnss" * row},
-        "status": {"status": -1 if row == 2 else 0, "service": 65_535},
-        "latitude": 47.1 + row,
-        "longitude": -8.25,
-        "altitude": 411.0,
-        "position_covariance": COVARIANCE,
-        "position_covariance_type": 2,
-    }
-
-
-def assert_fixes(frame, stamp):
+def test_ros1_messages_of_the_official_writer_become_columns(tmp_path):
+    schema = SimpleNamespace(id=1, name="sensor_msgs/NavSatFix", encoding="ros1msg")
+    schema.data = FIX_1.encode()
+    factory = Ros1DecoderFactory()
+    factory.decoder_for("ros1", schema)
+    path = tmp_path / "ros1.mcap"
+    with path.open("wb") as stream:
+        writer = Ros1Writer(stream)
+        for row in range(3):
+            message = factory._types[1]()
+            message.header.stamp.secs = 1_700_000_000 + row
+            message.header.frame_id = "gnss" * row
+            message.status.status, message.status.service = -1 if row == 2 else 0, 65_535
+            message.latitude, message.longitude = 47.1 + row, -8.25
+            message.position_covariance = COVARIANCE
+            writer.write_message("/fix", message, START + row * 10**9)
+        writer.finish()
+    found = frames_of(path)
+    frame = found.frames["/fix"]
     assert frame["latitude"].tolist() == [47.1, 48.1, 49.1]
     assert frame["longitude"].tolist() == [-8.25] * 3
     assert [frame[f"position_covariance[{at}]"].iloc[1] for at in range(9)] == COVARIANCE
     assert frame["header.frame_id"].tolist() == ["", "gnss", "gnssgnss"]
-    assert frame[stamp].tolist() == [1_700_000_000, 1_700_000_001, 1_700_000_002]
+    assert frame["header.stamp.secs"].tolist() == [1_700_000_000, 1_700_000_001, 1_700_000_002]
     assert frame["status.status"].tolist() == [0, 0, -1]
     assert frame["status.service"].dtype == np.int64
     assert frame["status.service"].iloc[0] == 65_535
     assert frame.index.tolist() == [
         pd.Timestamp(START + row * 10**9, unit="ns", tz="UTC") for row in range(3)
     ]
-
-
-def test_ros1_messages_of_the_official_writer_become_columns(tmp_path):
-    schema = SimpleNamespace(id=1, name="sensor_msgs/NavSatFix", encoding="ros1msg")
-    schema.data = FIX_1.encode()
-    factory = Ros1DecoderFactory()
-    factory.decoder_for("ros1", schema)
-    kind = factory._types[1]
-    path = tmp_path / "ros1.mcap"
-    with path.open("wb") as stream:
-        writer = Ros1Writer(stream)
-        for row in range(3):
-            given_fix = fix_message(row)
-            message = kind()
-            message.header.stamp.secs = 1_700_000_000 + row
-            message.header.frame_id = given_fix["header"]["frame_id"]
-            message.status.status = given_fix["status"]["status"]
-            message.status.service = given_fix["status"]["service"]
-            message.latitude = given_fix["latitude"]
-            message.longitude = given_fix["longitude"]
-            message.position_covariance = COVARIANCE
-            writer.write_message("/fix", message, START + row * 10**9)
-        writer.finish()
-    found = frames_of(path)
-    assert_fixes(found.frames["/fix"], "header.stamp.secs")
     assert found.skipped == ()
 
 
@@ -148,19 +129,9 @@ def test_a_mislabelled_or_broken_message_costs_only_itself(tmp_path):
     for item in found.skipped:
         counts[item.topic] = counts.get(item.topic, 0) + item.messages
         assert item.reason
-    assert counts == {
-        "/mixed": 3,
-        "/json": 5,
-        "/deep": 1,
-        "/nested": 1,
-        "/no_schema": 1,
-        "/no_descriptor": 2,
-        "/wrong_kind": 1,
-        "/unknown": 3,
-        "/flat": 1,
-        "/idl": 1,
-        "/undefined": 1,
-    }
+    once = ("/deep", "/nested", "/no_schema", "/wrong_kind", "/flat", "/idl", "/undefined")
+    several = {"/mixed": 3, "/json": 5, "/no_descriptor": 2, "/unknown": 3}
+    assert counts == several | dict.fromkeys(once, 1)
 
 
 def test_fields_that_a_protobuf_schema_does_not_declare_are_counted(tmp_path):
@@ -248,8 +219,7 @@ def test_the_files_that_rosbag2_wrote_read_as_the_official_decoder_reads_them():
 def test_json_numbers_beyond_every_type(tmp_path):
     messages = [b'{"x": 1e999}', json.dumps({"x": 10**400}).encode(), b'{"x": NaN}']
     frame = frames_of(json_log(tmp_path / "n.mcap", "/n", messages)).frames["/n"]
-    assert frame["x"].iloc[:2].tolist() == [np.inf, np.inf]
-    assert np.isnan(frame["x"].iloc[2])
+    np.testing.assert_array_equal(frame["x"], [np.inf, np.inf, np.nan])
 
 
 @settings(max_examples=20)

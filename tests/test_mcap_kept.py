@@ -10,7 +10,6 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import SeekingReader
@@ -96,22 +95,6 @@ def kept_trip() -> Trip:
     return Trip(frames, METADATA, PROVENANCE, ATTACHMENTS)
 
 
-def test_the_kept_file_opens_with_its_values(kept: Path) -> None:
-    trip = read_log(kept)
-    assert trip.metadata == METADATA
-    assert trip.provenance == PROVENANCE
-    assert trip.attachments == ATTACHMENTS
-    assert set(trip.topics) == set(COLUMNS)
-    for name, columns in COLUMNS.items():
-        frame = trip[name]
-        assert frame.index.equals(pd.to_datetime(time_of(name), utc=True))
-        for column in columns.split():
-            if name == "/events":
-                assert frame[column].tolist() == EVENTS[column]
-            else:
-                np.testing.assert_array_equal(frame[column], column_of(name, column))
-
-
 def test_fields_keep_their_numbers(kept: Path) -> None:
     """A field that moves in the table would be misread by programs with an older descriptor."""
     summary = SeekingReader(BytesIO(kept.read_bytes())).get_summary()
@@ -126,6 +109,12 @@ def test_fields_keep_their_numbers(kept: Path) -> None:
             assert channel.metadata[f"unit.{field.name}"] == topic.field(field.name).unit
 
 
-def test_todays_writer_says_the_same(kept: Path, tmp_path: Path) -> None:
+def test_a_kept_file_opens_with_the_values_that_todays_writer_writes(
+    kept: Path, tmp_path: Path
+) -> None:
     write_log(kept_trip(), tmp_path / "today.mcap")
-    assert_same(read_log(kept), read_log(tmp_path / "today.mcap"))
+    found = read_log(kept)
+    assert_same(found, read_log(tmp_path / "today.mcap"))
+    assert list(found.topics) == [name for name in TOPICS if name in COLUMNS]
+    for name, columns in COLUMNS.items():
+        assert set(columns.split()) <= set(found[name].columns)

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-import time
 import warnings
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -50,43 +48,26 @@ def judged(folder: Path, seeds: range) -> tuple[list[str], int]:
     return wrong, most_memory() - before
 
 
-@pytest.mark.parametrize(
-    "part", [0, *(pytest.param(part, marks=pytest.mark.long) for part in range(1, 5))]
-)
-def test_damaged_files(part: int, tmp_path: Path) -> None:
-    """The 200 files of every run, and 2,000 more."""
-    wrong, memory = judged(tmp_path, range(part * 500, part * 500 + (500 if part else 200)))
+def test_damaged_files(tmp_path: Path) -> None:
+    wrong, memory = judged(tmp_path, range(200))
     assert not wrong
     assert memory < FLOOR
 
 
 @pytest.mark.long
 def test_a_hundred_thousand_damaged_files(tmp_path: Path) -> None:
-    """Run with ``pytest -m long -s`` to see the figures."""
-    count, batch = 100_000, 500
-    start = time.perf_counter()
-    batches = [range(first, first + batch) for first in range(10_000, 10_000 + count, batch)]
+    """Each batch in a process that has made no other."""
+    batches = [range(first, first + 500) for first in range(10_000, 110_000, 500)]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         results = list(pool.map(partial(judged, tmp_path), batches))
-    wrong = [each for found, _ in results for each in found]
-    memory = max(most for _, most in results)
-    print(
-        f"\n{count:,} damaged files in {time.perf_counter() - start:.0f} s, "
-        f"{len(wrong)} judged wrong, {memory / 2**20:.0f} MiB of memory more than for whole files"
-    )
-    for each in wrong[:50]:
-        print(each)
-    assert not wrong
-    assert memory < FLOOR
+    assert [each for found, _ in results for each in found] == []
+    assert max(memory for _, memory in results) < FLOOR
 
 
 def test_every_kind_of_damage_is_drawn() -> None:
-    drawn: Counter[str] = Counter()
     data = b"\x89MCAP0\r\n" + bytes(100)
-    for seed in range(2000):
-        how, _ = mutated(data, seed)
-        drawn.update(how.split(", "))
-    assert set(drawn) == set(MUTATIONS)
+    drawn = {each for seed in range(2000) for each in mutated(data, seed)[0].split(", ")}
+    assert drawn == set(MUTATIONS)
 
 
 @pytest.mark.parametrize("path", sorted(KEPT.glob("*.mcap")), ids=lambda path: path.stem)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -70,12 +70,8 @@ def row_of(topic: Topic, message: Any) -> list[float]:
     row = []
     for field in topic.fields:
         value = getattr(message, field.name)
-        if field.per_axle:
-            assert len(value) == AXLES
-            row += list(value)
-        else:
-            assert message.HasField(field.name)
-            row.append(value)
+        assert len(value) == AXLES if field.per_axle else message.HasField(field.name)
+        row += list(value) if field.per_axle else [value]
     return row
 
 
@@ -89,8 +85,7 @@ def test_the_official_reader_reads_every_value_in_order(trip: Trip, log: Path) -
         for schema, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
             assert schema is not None
             assert schema.name == TOPICS[channel.topic].message
-            assert message.log_time >= before
-            assert message.publish_time == message.log_time
+            assert message.publish_time == message.log_time >= before
             # The number of the topic's messages before this chunk, so that a lost one is counted.
             assert message.sequence <= len(rows[channel.topic])
             if message.sequence != sequences.get(channel.topic):
@@ -109,31 +104,28 @@ def test_the_official_reader_reads_every_value_in_order(trip: Trip, log: Path) -
             np.testing.assert_array_equal(np.array(rows[name]), frame.to_numpy())
 
 
-@pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.message)
-def test_descriptors_and_channels_equal_the_table(topic: Topic, log: Path) -> None:
+def test_descriptors_and_channels_equal_the_table(log: Path) -> None:
     summary = SeekingReader(BytesIO(log.read_bytes())).get_summary()
     assert summary is not None
-    channel = next(c for c in summary.channels.values() if c.topic == topic.name)
-    assert channel.message_encoding == "protobuf"
-    for field in topic.fields:
-        assert channel.metadata[f"unit.{field.name}"] == field.unit
-        assert channel.metadata[f"meaning.{field.name}"] == field.meaning
-        assert channel.metadata.get(f"axles.{field.name}") == ("4" if field.per_axle else None)
-    schema = summary.schemas[channel.schema_id]
-    assert (schema.name, schema.encoding) == (topic.message, "protobuf")
-    declared = message_class(topic).DESCRIPTOR
-    if topic.foxglove:
+    for topic in TOPICS.values():
+        channel = next(c for c in summary.channels.values() if c.topic == topic.name)
+        assert channel.message_encoding == "protobuf"
+        for field in topic.fields:
+            assert channel.metadata[f"unit.{field.name}"] == field.unit
+            assert channel.metadata[f"meaning.{field.name}"] == field.meaning
+            assert channel.metadata.get(f"axles.{field.name}") == ("4" if field.per_axle else None)
+        schema = summary.schemas[channel.schema_id]
+        assert (schema.name, schema.encoding) == (topic.message, "protobuf")
+        declared = message_class(topic).DESCRIPTOR
         assert declared.full_name == topic.message
-        return
-    files = FileDescriptorSet.FromString(schema.data).file
-    fields = files[0].message_type[0].field
-    assert [(f.name, f.number) for f in fields] == [
-        (field.name, number) for number, field in enumerate(topic.fields, start=1)
-    ]
-    assert {f.type for f in fields} == {FieldDescriptorProto.TYPE_DOUBLE}
-    for field in topic.fields:
-        described = declared.fields_by_name[field.name]
-        assert described.has_presence is not field.per_axle
+        if topic.foxglove:
+            continue
+        fields = FileDescriptorSet.FromString(schema.data).file[0].message_type[0].field
+        numbered = [(field.name, number) for number, field in enumerate(topic.fields, start=1)]
+        assert [(f.name, f.number) for f in fields] == numbered
+        assert {f.type for f in fields} == {FieldDescriptorProto.TYPE_DOUBLE}
+        for field in topic.fields:
+            assert declared.fields_by_name[field.name].has_presence is not field.per_axle
 
 
 # --- files with our topics that another program wrote
@@ -141,36 +133,55 @@ def test_descriptors_and_channels_equal_the_table(topic: Topic, log: Path) -> No
 
 def write_elsewhere(
     path: Path,
-    batches: list[tuple[str, list[tuple[int, Any]]]],
+    *batches: Iterable[tuple[int, Any]],
     topic: Topic = TRAIN_STATE,
-    **options: Any,
-) -> None:
-    """Write messages with the official writer: one channel for each batch, in turns."""
+    names: tuple[str, ...] = (),
+    schemas: tuple[bytes, ...] = (),
+    metadata: dict[str, str] | None = None,
+) -> Path:
+    """Times and messages by the official writer: a channel for each batch, one after the other."""
     with path.open("wb") as stream:
-        writer = Writer(stream, **options)
+        writer = Writer(stream)
         writer.start()
-        schema = writer.register_schema(topic.message, "protobuf", descriptor_set(topic))
-        for name, messages in batches:
-            channel = writer.register_channel(name, "protobuf", schema)
+        for number, messages in enumerate(batches):
+            data = schemas[number] if schemas else descriptor_set(topic)
+            schema = writer.register_schema(topic.message, "protobuf", data)
+            name = names[number] if names else topic.name
+            channel = writer.register_channel(name, "protobuf", schema, metadata or {})
             for time, message in messages:
-                writer.add_message(channel, time, message.SerializeToString(), time)
+                data = message if isinstance(message, bytes) else message.SerializeToString()
+                writer.add_message(channel, time, data, time)
         writer.finish()
+    return path
+
+
+def edited(change: Callable[[Any], None], topic: Topic = TRAIN_STATE) -> bytes:
+    """The schema of a topic, changed."""
+    files = FileDescriptorSet.FromString(descriptor_set(topic))
+    change(files.file[-1].message_type[0])
+    return files.SerializeToString()
+
+
+def with_field(place: int, /, **values: object) -> Callable[[Any], None]:
+    """Changes a field of a message's schema."""
+
+    def change(message: Any) -> None:
+        for name, value in values.items():
+            setattr(message.field[place], name, value)
+
+    return change
 
 
 def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path: Path) -> None:
-    axles = message_class(TRAIN_AXLES)
+    axles, nan = message_class(TRAIN_AXLES), np.nan
     first = [
         (START + 5, axles(wheel_speed=[1.0, 2.0])),
         (START + 1, axles(wheel_speed=[3.0], wheel_effort=[4.0])),
     ]
     second = [(START + 3, axles()), (START + 2, axles(wheel_effort=[5.0, 6.0, 7.0]))]
-    write_elsewhere(
-        tmp_path / "trip.mcap",
-        [(TRAIN_AXLES.name, first), (TRAIN_AXLES.name, second), ("/other", first)],
-        topic=TRAIN_AXLES,
-    )
-    frame = read_log(tmp_path / "trip.mcap")[TRAIN_AXLES.name]
-    nan = np.nan
+    names = TRAIN_AXLES.name, TRAIN_AXLES.name, "/other"
+    path = tmp_path / "trip.mcap"
+    write_elsewhere(path, first, second, first, topic=TRAIN_AXLES, names=names)
     expected = frame_of(
         TRAIN_AXLES,
         START + np.array([1, 2, 3, 5]),
@@ -179,37 +190,27 @@ def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path: Path) -> 
             "wheel_effort": np.array([[4.0, nan, nan], [5.0, 6.0, 7.0], [nan] * 3, [nan] * 3]),
         },
     )
-    pd.testing.assert_frame_equal(frame, expected, check_freq=False)
+    pd.testing.assert_frame_equal(read_log(path)[TRAIN_AXLES.name], expected, check_freq=False)
 
 
 def test_columns_that_a_file_does_not_have_are_nan(tmp_path: Path) -> None:
     """Of two channels of a topic one lacks a field: NaN in its rows, not what the memory held."""
-
-    def without_speed(message: Any) -> None:
-        del message.field[1]
-
     rows = 5_000
-    with (tmp_path / "trip.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        for offset, schema in ((0, descriptor_set(TRAIN_STATE)), (1, edited(without_speed))):
-            number = writer.register_schema(TRAIN_STATE.message, "protobuf", schema)
-            channel = writer.register_channel(TRAIN_STATE.name, "protobuf", number)
-            for row in range(rows):
-                value = np.float64(row).tobytes()
-                data = b"".join([b"\x09", value, *([b"\x11", value] if not offset else [])])
-                time = START + 2 * row + offset
-                writer.add_message(channel, time, data + b"\x19" + value, time)
-        writer.finish()
+    numbers = np.arange(float(rows))
+    both = [b"\x09%b\x11%b\x19%b" % (3 * (value.tobytes(),)) for value in numbers]
+    path = write_elsewhere(
+        tmp_path / "trip.mcap",
+        [(START + 2 * row, data) for row, data in enumerate(both)],
+        [(START + 2 * row + 1, data[:9] + data[18:]) for row, data in enumerate(both)],
+        schemas=(descriptor_set(TRAIN_STATE), edited(lambda message: message.field.pop(1))),
+    )
     for _ in range(3):
-        # Memory that was used before is not zero.
-        used = np.full(6 * rows, 7.0)
+        used = np.full(6 * rows, 7.0)  # memory that was used before is not zero
         del used
-        frame = read_log(tmp_path / "trip.mcap")[TRAIN_STATE.name]
-        values = np.repeat(np.arange(float(rows)), 2)
-        np.testing.assert_array_equal(frame["position"], values)
-        np.testing.assert_array_equal(frame["acceleration"], values)
-        np.testing.assert_array_equal(frame["speed"][::2], values[::2])
+        frame = read_log(path)[TRAIN_STATE.name]
+        np.testing.assert_array_equal(frame["position"], np.repeat(numbers, 2))
+        np.testing.assert_array_equal(frame["acceleration"], np.repeat(numbers, 2))
+        np.testing.assert_array_equal(frame["speed"][::2], numbers)
         assert frame["speed"][1::2].isna().all()
 
 
@@ -224,14 +225,10 @@ def test_foreign_location_fixes(tmp_path: Path) -> None:
         position_covariance_type=3,
         frame_id="antenna",
     )
-    write_elsewhere(
-        tmp_path / "trip.mcap",
-        [(GNSS_FIX.name, [(START, unknown), (START + 1, known)])],
-        topic=GNSS_FIX,
-    )
-    frame = read_log(tmp_path / "trip.mcap")[GNSS_FIX.name]
+    messages = [(START, unknown), (START + 1, known)]
+    path = write_elsewhere(tmp_path / "trip.mcap", messages, topic=GNSS_FIX)
     np.testing.assert_array_equal(
-        frame.to_numpy(),
+        read_log(path)[GNSS_FIX.name].to_numpy(),
         [[47.0, 9.0, 0.0, np.nan, np.nan], [47.5, 9.5, 600.0, np.sqrt(12.5), 5.0]],
     )
 
@@ -245,57 +242,30 @@ def test_slow_and_fast_path_agree(
     assert_same(trip, read_log(log))
 
 
-def edited(change: Callable[[Any], None], topic: Topic = TRAIN_STATE) -> bytes:
-    files = FileDescriptorSet.FromString(descriptor_set(topic))
-    change(files.file[-1].message_type[0])
-    return files.SerializeToString()
-
-
-def rename(old: str, new: str) -> Callable[[Any], None]:
-    def change(message: Any) -> None:
-        next(field for field in message.field if field.name == old).name = new
-
-    return change
-
-
-def write_with_schema(path: Path, schema: bytes, data: list[bytes], **metadata: str) -> None:
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        number = writer.register_schema(TRAIN_STATE.message, "protobuf", schema)
-        channel = writer.register_channel(TRAIN_STATE.name, "protobuf", number, metadata)
-        for row, each in enumerate(data):
-            writer.add_message(channel, START + row, each, START + row)
-        writer.finish()
-
-
-def test_fields_are_found_by_name_not_by_number(tmp_path: Path) -> None:
+def test_fields_are_found_by_name_not_by_number_and_numbers_of_any_kind_are_read(
+    tmp_path: Path,
+) -> None:
     """A file of another version: one field less, one unknown, numbers moved."""
 
-    def change(message: Any) -> None:
-        rename("position", "mood")(message)
-        rename("speed", "position")(message)
-        rename("acceleration", "speed")(message)
+    def moved(message: Any) -> None:
+        for field, name in zip(message.field, ("mood", "position", "speed"), strict=True):
+            field.name = name
 
-    values = np.array([1.5, 2.5, 3.5])
-    data = b"".join(
-        bytes([number << 3 | 1]) + value.tobytes() for number, value in enumerate(values, start=1)
-    )
-    write_with_schema(tmp_path / "trip.mcap", edited(change), [data, data])
-    frame = read_log(tmp_path / "trip.mcap")[TRAIN_STATE.name]
-    assert list(frame.columns) == [field.name for field in TRAIN_STATE.fields]
-    np.testing.assert_array_equal(frame.to_numpy(), [[2.5, 3.5, np.nan]] * 2)
+    def other_kinds(message: Any) -> None:
+        with_field(0, type=FieldDescriptorProto.TYPE_SINT32)(message)
+        with_field(1, type=FieldDescriptorProto.TYPE_FLOAT)(message)
 
-
-def test_numbers_of_other_kinds_are_read_one_by_one(tmp_path: Path) -> None:
-    def change(message: Any) -> None:
-        message.field[0].type = FieldDescriptorProto.TYPE_SINT32
-        message.field[1].type = FieldDescriptorProto.TYPE_FLOAT
-
-    data = b"\x08\x05" + b"\x15" + np.float32(2.5).tobytes()
-    write_with_schema(tmp_path / "trip.mcap", edited(change), [data])
-    frame = read_log(tmp_path / "trip.mcap")[TRAIN_STATE.name]
-    np.testing.assert_array_equal(frame.to_numpy(), [[-3.0, 2.5, np.nan]])
+    doubles = np.array([1.5, 2.5, 3.5])
+    mixed = b"\x08\x05" + b"\x15" + np.float32(2.5).tobytes()
+    for change, data, expected in (
+        (moved, b"\x09%b\x11%b\x19%b" % (*map(bytes, doubles),), [2.5, 3.5, np.nan]),
+        (other_kinds, mixed, [-3.0, 2.5, np.nan]),
+    ):
+        path = tmp_path / f"{change.__name__}.mcap"
+        write_elsewhere(path, [(START, data), (START + 1, data)], schemas=(edited(change),))
+        frame = read_log(path)[TRAIN_STATE.name]
+        assert list(frame.columns) == [field.name for field in TRAIN_STATE.fields]
+        np.testing.assert_array_equal(frame.to_numpy(), [expected] * 2)
 
 
 @pytest.mark.parametrize(
@@ -305,66 +275,44 @@ def test_numbers_of_other_kinds_are_read_one_by_one(tmp_path: Path) -> None:
         (b"\xff\xff", b"", {}, "not a protobuf descriptor"),
         (descriptor_set(TRAIN_AXLES), b"", {}, "does not declare"),
         (
-            edited(
-                lambda message: setattr(message.field[0], "type", FieldDescriptorProto.TYPE_STRING)
-            ),
+            edited(with_field(0, type=FieldDescriptorProto.TYPE_STRING)),
             b"\x0a\x01x",
             {},
             "do not have the fields",
         ),
-        (
-            edited(lambda message: setattr(message.field[0], "number", 2)),
-            b"",
-            {},
-            "schema of /train/state cannot be used",
-        ),
-        (
-            edited(lambda message: setattr(message.field[0], "number", -1)),
-            b"",
-            {},
-            "schema of /train/state cannot be used",
-        ),
+        (edited(with_field(0, number=2)), b"", {}, "schema of /train/state cannot be used"),
+        (edited(with_field(0, number=-1)), b"", {}, "schema of /train/state cannot be used"),
         (descriptor_set(TRAIN_STATE), b"", {"unit.speed": "km/h"}, "in 'km/h', not in 'm/s'"),
     ],
 )
 def test_broken_and_contradicting_schemas_are_refused(
     schema: bytes, data: bytes, metadata: dict[str, str], said: str, tmp_path: Path
 ) -> None:
-    write_with_schema(tmp_path / "trip.mcap", schema, [data], **metadata)
-    caught = refused(LogError, said, read_log, tmp_path / "trip.mcap")
-    assert caught.file == tmp_path / "trip.mcap"
+    path = tmp_path / "trip.mcap"
+    write_elsewhere(path, [(START, data)], schemas=(schema,), metadata=metadata)
+    assert refused(LogError, said, read_log, path).file == path
 
 
-@pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "9" * 5000, "next", ""])
-def test_a_later_version_is_refused(version: str, tmp_path: Path) -> None:
-    with (tmp_path / "trip.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        writer.add_metadata("trainlog.format", {"schema_version": version})
-        writer.finish()
-    refused(LogError, "update trainlog", read_log, tmp_path / "trip.mcap")
+def test_later_versions_and_times_beyond_pandas_are_refused(tmp_path: Path) -> None:
+    for version in (str(SCHEMA_VERSION + 1), "9" * 5000, "next", ""):
+        with (tmp_path / "trip.mcap").open("wb") as stream:
+            writer = Writer(stream)
+            writer.start()
+            writer.add_metadata("trainlog.format", {"schema_version": version})
+            writer.finish()
+        refused(LogError, "update trainlog", read_log, tmp_path / "trip.mcap")
+    late = [(2**63 + 5, message_class(TRAIN_STATE)(speed=1.0))]
+    refused(LogError, "times after 2262", read_log, write_elsewhere(tmp_path / "trip.mcap", late))
 
 
 @pytest.mark.parametrize("axles", ["9" * 5000, "-1", "two", "4096", "0"])
 def test_a_wrong_number_of_axles_is_not_followed(axles: str, tmp_path: Path) -> None:
     message = message_class(TRAIN_AXLES)(wheel_speed=[1.0, 2.0], wheel_effort=[3.0, 4.0])
-    with (tmp_path / "trip.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        data = descriptor_set(TRAIN_AXLES)
-        schema = writer.register_schema(TRAIN_AXLES.message, "protobuf", data)
-        metadata = {"axles.wheel_speed": axles, "axles.wheel_effort": "2"}
-        channel = writer.register_channel(TRAIN_AXLES.name, "protobuf", schema, metadata)
-        writer.add_message(channel, START, message.SerializeToString(), START)
-        writer.finish()
-    frame = read_log(tmp_path / "trip.mcap")[TRAIN_AXLES.name]
+    metadata = {"axles.wheel_speed": axles, "axles.wheel_effort": "2"}
+    path = tmp_path / "trip.mcap"
+    write_elsewhere(path, [(START, message)], topic=TRAIN_AXLES, metadata=metadata)
+    frame = read_log(path)[TRAIN_AXLES.name]
     names = ["wheel_speed_1", "wheel_speed_2", "wheel_effort_1", "wheel_effort_2"]
     assert list(frame.columns) == names
     assert frame.to_numpy().tolist() == [[1.0, 2.0, 3.0, 4.0]]
-    assert describe(tmp_path / "trip.mcap").count == 1
-
-
-def test_times_beyond_pandas_are_refused(tmp_path: Path) -> None:
-    state = message_class(TRAIN_STATE)
-    write_elsewhere(tmp_path / "trip.mcap", [(TRAIN_STATE.name, [(2**63 + 5, state(speed=1.0))])])
-    refused(LogError, "times after 2262", read_log, tmp_path / "trip.mcap")
+    assert describe(path).count == 1

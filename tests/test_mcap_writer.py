@@ -89,16 +89,15 @@ def test_chunks_are_full_but_neither_too_long_nor_too_large(whole: Path) -> None
         assert full or following.message_start_time - index.message_start_time >= 60 * 10**9
 
 
-def test_a_topic_may_come_late(tmp_path: Path) -> None:
-    trip = trip_of(rows=50)
-    first, second = pieces(trip, [pd.Timestamp(START + 2 * 10**9, tz="UTC")])
-    late = Trip({name: frame for name, frame in first.topics.items() if name != EVENTS.name})
-    with LogWriter(tmp_path / "trip.mcap") as log:
-        log.add(late)
-        log.add(second)
+def test_a_topic_may_come_late_and_without_a_piece_there_is_an_empty_log(tmp_path: Path) -> None:
+    first, second = pieces(trip_of(rows=50), [pd.Timestamp(START + 2 * 10**9, tz="UTC")])
+    late = {name: frame for name, frame in first.topics.items() if name != EVENTS.name}
+    write_pieces(tmp_path / "trip.mcap", Trip(late), second)
     found = read_log(tmp_path / "trip.mcap")
     assert len(found[EVENTS.name]) == len(second[EVENTS.name])
     assert len(found[TRAIN_STATE.name]) == 50
+    write_pieces(tmp_path / "none.mcap")
+    assert read_log(tmp_path / "none.mcap").topics == {}
 
 
 def test_pieces_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None:
@@ -117,12 +116,6 @@ def test_a_block_that_fails_leaves_the_older_file(tmp_path: Path) -> None:
         log.add(trip_of(rows=1 // len(list(tmp_path.glob("*.txt")))))
     assert [path.name for path in tmp_path.iterdir()] == ["trip.mcap"]
     assert_same(read_log(tmp_path / "trip.mcap"), older)
-
-
-def test_without_a_piece_there_is_an_empty_log(tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "trip.mcap"):
-        pass
-    assert read_log(tmp_path / "trip.mcap").topics == {}
 
 
 # A limit on the size of files is to a program what a full disk is: a write that fails half way.

@@ -27,19 +27,10 @@ WORDS = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
 
 def made(rows: int = 40) -> Trip:
     time = START + np.arange(rows) * 10**9
-    state = trainlog.frame_of(
-        trainlog.topics.TRAIN_STATE,
-        time,
-        {"position": 20.0 * np.arange(rows), "speed": np.full(rows, 20.0)},
-    )
-    own = frame_of(
-        PANTOGRAPH,
-        time,
-        {
-            "contact_force": 70.0 + np.arange(rows),
-            "raised": np.where(np.arange(rows) < 9, 0.0, 1.0),
-        },
-    )
+    driven = {"position": 20.0 * np.arange(rows), "speed": np.full(rows, 20.0)}
+    state = frame_of(trainlog.topics.TRAIN_STATE, time, driven)
+    pressed = {"contact_force": 70.0 + np.arange(rows), "raised": 1.0 * (np.arange(rows) > 8)}
+    own = frame_of(PANTOGRAPH, time, pressed)
     return Trip({"/train/state": state, PANTOGRAPH.name: own}, {"trip": "own"})
 
 
@@ -137,33 +128,26 @@ def test_a_profile_keeps_any_column_in_si(tmp_path: Path) -> None:
     assert report_of(trip).not_used == {"columns that the profile does not map: note": 1}
 
 
-@pytest.mark.parametrize(
-    ("name", "fields"),
-    [
+def test_names_units_and_descriptions_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    for name, fields in (
         ("/recorded/Oil", ["a"]),
         ("/recorded/", ["a"]),
         ("/train/oil", ["a"]),
         ("/recorded/oil", ["Ölstand"]),
         ("/recorded/oil", ["a", "a"]),
         ("/recorded/oil", []),
-    ],
-)
-def test_names_that_cannot_be_are_refused(name: str, fields: list[str]) -> None:
-    with pytest.raises(InputError, match=r"recorded/"):
-        recorded_topic(name, [Field(field, "1", "") for field in fields])
-
-
-def test_unknown_units_and_columns_without_a_description_are_refused(tmp_path: Path) -> None:
-    content = {
-        "format": "trainlog/recorder-profile",
-        "version": 1,
-        "name": "own",
-        "time": {"column": "t"},
-        "columns": {"/recorded/oil.level": {"column": "x", "unit": "thumbs"}},
-    }
-    refused(InputError, "unit 'thumbs' is not known", profile_of, content)
-    content["columns"] = {"/train/state.speed": {"column": "v", "unit": "m/s", "meaning": "speed"}}
-    refused(InputError, "meaning and between are for topics below /recorded/", profile_of, content)
+    ):
+        listed = [Field(field, "1", "") for field in fields]
+        refused(InputError, "recorded/", recorded_topic, name, listed)
+    content = {"format": "trainlog/recorder-profile", "version": 1, "name": "own",
+               "time": {"column": "t"}}  # fmt: skip
+    for topic, column, said in (
+        ("/recorded/oil.level", {"unit": "thumbs"}, "unit 'thumbs' is not known"),
+        ("/train/state.speed", {"unit": "m/s", "meaning": "speed"},
+         "meaning and between are for topics below /recorded/"),
+    ):  # fmt: skip
+        columns = {topic: {"column": "x", **column}}
+        refused(InputError, said, profile_of, content | {"columns": columns})
     bare = made()
     bare[PANTOGRAPH.name].attrs = {"topic": PANTOGRAPH.name}
     refused(LogError, "does not describe its columns", trainlog.write, bare, tmp_path / "bare.mcap")
