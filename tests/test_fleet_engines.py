@@ -13,14 +13,15 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
+import psutil
 import pytest
 from failing_analyses import DEADLY
 from fleet_trips import TRIPS
 from killed import PATIENCE
-from killed_fleet import contents, descendants, recorded
+from killed_fleet import kept, recorded
 from refusals import refused
 
 from analysis.fleet import engine
@@ -140,7 +141,7 @@ def test_dask_gives_the_same_bytes_as_one_process(
             options = UpdateOptions(scheduler=address, batch=1)
             found = update_fleet(catalogue, ["passport", "checks"], options)
     assert (found.engine, found.workers, found.trips) == ("Dask", 2, TRIPS)
-    assert contents(tmp_path / "dask" / "results") == contents(place / "one" / "results")
+    assert kept(tmp_path / "dask") == kept(place / "one")
 
 
 @pytest.mark.long
@@ -153,8 +154,7 @@ def test_dask_goes_on_when_its_workers_die(place: Path) -> None:
             assert found.counts["deadly"].done == TRIPS - 1
             (problem,) = found.problems
             assert Path(problem.path).stem == "trip-002"
-            for worker in descendants(pid)[:1]:
-                os.kill(worker, signal.SIGKILL)
+            psutil.Process(pid).children(recursive=True)[0].kill()
             more = update_fleet(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
             assert more.counts["checks"].done == TRIPS
 
@@ -181,11 +181,9 @@ def kill_scheduler(address: str, catalogue: str) -> None:
     """Kill the scheduler as soon as anything is recorded."""
     while not recorded(catalogue):
         time.sleep(0.05)
-    for entry in Path("/proc").glob("[0-9]*/cmdline"):
-        with suppress(OSError):
-            words = entry.read_bytes().split(b"\0")
-            if b"scheduler" in words and address.rpartition(":")[2].encode() in words:
-                os.kill(int(entry.parent.name), signal.SIGKILL)
+    for process in psutil.Process().children():
+        if {"scheduler", address.rpartition(":")[2]} <= set(process.cmdline()):
+            process.kill()
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,7 +250,7 @@ def test_mpi_gives_the_same_bytes_as_one_process(
         pytest.skip(f"mpiexec does not run here: {done.stderr.strip()[-200:]}")
     assert done.returncode == 0, done.stderr
     assert f"by MPI, {workers} worker" in done.stdout
-    assert contents(tmp_path / "mpi" / "results") == contents(place / "one" / "results")
+    assert kept(tmp_path / "mpi") == kept(place / "one")
 
 
 def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

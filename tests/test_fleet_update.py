@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
 from fleet_trips import TRIPS, later, short_trips
-from killed_fleet import contents, grow_old, kill_at_random, maps_in, rows_by_trip
+from killed_fleet import grow_old, kept, kill_at_random, maps_in, rows_by_trip
 from killed_points import ANALYSES as TWO, POINTS
 
 import trainlog
@@ -27,6 +27,7 @@ from analysis.fleet.engine import Processes
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
 from trainlog.catalogue import Catalogue, open_catalogue
+from trainlog.catalogue.results import STATES
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import MapFile, read_map
@@ -35,9 +36,6 @@ pytestmark = pytest.mark.usefixtures("remembered")
 
 HERE = UpdateOptions(workers=0)
 HERE_FOLDER = Path(__file__).parent
-
-ONCE = len(ANALYSES) + 1
-"""Of so many computations a trip counts once: the analyses, and the maps."""
 
 
 @pytest.fixture
@@ -58,7 +56,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, fleet_logs: Path) -> d
         found = update_fleet(catalogue, None, HERE)
         assert found.trips == TRIPS
         assert set(found.counts) == set(ANALYSES)
-    return contents(folder / "results") | maps_in(folder / "maps")
+    return kept(folder)
 
 
 def updated(place: Path | str, *analyses: object, **options: object) -> FleetUpdate:
@@ -77,7 +75,7 @@ def test_two_workers_give_the_same_bytes_as_one_process(
 ) -> None:
     found = updated(place, workers=2, batch=1)
     assert (found.engine, found.workers, found.trips) == ("processes", 2, TRIPS)
-    assert contents(place / "results") | maps_in(place / "maps") == undisturbed
+    assert kept(place) == undisturbed
 
 
 def test_threads_as_any_executor_give_the_same_bytes(
@@ -87,8 +85,7 @@ def test_threads_as_any_executor_give_the_same_bytes(
         analyses = ("adhesion", "checks")
         found = updated(place, *analyses, workers=None, executor=executor, batch=2)
     assert found.engine == "executor"
-    made = contents(place / "results") | maps_in(place / "maps")
-    assert made == {
+    assert kept(place) == {
         name: data
         for name, data in undisturbed.items()
         if name.endswith(".map") or name.startswith(analyses)
@@ -334,18 +331,6 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
 # ------------------------------------------------------------------------------- interruptions
 
 
-def test_an_update_killed_at_random_moments_counts_each_trip_once(
-    place: Path, undisturbed: dict[str, bytes]
-) -> None:
-    done = kill_at_random(str(place), 2, 28, "--workers", "2", "--batch", "1", each=4)
-    assert done["parent"] == 1, "and a worker before"
-    assert done["orphans"] == 0
-    found = updated(place, workers=2, retry=True)  # a trip whose workers died three times failed
-    assert found.counts["checks"].pending == 0
-    assert {count for _, count in rows_by_trip(str(place))} == {ONCE}
-    assert contents(place / "results") | maps_in(place / "maps") == undisturbed
-
-
 SERVERS = pytest.mark.parametrize("server", ["sqlite", "postgresql"])
 
 
@@ -362,35 +347,37 @@ def places(
     return found
 
 
-def kept(folder: Path) -> dict[str, bytes]:
-    """Files of results and maps, to the byte, after what killed processes left has grown old."""
-    return contents(folder / "results") | maps_in(folder / "maps")
-
-
-@pytest.mark.long
-@SERVERS
-def test_a_hundred_kills_of_an_update_and_its_workers_leave_each_trip_once(
-    server: str, tmp_path: Path, request: pytest.FixtureRequest
+@pytest.mark.parametrize(
+    ("server", "kills", "trips"),
+    [
+        ("sqlite", 2, TRIPS),
+        *(pytest.param(each, 40, 12, marks=pytest.mark.long) for each in ("sqlite", "postgresql")),
+    ],
+)
+def test_an_update_killed_at_random_moments_counts_each_trip_once(
+    server: str, kills: int, trips: int, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    short_trips(tmp_path / "logs", 12)
+    short_trips(tmp_path / "logs", trips)
     place = places(server, tmp_path, request, "one", "many")
     for at in place.values():
         with open_catalogue(at) as known:
             known.add(tmp_path / "logs")
-    updated(place["one"])
-    words = [str(HERE_FOLDER / "killed_fleet.py"), place["many"], "100", str(tmp_path / "one")]
-    done = subprocess.run(
-        [sys.executable, *words], capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(HERE_FOLDER.parent)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    print(found)
-    assert found["parent"] + found["worker"] >= 100
-    assert min(found["parent"], found["worker"]) >= 20
-    assert found["orphans"] == 0
-    assert found["same"] == found["once"] == found["compared"] >= 3
-    assert {count for _, count in rows_by_trip(place["many"])} == {ONCE}
+    updated(place["one"], *TWO)
+    left, seed = kills, 28
+    while left > 0:
+        done = kill_at_random(place["many"], left, seed, TWO)
+        assert done["orphans"] == 0
+        # A trip whose workers died three times failed.
+        assert updated(place["many"], *TWO, retry=True).counts["checks"].pending == 0
+        assert {count for _, count in rows_by_trip(place["many"])} == {len(TWO) + 1}
+        grow_old(tmp_path / "many" / "results")
+        updated(place["many"], *TWO)
+        assert kept(tmp_path / "many") == kept(tmp_path / "one")
+        left, seed = left - done["parent"] - done["worker"], seed + 1
+        with open_catalogue(place["many"]) as known:
+            for each in TWO:
+                known.forget(computation_of(ANALYSES[each]), states=STATES)
+        shutil.rmtree(tmp_path / "many" / "maps")
 
 
 @pytest.mark.long

@@ -35,8 +35,6 @@ from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.samples import CURVES, Samples, clock_of, thinned
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
-TIMELINES = {"time", "elapsed", "position_m"}
-
 
 @pytest.fixture(scope="module")
 def trip() -> Trip:
@@ -74,54 +72,40 @@ def curve(path: Path, entity: str, component: str = "Scalars:scalars") -> np.nda
     return values[1:]
 
 
-def test_speed_is_in_kilometres_per_hour(trip: Trip, recording: Path) -> None:
-    shown = curve(recording, "/trips/up/speed/measured")[:, 0]
-    assert shown == pytest.approx(trip["/train/state"]["speed"].to_numpy() * 3.6, abs=1e-12)
-
-
-def test_efforts_are_in_kilonewtons_with_braking_downwards(trip: Trip, recording: Path) -> None:
+def test_curves_are_the_samples_in_units_of_the_railway(trip: Trip, recording: Path) -> None:
+    """Braking downwards, a band of one deviation, a line for each axle."""
+    state, own, effort = (
+        trip[name] for name in ("/train/state", "/estimates/state", "/train/controls")
+    )
+    speed = curve(recording, "/trips/up/speed/measured")[:, 0]
+    assert speed == pytest.approx(state["speed"].to_numpy() * 3.6, abs=1e-12)
+    names = ["tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort"]
     shown = curve(recording, "/trips/up/efforts/measured")
-    frame = trip["/train/controls"]
-    assert shown[:, 0] == pytest.approx(frame["tractive_effort"].to_numpy() / 1e3)
-    assert shown[:, 1] == pytest.approx(-frame["dynamic_braking_effort"].to_numpy() / 1e3)
-    assert shown[:, 2] == pytest.approx(-frame["pneumatic_braking_effort"].to_numpy() / 1e3)
+    assert shown == pytest.approx(effort[names].to_numpy() * np.array([1e-3, -1e-3, -1e-3]))
     assert shown[:, 0].max() > 50.0 > 0.0 > shown[:, 1].min()
-
-
-def test_estimates_have_a_band_of_one_deviation(trip: Trip, recording: Path) -> None:
-    frame = trip["/estimates/state"]
-    entity = "/trips/up/speed/estimated"
-    assert curve(recording, entity, "Measurements:values")[:, 0] == pytest.approx(
-        frame["speed"].to_numpy() * 3.6
+    middle, variance = (
+        curve(recording, "/trips/up/speed/estimated", f"Measurements:{name}")[:, 0]
+        for name in ("values", "variances")
     )
-    variance = curve(recording, entity, "Measurements:variances")[:, 0]
-    assert np.sqrt(variance) == pytest.approx(frame["speed_std"].to_numpy() * 3.6)
-
-
-def test_each_axle_is_a_line(trip: Trip, recording: Path) -> None:
+    assert middle == pytest.approx(own["speed"].to_numpy() * 3.6)
+    assert np.sqrt(variance) == pytest.approx(own["speed_std"].to_numpy() * 3.6)
     frame = trip["/estimates/adhesion"]
-    shown = curve(recording, "/trips/up/slip")
-    assert shown == pytest.approx(
-        frame[["slip_speed_1", "slip_speed_2"]].to_numpy() * 3.6, abs=1e-12
-    )
+    slips = frame[["slip_speed_1", "slip_speed_2"]].to_numpy()
+    assert curve(recording, "/trips/up/slip") == pytest.approx(slips * 3.6, abs=1e-12)
     assert static(recording, "/trips/up/slip", "SeriesLines:names") == ["axle 1", "axle 2"]
     used = curve(recording, "/trips/up/adhesion/used")
     assert used == pytest.approx(np.abs(frame[["adhesion_1", "adhesion_2"]].to_numpy()))
-
-
-def test_every_entity_is_on_every_timeline(trip: Trip, tmp_path: Path) -> None:
-    path = tmp_path / "all.rrd"
-    plan, condition = trajectory_of(), condition_of()
-    write_replay([trip, made_trip("down", "reverse")], path, trajectory=plan,
-                  condition_map=condition)  # fmt: skip
-    found = entities(path)
-    moving = {name for name, timelines in found.items() if timelines}
-    assert all(found[name] == TIMELINES for name in moving)
-    assert {"/trips/up/events", "/trips/up/phase", "/trips/up/place/satellites"} <= moving
-    assert {"/trips/down/adhesion/map/bins", "/trajectory/speed"} <= moving
+    phases = rows(recording, "/trips/up/phase")
+    assert list(phases["StateChange:state"]) == [
+        "standstill", "traction", "coasting", "braking", "standstill",
+    ]  # fmt: skip
+    assert (np.diff(phases["time"]) > 0).all()
 
 
 def test_timelines_tell_when_and_where(trip: Trip, recording: Path) -> None:
+    assert {frozenset(each) for each in entities(recording).values() if each} == {
+        frozenset({"time", "elapsed", "position_m"})
+    }
     found = rows(recording, "/trips/up/speed/measured")
     frame = trip["/train/state"]
     assert (found["time"][1:] == frame.index.as_unit("ns").asi8).all()
@@ -164,14 +148,6 @@ def test_a_held_value_is_the_same_at_every_instant_after_thinning(values: np.nda
     held = kept.ordinates[np.searchsorted(kept.time, time, side="right") - 1, 0]
     np.testing.assert_array_equal(held, values)
     assert kept.time[-1] == time[-1]
-
-
-def test_phases_follow_the_lever(recording: Path) -> None:
-    found = rows(recording, "/trips/up/phase")
-    assert list(found["StateChange:state"]) == [
-        "standstill", "traction", "coasting", "braking", "standstill",
-    ]  # fmt: skip
-    assert (np.diff(found["time"]) > 0).all()
 
 
 def test_places_lie_on_the_line(trip: Trip, tiled: Path) -> None:
@@ -227,23 +203,15 @@ def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Pat
     }
 
 
-def test_a_receiver_alone_gives_the_distance_from_its_speed(trip: Trip) -> None:
+def test_without_a_chainage_receivers_give_the_distance(trip: Trip, tmp_path: Path) -> None:
     motion = trip["/gnss/motion"]
-    clock = clock_of(Trip({"/gnss/motion": motion}))
     covered = np.trapezoid(motion["speed"], (motion.index.asi8 - START) / 1e9)
-    assert clock.position[-1] == pytest.approx(covered)
-
-
-def test_fixes_alone_give_the_distance_between_them(trip: Trip) -> None:
-    clock = clock_of(Trip({"/gnss/fix": trip["/gnss/fix"]}))
-    assert clock.position[-1] == pytest.approx(LENGTH, rel=0.01)
-
-
-def test_a_trip_without_any_place_stays_at_zero(tmp_path: Path) -> None:
+    assert clock_of(Trip({"/gnss/motion": motion})).position[-1] == pytest.approx(covered)
+    fixes = clock_of(Trip({"/gnss/fix": trip["/gnss/fix"]}))
+    assert fixes.position[-1] == pytest.approx(LENGTH, rel=0.01)
     air = frame_of(topics.ENVIRONMENT, START + np.arange(5) * 10**9, {"gradient": np.arange(5.0)})
-    path = tmp_path / "air.rrd"
-    write_replay([Trip({"/environment": air})], path)
-    assert set(rows(path, "/trips/unnamed/gradient")["position_m"]) == {0}
+    write_replay([Trip({"/environment": air})], tmp_path / "air.rrd")
+    assert set(rows(tmp_path / "air.rrd", "/trips/unnamed/gradient")["position_m"]) == {0}
 
 
 def test_the_map_lies_under_a_trip_in_its_own_direction(mapped: Path) -> None:
@@ -274,13 +242,6 @@ def test_the_map_of_other_weather_is_not_shown(trip: Trip, tmp_path: Path) -> No
             assert dots not in entities(path)
         else:
             assert static(path, dots, "SeriesPoints:names") == legend
-
-
-def test_a_map_of_another_line_is_refused(trip: Trip, tmp_path: Path) -> None:
-    path = tmp_path / "map.rrd"
-    with pytest.raises(InputError, match=r"of line 'dale'.*ran on 'hill'"):
-        write_replay([trip], path, condition_map=replace(condition_of(), line="dale"))
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
@@ -317,43 +278,30 @@ def test_trips_that_followed_or_ran_backwards_are_not_compared(trip: Trip, tmp_p
     assert [name for name in entities(path) if name.endswith("/speed/trajectory")] == []
 
 
-def test_the_same_trips_give_the_same_content(trip: Trip, tmp_path: Path) -> None:
-    first, second = tmp_path / "1.rrd", tmp_path / "2.rrd"
-    for path in (first, second):
-        write_replay([trip], path, condition_map=condition_of())
-    stored = [RrdReader(path).recordings()[0] for path in (first, second)]
-    assert stored[0].recording_id == stored[1].recording_id
-    assert stored[0].application_id == "trainlog"
-    assert entities(first) == entities(second)
-    for entity in entities(first):
-        one, two = rows(first, entity), rows(second, entity)
-        assert one.keys() == two.keys()
-        for name, values in one.items():
-            np.testing.assert_array_equal(values, two[name])
+def test_the_same_trips_give_the_same_content(trip: Trip, recording: Path, tmp_path: Path) -> None:
+    write_replay([trip], tmp_path / "again.rrd")
+    paths = recording, tmp_path / "again.rrd"
+    one, other = (RrdReader(path).recordings()[0] for path in paths)
+    assert one.recording_id == other.recording_id
+    assert one.application_id == "trainlog"
+    assert _drawn(paths[0]) == _drawn(paths[1])
 
 
-@pytest.mark.parametrize(
-    ("name", "problem"),
-    [("replay.mcap", "end it in .rrd"), ("no/such/folder.rrd", "create its folder first")],
-)
-def test_places_that_cannot_be_written_are_refused(
-    trip: Trip, tmp_path: Path, name: str, problem: str
+def test_what_cannot_be_replayed_is_refused_and_leaves_what_there_was(
+    trip: Trip, tmp_path: Path
 ) -> None:
-    refused(InputError, problem, write_replay, [trip], tmp_path / name)
-    assert not list(tmp_path.iterdir())
-
-
-def test_nothing_to_replay_is_refused(tmp_path: Path) -> None:
-    refused(InputError, "no trip", write_replay, [], tmp_path / "none.rrd")
-    refused(LogError, "no samples", write_replay, [Trip({})], tmp_path / "none.rrd")
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_older_recording_stays_when_a_new_one_fails(trip: Trip, tmp_path: Path) -> None:
-    path = tmp_path / "replay.rrd"
-    path.write_bytes(b"older")
-    refused(LogError, "", write_replay, [trip, Trip({})], path)
-    assert path.read_bytes() == b"older"
+    older = tmp_path / "replay.rrd"
+    older.write_bytes(b"older")
+    dale = {"condition_map": replace(condition_of(), line="dale")}
+    for trips, name, error, said, options in (
+        ([trip], "replay.mcap", InputError, "end it in .rrd", {}),
+        ([trip], "no/such/folder.rrd", InputError, "create its folder first", {}),
+        ([], "replay.rrd", InputError, "no trip", {}),
+        ([trip, Trip({})], "replay.rrd", LogError, "no samples", {}),
+        ([trip], "replay.rrd", InputError, r"of line 'dale'.*ran on 'hill'", dale),
+    ):
+        refused(error, said, write_replay, trips, tmp_path / name, **options)
+        assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"older"]
 
 
 def test_pieces_are_drawn_as_the_whole(trip: Trip, tmp_path: Path) -> None:

@@ -16,9 +16,8 @@ import pytest
 from killed import PATIENCE
 from replay_trips import made_trip
 
-from trainlog.errors import InputError
 from trainlog.formats.samples import sample
-from trainlog.replay import run_viewer, viewer, write_replay
+from trainlog.replay import write_replay
 from trainlog.replay.viewer import NOWHERE, offline, web_viewer
 
 direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -55,15 +54,6 @@ def test_the_viewer_is_given_no_way_to_the_network() -> None:
     assert made["CI"] == "true"
     assert made["HOME"] == "/home/me"
     assert offline({"HTTPS_PROXY": "p"}, tiles=True) == {"HTTPS_PROXY": "p", "CI": "true"}
-
-
-def test_without_a_display_a_window_is_refused_with_what_else_there_is(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(viewer, "has_display", lambda: False)
-    with pytest.raises(InputError, match=r"no display .*--web.*-o out.png.*-o") as refused:
-        run_viewer(recording)
-    assert "\n" not in str(refused.value)
 
 
 def test_a_page_in_the_browser_reaches_this_machine_alone(recording: Path) -> None:
@@ -114,10 +104,7 @@ def test_a_browser_asks_nobody_but_this_machine(recording: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs a list of processes")
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
-)
-def test_ctrl_c_ends_the_viewer_and_leaves_nothing(number: int, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_viewer_and_leaves_nothing(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "trainlog", "replay", str(sample("nonstop.mcap")), "--web"],
         env={**without_display(), "TMPDIR": str(tmp_path)},
@@ -130,7 +117,7 @@ def test_ctrl_c_ends_the_viewer_and_leaves_nothing(number: int, tmp_path: Path) 
         line = process.stdout.readline()
         assert line.startswith("http://127.0.0.1:")
         assert viewers_of(tmp_path)
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
     assert viewers_of(tmp_path) == []
     assert not list(tmp_path.iterdir())

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
+from refusals import refused
 from replay_trips import LENGTH, LINE, entities, made_trip, rows, trajectory_of
 
 from trainlog.cli.main import run
@@ -115,10 +116,12 @@ def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
     write_replay([trip, unlike("b", 16.0)], path, options=ReplayOptions(thinned=True))
     full = tmp_path / "full.rrd"
     write_replay([trip, unlike("b", 16.0)], full)
-    entity = "/trips/b/behind/time"
-    assert np.array_equal(
-        rows(path, entity)["Scalars:scalars"], rows(full, entity)["Scalars:scalars"], equal_nan=True
-    )
+    behind = [rows(each, "/trips/b/behind/time")["Scalars:scalars"] for each in (path, full)]
+    np.testing.assert_array_equal(*behind)
+    received = {name: trip[name] for name in ("/gnss/motion", "/gnss/fix")}
+    alone = replace(trip, topics=received, attachments={})
+    write_replay([alone], path, options=ReplayOptions(thinned=True))
+    assert {"/trips/up/speed/satellites", "/trips/up/place/path"} <= set(entities(path))
 
 
 def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path: Path) -> None:
@@ -150,26 +153,20 @@ def bare_trip(**changes: object) -> Trip:
     return replace(trip, **{"topics": kept, **changes})
 
 
-def test_a_line_can_be_given_to_a_trip_that_carries_none(tmp_path: Path) -> None:
-    path, options = tmp_path / "line.rrd", ReplayOptions(line=LINE)
-    write_replay([bare_trip(attachments={})], path, options=options)
-    assert {"/trips/up/speed/limit", "/lines/hill/stations/A"} <= set(entities(path))
-
-
-def test_a_line_on_which_the_trip_was_not_is_refused(tmp_path: Path) -> None:
+def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path: Path) -> None:
     path, trip = tmp_path / "line.rrd", bare_trip(attachments={})
     geometry = replace(LINE.geometry, latitudes=LINE.geometry.latitudes + 0.1)
-    for line, problem in (
-        (replace(LINE, geometry=geometry), r"'up' was 11\.1 km away from where its chainage"),
-        (replace(LINE, length=1500.0, stations=LINE.stations[:1], geometry=None), "beyond the end"),
+    short = replace(LINE, length=1500.0, stations=LINE.stations[:1], geometry=None)
+    fixes = replace(trip, topics={"/gnss/fix": trip["/gnss/fix"]})
+    for one, line, said in (
+        (trip, replace(LINE, geometry=geometry), r"'up' was 11\.1 km away .* ingest its recording"),
+        (trip, short, "beyond the end.*ingest its recording with --line"),
+        (fixes, LINE, "no chainage"),
     ):
-        with pytest.raises(InputError, match=problem) as refused:
-            write_replay([trip], path, options=ReplayOptions(line=line))
-        assert "ingest its recording with --line" in str(refused.value)
-    without = replace(trip, topics={"/gnss/fix": trip["/gnss/fix"]})
-    with pytest.raises(InputError, match="no chainage"):
-        write_replay([without], path, options=ReplayOptions(line=LINE))
+        refused(InputError, said, write_replay, [one], path, options=ReplayOptions(line=line))
     assert not list(tmp_path.iterdir())
+    write_replay([trip], path, options=ReplayOptions(line=LINE))
+    assert {"/trips/up/speed/limit", "/lines/hill/stations/A"} <= set(entities(path))
 
 
 # --------------------------------------------------------------------------------- the command
@@ -189,15 +186,3 @@ def test_the_command_states_with_what_trips_are_compared(
     with pytest.raises(InputError, match="no view 'drivnig'"):
         run([*command, "--view", "drivnig", "-o", str(tmp_path / "no.rrd")])
     assert not (tmp_path / "no.rrd").exists()
-
-
-def test_a_receiver_alone_is_thinned_too(tmp_path: Path) -> None:
-    whole = made_trip()
-    trip = replace(
-        whole,
-        topics={name: whole[name] for name in ("/gnss/motion", "/gnss/fix")},
-        attachments={},
-    )
-    path = tmp_path / "thin.rrd"
-    write_replay([trip], path, options=ReplayOptions(thinned=True))
-    assert {"/trips/up/speed/satellites", "/trips/up/place/path"} <= set(entities(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from replay_trips import condition_of, made_trip, trajectory_of
 
 from trainlog.errors import InputError
 from trainlog.mcap import write_log
-from trainlog.replay import viewer, write_replay
+from trainlog.replay import run_viewer, viewer, write_replay
 from trainlog.replay.log_layout import DRAWN, scalars, write_layout
 from trainlog.replay.picture import HeadlessViewer, headless_viewer, take_picture
 from trainlog.replay.viewer import has_display, open_viewer
@@ -91,45 +92,30 @@ def test_where_a_window_can_be_opened(
     assert has_display(variables, platform) is display
 
 
-def started(monkeypatch: pytest.MonkeyPatch, display: bool) -> list[tuple[Any, Any]]:
-    """What would have been run."""
+@pytest.mark.parametrize("display", [True, False])
+def test_the_viewer_listens_on_this_machine_alone_and_sends_no_usage_data(
+    display: bool, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a display it states how to open the file, or what else there is."""
     calls: list[tuple[Any, Any]] = []
     monkeypatch.setattr(viewer, "has_display", lambda: display)
     monkeypatch.setattr(
         viewer.subprocess, "run", lambda command, **options: calls.append((command, options))
     )
-    return calls
-
-
-def test_the_viewer_listens_on_this_machine_alone_and_sends_no_usage_data(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = started(monkeypatch, display=True)
     stated = open_viewer(recording)
-    (command, options), *more = calls
-    assert not more
+    assert str(recording) in stated
+    if not display:
+        assert calls == []
+        assert "rerun replay.rrd" in stated
+        refused(InputError, r"no display .*--web.*-o out.png.*-o", run_viewer, recording)
+        return
+    ((command, options),) = calls
     assert command[:3] == [sys.executable, "-m", "rerun_cli"]
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert str(recording) in command
     assert options["env"]["CI"]
-    assert str(recording) in stated
-
-
-def test_without_a_display_it_tells_how_to_open_the_file(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = started(monkeypatch, display=False)
-    stated = open_viewer(recording)
-    assert calls == []
-    assert str(recording) in stated
-    assert "rerun replay.rrd" in stated
-    assert "\n" not in stated
-
-
-def test_a_recording_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    refused(InputError, "does not exist", open_viewer, tmp_path / "none.rrd")
-    with pytest.raises(InputError, match="does not exist"):
-        take_picture(tmp_path / "none.rrd", tmp_path / "none.png")
+    for call in (open_viewer, lambda path: take_picture(path, tmp_path / "none.png")):
+        refused(InputError, "does not exist", call, tmp_path / "none.rrd")
 
 
 @pytest.fixture(scope="module")
@@ -178,44 +164,28 @@ def test_a_picture_of_a_view_is_taken_whole_or_not_at_all(
     assert [path.name for path in tmp_path.iterdir()] == ["driving.png"]
 
 
-@pytest.mark.parametrize("topic", DRAWN, ids=lambda topic: topic.name)
-def test_rerun_takes_the_fields_out_of_a_log(trip: Trip, log: Path, topic: Any) -> None:
-    frame = trip[topic.name]
-    for field in topic.fields:
-        names = [n for n in frame.columns if n == field.name or n.startswith(f"{field.name}_")]
-        names = [n for n in names if n == field.name or n.rpartition("_")[2].isdigit()]
-        chunks = scalars(log, topic.name, field.name).to_chunks()
-        assert {chunk.entity_path for chunk in chunks} == {f"{topic.name}/{field.name}"}
-        values = np.concatenate(
-            [
-                chunk.to_record_batch()["Scalars:scalars"].flatten().to_numpy(zero_copy_only=False)
-                for chunk in chunks
-            ]
-        )
-        np.testing.assert_array_equal(values, frame[names].to_numpy().ravel())
-
-
-@pytest.mark.parametrize(
-    ("topic", "field"), [("/train/state", "mood"), ("/events", "message"), ("/no", "speed")]
-)
-def test_fields_that_cannot_be_plotted_are_refused(log: Path, topic: str, field: str) -> None:
-    refused(InputError, f"no field {field} of topic {topic}", scalars, log, topic, field)
-
-
-def views_drawn(recording: Path, image: Path, layout: Path) -> set[str]:
-    """Names of the views; on a busy machine a viewer may not have read its layout at first."""
-    for settle in (SETTLE, 2 * SETTLE, 6 * SETTLE):
-        names = set(take_picture(recording, image, layout=layout, settle=settle))
-        if len(names) > 1:
-            break
-    return names
+def test_rerun_takes_the_fields_out_of_a_log(trip: Trip, log: Path) -> None:
+    for topic in DRAWN:
+        frame = trip[topic.name]
+        for field in topic.fields:
+            names = [n for n in frame if re.fullmatch(rf"{field.name}(_\d+)?", n)]
+            chunks = scalars(log, topic.name, field.name).to_chunks()
+            assert {chunk.entity_path for chunk in chunks} == {f"{topic.name}/{field.name}"}
+            records = [chunk.to_record_batch()["Scalars:scalars"].flatten() for chunk in chunks]
+            values = np.concatenate([each.to_numpy(zero_copy_only=False) for each in records])
+            np.testing.assert_array_equal(values, frame[names].to_numpy().ravel())
+    for name, other in (("/train/state", "mood"), ("/events", "message"), ("/no", "speed")):
+        refused(InputError, f"no field {other} of topic {name}", scalars, log, name, other)
 
 
 @pytest.mark.usefixtures("graphics")
 def test_a_log_opens_as_it_is_with_its_layout(log: Path, tmp_path: Path) -> None:
     layout = tmp_path / "hill-up.rbl"
     write_layout(layout, log.stem)
-    names = views_drawn(log, tmp_path / "log.png", layout)
+    for settle in (SETTLE, 2 * SETTLE, 6 * SETTLE):  # a busy machine may need longer
+        names = set(take_picture(log, tmp_path / "log.png", layout=layout, settle=settle))
+        if len(names) > 1:
+            break
     assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= names
 
 
