@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from trainlog import version
-
-OURS = ("trainlog", "analysis", "estimators")
 
 
 def test_all_modules_that_are_loaded_where_analyses_run_are_part_of_the_version() -> None:
@@ -37,31 +33,6 @@ print(*(name for name in sys.modules if name.startswith(("trainlog", "analysis",
     known = version._modules_behind("analysis.fleet.work")
     assert known is not None
     assert loaded <= known
-
-
-def imports(node: ast.AST) -> Iterator[ast.stmt]:
-    """The imports of ours in a module but for those that only type checkers see."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and getattr(child.test, "id", "") == "TYPE_CHECKING":
-            continue
-        named = [each.name for each in child.names] if isinstance(child, ast.Import) else []
-        if isinstance(child, ast.ImportFrom):
-            named = [OURS[0] if child.level else str(child.module)]
-        if isinstance(child, ast.stmt) and any(name.split(".")[0] in OURS for name in named):
-            yield child
-        yield from imports(child)
-
-
-def test_the_imports_of_a_module_are_those_of_its_syntax_tree() -> None:
-    count = 0
-    for module in sorted(version._modules_behind("analysis.fleet.work") or ()):
-        file = version._file_of(module)
-        assert file is not None
-        text = file.read_text("utf-8")
-        expected = sorted(map(ast.dump, imports(ast.parse(text))))
-        assert sorted(map(ast.dump, version._imports_in(text))) == expected, file
-        count += len(expected)
-    assert count > 500
 
 
 WRITTEN = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -67,20 +66,13 @@ def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     if text.startswith(pages.EXECUTED):
         assert_written(page, tmp_path)
     if page == TUTORIAL:
-        assert_titles(output.html for output in outputs)
+        for title in TITLES:
+            begins = re.compile(rf"<div><b>{title}|<table><caption[^>]*><b>{title}")
+            assert any(begins.match(output.html) for output in outputs), title
 
 
 TITLES = ("Trip ", "Line ", "Train ", "Track-condition map ", "Running res", "Trajectory ")
 """Of the objects that the developer's tutorial shows."""
-
-
-def assert_titles(shown: Iterable[str]) -> None:
-    """Each of the objects is shown as HTML."""
-    every = list(shown)
-    for title in TITLES:
-        assert any(
-            re.match(rf"<div><b>{title}|<table><caption[^>]*><b>{title}", html) for html in every
-        ), title
 
 
 def assert_written(page: Path, folder: Path) -> None:
@@ -136,26 +128,14 @@ def test_validation_states_what_the_studies_reach() -> None:
     assert {number for number in stated if number not in studies} == set()
 
 
-def test_figures_of_benchmarks_are_on_one_page() -> None:
-    """A figure that two pages state ends up different on them."""
-    naming = {page.name for page in DOCS.rglob("*.md") if "benchmarks/" in page.read_text("utf-8")}
-    assert naming == {"validation.md"}
-
-
 def test_validation_names_benchmarks_that_there_are() -> None:
     text = (DOCS / "validation.md").read_text("utf-8")
     named = set(re.findall(r"python (benchmarks/\S+\.py)", text))
     assert len(named) > 20
     assert {name for name in named if not (CHECKOUT / name).is_file()} == set()
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_between_pages_lead_somewhere(page: Path) -> None:
-    text = page.read_text("utf-8")
-    for target in LINK.findall(text):
-        made = text.startswith(pages.EXECUTED) and target.endswith((".png", ".html"))
-        if not made and not target.startswith(("http:", "https:")):
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+    # A figure that two pages state ends up different on them.
+    naming = {page.name for page in DOCS.rglob("*.md") if "benchmarks/" in page.read_text("utf-8")}
+    assert naming == {"validation.md"}
 
 
 def anchors_of(page: Path) -> set[str]:
@@ -169,8 +149,13 @@ def anchors_of(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_to_places_that_there_are(page: Path) -> None:
-    for target, place in re.findall(r"\]\(([^)#\s:]*)#([^)\s]+)\)", page.read_text("utf-8")):
+def test_links_lead_to_files_and_places_that_there_are(page: Path) -> None:
+    text = page.read_text("utf-8")
+    for target in LINK.findall(text):
+        made = text.startswith(pages.EXECUTED) and target.endswith((".png", ".html"))
+        if not made and not target.startswith(("http:", "https:")):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+    for target, place in re.findall(r"\]\(([^)#\s:]*)#([^)\s]+)\)", text):
         other = (page.parent / target).resolve() if target else page
         assert place in anchors_of(other), f"{page.name} links to {target}#{place}"
 
@@ -192,13 +177,13 @@ def resolved(dotted: str) -> object:
 NAME = re.compile(r"`((?:trainlog|analysis|estimators)(?:\.\w+)+)(?:\([^`]*)?`")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_names_of_the_code_exist(page: Path) -> None:
+def test_names_of_the_code_exist() -> None:
     # Names of messages, metadata records and files look alike.
     messages = {topic.message for topic in TOPICS.values()}
     messages |= {value for name, value in vars(records).items() if name.endswith("_RECORD")}
     messages |= {"trainlog.json"}  # a file's name
-    for dotted in set(NAME.findall(page.read_text("utf-8"))) - messages:
+    named = {dotted for page in PAGES for dotted in NAME.findall(page.read_text("utf-8"))}
+    for dotted in named - messages:
         resolved(dotted)
 
 

@@ -11,13 +11,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 from analysis.charts import draw_charts
+from analysis.fleet import analyses
+from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.drift import Drift
 from analysis.fleet.plot import findings_charts
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
 from analysis.reports.fleet import FleetFacts, attention_parts
+from analysis.resistance.logs import fit
+from analysis.view import view_of
+from trainlog.catalogue import ResultOutcome, open_catalogue
+from trainlog.cli.options import chosen_summaries
 from trainlog.cli.terminal import as_json_text
 from trainlog.errors import InputError, NotIdentifiableError
 
@@ -78,14 +85,6 @@ def test_a_fault_that_goes_again_or_comes_on_some_trips_is_one_finding(
     assert not [each for each in found.unlike.findings if int(each.train[-2:]) > len(FAULTS)]
 
 
-def test_a_change_that_goes_again_is_no_noise_of_a_train_on_its_own() -> None:
-    fault = Fault("effort gain", 0.03, 0, 22, 35)
-    rows = drawn_fleet(pool("kiss"), 1, trains=1, trips=50, faults=(fault,))
-    (found,) = fleet_trains(rows).unlike.findings
-    assert found.what == "effort gain"
-    assert int(found.lasts(rows["start"]).sum()) == pytest.approx(13, abs=2)
-
-
 def curve(one: TrainResistance) -> np.ndarray:
     return np.asarray(one.resistance(SPEEDS))
 
@@ -136,39 +135,37 @@ def test_a_gain_that_many_trips_share_does_not_explain_their_noise() -> None:
         assert np.max(np.abs(curve(one) / true - 1.0)) < 0.05
 
 
-def test_no_trip_that_determines_a_curve_is_refused() -> None:
-    rows = pool("flirt").head(3).assign(refused="too short", message="too short")
-    with pytest.raises(NotIdentifiableError, match="no trip determines"):
-        fleet_resistance(rows)
-    with pytest.raises(InputError, match="known are: flirt"):
-        fleet_resistance(pool("flirt").head(40))["kiss"]
-
-
 # -------------------------------------------------------------------------- unlike trains
 
 
-@pytest.mark.parametrize("what", FAULTS)
-def test_a_fault_is_named_with_its_beginning_and_its_size(what: str) -> None:
+def test_faults_are_named_with_beginning_and_size_and_healthy_trains_raise_no_alarm() -> None:
     found = faulty()
-    number = 1 + list(FAULTS).index(what)
-    for kind in ("flirt", "kiss", "virm"):
-        (finding,) = found.of(f"{kind}-{number:02d}")
-        cause = finding.explanation.cause
-        named = {finding.what, *(each.what for each in finding.explanation.others)}
-        assert what in named
-        if what not in ("mass", "effort gain"):
-            assert finding.what == what
-        assert abs(int(finding.trip[-5:]) - SINCE) <= 1
-        assert finding.trips <= 8
-        if finding.what == what:
-            assert abs(cause.size - FAULTS[what]) < 3.0 * cause.std
-        assert finding.p < found.unlike.rate
-        assert finding.between[0] <= finding.since <= finding.between[1]
-
-
-def test_healthy_trains_raise_no_alarm() -> None:
-    found = faulty()
+    for number, (what, size) in enumerate(FAULTS.items(), start=1):
+        for kind in ("flirt", "kiss", "virm"):
+            (finding,) = found.of(f"{kind}-{number:02d}")
+            cause = finding.explanation.cause
+            named = {finding.what, *(each.what for each in finding.explanation.others)}
+            assert what in named
+            if what not in ("mass", "effort gain"):
+                assert finding.what == what
+            assert abs(int(finding.trip[-5:]) - SINCE) <= 1
+            assert finding.trips <= 8
+            if finding.what == what:
+                assert abs(cause.size - size) < 3.0 * cause.std
+            assert finding.p < found.unlike.rate
+            assert finding.between[0] <= finding.since <= finding.between[1]
     assert {each.train[-2:] for each in found.unlike.findings} == {"01", "02", "03", "04", "05"}
+    content = json.loads(as_json_text(found.details()))
+    assert {each["train"] for each in content["findings"]} >= {"flirt-01", "kiss-03"}
+    assert content["false_alarms_per_train_and_month"] == 0.01
+    one = found.only("flirt-01")
+    assert [each.train for kind in one.resistance for each in kind.trains] == ["flirt-01"]
+    refused(InputError, "known are", found.only, "flirt-99")
+    short = pool("flirt").head(3).assign(refused="too short", message="too short")
+    refused(NotIdentifiableError, "no trip determines", fleet_resistance, short)
+    refused(
+        InputError, "known are: flirt", fleet_resistance(pool("flirt").head(40)).__getitem__, "kiss"
+    )
 
 
 @pytest.mark.long
@@ -178,20 +175,23 @@ def test_a_fleet_of_healthy_trains_raises_no_alarm() -> None:
     assert healthy.unlike.train_months == pytest.approx(18.0, abs=1.0)
 
 
-def test_a_lone_train_is_compared_with_its_own_past() -> None:
-    fault = Fault("dragging brake", 3000.0, 0, SINCE)
-    rows = drawn_fleet(pool("flirt"), 2, trains=1, trips=60, faults=(fault,))
+@pytest.mark.parametrize(
+    ("fault", "seed", "trains", "trips", "against"),
+    [
+        (Fault("dragging brake", 3000.0, 0, SINCE), 2, 1, 60, "own past"),
+        # One that was always unlike.
+        (Fault("sensor delay", 0.9, 1, 0), 6, 9, 30, "kind"),
+    ],
+)
+def test_a_train_is_compared_with_its_own_past_and_with_its_kind(
+    fault: Fault, seed: int, trains: int, trips: int, against: str
+) -> None:
+    rows = drawn_fleet(pool("flirt"), seed, trains=trains, trips=trips, faults=(fault,))
     found = fleet_trains(rows)
     (finding,) = found.unlike.findings
-    assert (finding.what, finding.against) == ("dragging brake", "own past")
-    assert all(np.isnan(each.constant) for each in found.unlike.limits)
-
-
-def test_a_train_that_was_always_unlike_is_compared_with_its_kind() -> None:
-    fault = Fault("sensor delay", 0.9, 1, 0)
-    found = fleet_trains(drawn_fleet(pool("flirt"), 6, trains=9, trips=30, faults=(fault,)))
-    (finding,) = found.unlike.findings
-    assert (finding.train, finding.what, finding.against) == ("flirt-02", "sensor delay", "kind")
+    assert (finding.train, finding.what) == (f"flirt-{fault.train + 1:02d}", fault.what)
+    assert finding.against == against
+    assert all(np.isnan(each.constant) for each in found.unlike.limits) == (trains == 1)
 
 
 def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_path: Path) -> None:
@@ -283,16 +283,6 @@ def test_a_single_bad_trip_is_not_a_fault_of_its_train() -> None:
     assert fleet_trains(rows).unlike.findings == ()
 
 
-def test_the_data_hold_no_number_that_json_has_not() -> None:
-    content = json.loads(as_json_text(faulty().details()))
-    assert {each["train"] for each in content["findings"]} >= {"flirt-01", "kiss-03"}
-    assert content["false_alarms_per_train_and_month"] == 0.01
-    one = faulty().only("flirt-01")
-    assert [each.train for kind in one.resistance for each in kind.trains] == ["flirt-01"]
-    with pytest.raises(InputError, match="known are"):
-        faulty().only("flirt-99")
-
-
 # -------------------------------------------------------------------------------- drift
 
 
@@ -325,59 +315,31 @@ def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(t
 # -------------------------------------------------------------------------------- catalogue
 
 
-def test_stored_results_of_a_catalogue_show_its_trains(tmp_path: Path) -> None:
-    pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
-    from analysis.fleet.analyses import ANALYSES
-    from analysis.view import view_of
-    from trainlog.catalogue import Computation, ResultOutcome, open_catalogue
-
+def test_stored_results_show_trains_and_stand_for_logs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with open_catalogue(tmp_path) as catalogue:
         catalogue.add("sample_logs")
         for name in ("resistance", "passport"):
             analysis = ANALYSES[name]
-            for row in catalogue.pending(Computation(name, "code")).itertuples():
-                trip = view_of(str(row.path))
-                table = analysis.arrow([(row.key, analysis.table(trip))])
+            computation = analyses.computation_of(analysis)
+            for number, row in enumerate(catalogue.pending(computation).itertuples()):
+                table = analysis.arrow([(row.key, analysis.table(view_of(str(row.path))))])
                 outcome = ResultOutcome(row.key, row.sha256, rows=table.num_rows)
-                catalogue.record(Computation(name, "code"), [outcome], table)
-        found = trains_in(catalogue)
-        (kind,) = found.resistance
-        assert len(kind.trains) == 1
-        assert kind.trains[0].trips == 2
-        with pytest.raises(InputError, match="no trips of kind"):
-            trains_in(catalogue, kind="steam")
-        with pytest.raises(InputError, match="fleet update"):
-            trains_in(catalogue, where="train = 'nobody'")
-    assert replace(found).unlike.findings == ()
-
-
-def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
-    from analysis.fleet import analyses
-    from analysis.fleet.analyses import ANALYSES
-    from analysis.resistance.logs import fit
-    from analysis.view import view_of
-    from trainlog.catalogue import ResultOutcome, open_catalogue
-    from trainlog.cli.options import chosen_summaries
-
-    analysis = ANALYSES["resistance"]
-    computation = analyses.computation_of(analysis)
-    with open_catalogue(tmp_path) as catalogue:
-        catalogue.add("sample_logs")
-        row = next(catalogue.pending(computation).itertuples())
-        table = analysis.arrow([(row.key, analysis.table(view_of(str(row.path))))])
-        outcome = ResultOutcome(row.key, row.sha256, rows=1)
-        catalogue.record(computation, [outcome], table)
+                catalogue.record(computation, [outcome], table)
+                if name == "resistance" and number == 0:
+                    # A fit of chosen trips takes what is stored in place of the log.
+                    given = chosen_summaries("all", str(tmp_path))
         every = [Path(path) for path in catalogue.paths()]
-    given = chosen_summaries("all", str(tmp_path))
+        (kind,) = trains_in(catalogue).resistance
+        assert [each.trips for each in kind.trains] == [2]
+        refused(InputError, "no trips of kind", trains_in, catalogue, kind="steam")
+        refused(InputError, "fleet update", trains_in, catalogue, where="train = 'nobody'")
     assert [path.suffix for path in given] == [".parquet", ".mcap"]
-    assert str(given[1]) != row.path
     kept, read = fit(given).parameters, fit(every).parameters
     assert kept.configurations == read.configurations
     assert np.array_equal(kept.common_covariance, read.common_covariance)
     # By other code nothing is stored: the logs are read.
-    other = replace(computation, code="other")
+    other = replace(analyses.computation_of(ANALYSES["resistance"]), code="other")
     monkeypatch.setattr(analyses, "computation_of", lambda _: other)
     assert [path.suffix for path in chosen_summaries("all", str(tmp_path))] == [".mcap"] * 2
