@@ -28,6 +28,7 @@ from trainlog.formats.sfera_messages import Report, status_report, xml_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
 from trainlog.ingest.pipeline import Given
 from trainlog.ingest.sources import Subscription
+from trainlog.trip import Trip
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
 from make_journey import DEPARTURE
@@ -116,13 +117,21 @@ def speed(second: int) -> bytes:
     return json.dumps(values | {"sequence": second}).encode()
 
 
+def recorded(source: Subscription, path: Path, idle: float) -> Trip:
+    """The log of what a broker gives."""
+    recording, live = LiveIngest.begun(path, Given(), LiveOptions(source.name))
+    with recording:
+        live.follow(source, idle=idle)
+        live.close()
+    return trainlog.read(path)
+
+
 @pytest.mark.long
 def test_a_broker_that_is_killed_and_started_again_loses_nothing(
     broker: Broker, tmp_path: Path
 ) -> None:
     """Of 600 messages at 200 a second; the broker is killed twice, the recorder is left alone."""
     with Subscription(f"127.0.0.1:{broker.port}/trains/17") as source:
-        recording, live = LiveIngest.begun(tmp_path / "a.mcap", Given(), LiveOptions(source.name))
         train = Publisher(broker.port, "trains/17")
 
         def send() -> None:
@@ -136,11 +145,8 @@ def test_a_broker_that_is_killed_and_started_again_loses_nothing(
 
         sending = threading.Thread(target=send)
         sending.start()
-        with recording:
-            live.follow(source, idle=6.0)
-            live.close()
+        state = recorded(source, tmp_path / "a.mcap", 6.0)["/train/state"]
         sending.join(PATIENCE)
-    state = trainlog.read(tmp_path / "a.mcap")["/train/state"]
     assert source.lost == 0
     assert state.position.to_numpy().tolist() == [20.0 * second for second in range(600)]
 
@@ -156,11 +162,7 @@ def test_what_comes_while_the_recorder_is_away_is_kept_for_it(
         train.publish(speed(second))
     train.close()
     with Subscription(address) as source:
-        recording, live = LiveIngest.begun(tmp_path / "a.mcap", Given(), LiveOptions(source.name))
-        with recording:
-            live.follow(source, idle=1.0)
-            live.close()
-    assert len(trainlog.read(tmp_path / "a.mcap")["/train/state"]) == 30
+        assert len(recorded(source, tmp_path / "a.mcap", 1.0)["/train/state"]) == 30
 
 
 def test_status_reports_of_sfera_are_recorded_as_they_come(
@@ -212,30 +214,19 @@ def test_a_trip_is_published_as_it_ran_and_recorded_again(
     assert state.position.iloc[-1] == pytest.approx(own.position.dropna().iloc[-1], abs=300.0)
 
 
-def test_only_trips_are_published(tmp_path: Path) -> None:
-    options = SferaOptions(publish="localhost/a")
-    given = [tmp_path / "forecast.csv"], JOURNEY, tmp_path / "a.xml", options
-    refused(InputError, "--publish goes with a trip", write_sfera, *given)
-
-
-def test_what_cannot_be_published_writes_nothing(tmp_path: Path) -> None:
+def test_what_is_no_broker_or_cannot_be_published_is_one_line(tmp_path: Path) -> None:
     for address, said in (
-        ("localhost/trains/+", "has a wildcard"),
-        ("127.0.0.1:1/a", "the broker 127.0.0.1:1 cannot be published to: connection refused"),
-    ):
-        given = [sample("nonstop.mcap")], JOURNEY, tmp_path / "a.zip", SferaOptions(publish=address)
-        refused(InputError, said, write_sfera, *given)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("address", "said"),
-    [
         ("", "'' is not a topic of a broker"),
         ("localhost", "'localhost' is not a topic of a broker"),
         ("http://localhost/a", "is not a topic of a broker"),
         ("127.0.0.1:1/a", "the broker 127.0.0.1:1 cannot be subscribed to: connection refused"),
-    ],
-)
-def test_what_is_no_broker_is_one_line(address: str, said: str) -> None:
-    assert refused(InputError, said, Subscription, address).remedy
+    ):
+        assert refused(InputError, said, Subscription, address).remedy
+    for given, address, said in (
+        (tmp_path / "forecast.csv", "localhost/a", "--publish goes with a trip"),
+        (sample("nonstop.mcap"), "localhost/trains/+", "has a wildcard"),
+        (sample("nonstop.mcap"), "127.0.0.1:1/a", "127.0.0.1:1 cannot be published to: connection"),
+    ):
+        options = SferaOptions(publish=address)
+        refused(InputError, said, write_sfera, [given], JOURNEY, tmp_path / "a.zip", options)
+    assert not list(tmp_path.iterdir())
