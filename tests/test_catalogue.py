@@ -20,6 +20,7 @@ import pytest
 import sqlalchemy as sa
 from command import run
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from synthetic_trips import FIRST, synthetic_entry
 
 import trainlog
@@ -27,7 +28,6 @@ from analysis.view import views_of
 from trainlog.catalogue import Catalogue, Computation, FileEntry, ResultOutcome, open_catalogue
 from trainlog.catalogue.database import metadata
 from trainlog.errors import InputError
-from trainlog.formats.samples import sample
 from trainlog.identity import Known, TripIdentity, same_drives
 from trainlog.mcap import DamageWarning, account_of
 from trainlog.mcap.contents import contents_of
@@ -107,20 +107,6 @@ def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(
     assert catalogue.open(row) == trip
 
 
-def test_a_moved_file_is_found_again_and_nothing_is_pending(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
-    catalogue = where()
-    catalogue.add(logs)
-    todo = catalogue.pending(STOPS)
-    _record(catalogue, todo)
-    (logs / "nonstop.mcap").rename(logs / "deep" / "elsewhere.mcap")
-    added = catalogue.add(logs)
-    assert [each.path for each in added.of("moved")] == [str(logs / "deep" / "elsewhere.mcap")]
-    assert catalogue.query()["path"].tolist()[0] == str(logs / "deep" / "elsewhere.mcap")
-    assert len(catalogue.pending(STOPS)) == 0
-
-
 def test_another_content_under_a_name_is_a_new_version_that_is_computed_again(
     where: Callable[[], Catalogue], logs: Path
 ) -> None:
@@ -138,6 +124,12 @@ def test_another_content_under_a_name_is_a_new_version_that_is_computed_again(
     assert len(catalogue.results("stops")) == 2
     _record(catalogue, todo, stops=7)
     assert sorted(catalogue.results("stops")["stops"]) == [1, 1, 7, 7]
+    # A file that moved is found again, and nothing is pending.
+    (logs / "nonstop.mcap").rename(logs / "deep" / "elsewhere.mcap")
+    moved = catalogue.add(logs).of("moved")
+    assert [each.path for each in moved] == [str(logs / "deep" / "elsewhere.mcap")]
+    assert catalogue.query()["path"].tolist()[0] == moved[0].path
+    assert len(catalogue.pending(STOPS)) == 0
 
 
 def test_results_are_recorded_once_and_merged_in_the_order_of_trip(
@@ -147,6 +139,9 @@ def test_results_are_recorded_once_and_merged_in_the_order_of_trip(
     catalogue.add(logs)
     todo = catalogue.pending(LIMITED)
     assert todo["key"].is_monotonic_increasing
+    stated = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
+    less = pa.table({"key": [todo["key"][0]]})
+    refused(InputError, "rows of trip", catalogue.record, LIMITED, stated, less)
     assert _record(catalogue, todo.iloc[[1]], LIMITED) == 1
     assert _record(other, todo, LIMITED, stops=99) == 1, "one of them was recorded before"
     assert len(other.pending(LIMITED)) == 0
@@ -160,18 +155,6 @@ def test_results_are_recorded_once_and_merged_in_the_order_of_trip(
     pd.testing.assert_frame_equal(other.results("stops"), found)
     files = list((catalogue.results_folder / "stops").iterdir())
     assert len(files) == 1
-
-
-def test_a_table_that_does_not_hold_what_its_outcomes_state_is_refused(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
-    catalogue = where()
-    catalogue.add(logs)
-    todo = catalogue.pending(STOPS)
-    outcomes = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
-    with pytest.raises(InputError, match="rows of trip"):
-        catalogue.record(STOPS, outcomes, pa.table({"key": [todo["key"][0]]}))
-    assert len(catalogue.pending(STOPS)) == 2
 
 
 def _record(
@@ -323,26 +306,12 @@ def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(
     shutil.copy(logs / "nonstop.mcap", bad)
     assert [each.state for each in catalogue.add(bad).outcomes] == ["copy"]
     assert catalogue.counts()["refused"] == 0
-    with pytest.raises(InputError, match="does not exist"):
-        catalogue.add(logs / "absent")
-    with pytest.raises(InputError, match="no log"):
-        catalogue.add(SAMPLES / ".." / "docs" / "reference")
-
-
-def test_a_damaged_log_is_a_trip_that_says_so(
-    where: Callable[[], Catalogue], tmp_path: Path
-) -> None:
-    data = (SAMPLES / "stopping.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
-    catalogue = where()
-    added = catalogue.add(tmp_path / "cut.mcap")
-    assert added.sentence == "1 new trip (1 of damaged logs)"
-    assert "lost" in added.outcomes[0].damage
-    row = catalogue.query("quality = 'damaged' and damage like '%lost%'").iloc[0]
-    whole = trainlog.read(SAMPLES / "stopping.mcap")
-    assert 0.5 * whole.duration < row["duration"] < 0.8 * whole.duration
-    catalogue.add(SAMPLES)
-    assert catalogue.query("weather = 'wet'")["quality"].tolist() == ["whole"]
+    refused(InputError, "does not exist", catalogue.add, logs / "absent")
+    refused(InputError, "no log", catalogue.add, SAMPLES / ".." / "docs" / "reference")
+    # What cannot be read takes no trip away.
+    (logs / "deep" / "stopping.mcap").write_text("no log")
+    assert catalogue.add(logs).counts["refused"] == 1
+    assert len(catalogue) == 2
 
 
 def test_many_files_are_read_by_several_processes_with_the_same_result(
@@ -358,15 +327,12 @@ def test_many_files_are_read_by_several_processes_with_the_same_result(
 
 
 def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has no catalogue"):
-        open_catalogue(tmp_path / "none", create=False)
-    with pytest.raises(InputError, match=r"holds a catalogue|is not a database") as refused:
-        open_catalogue("oracle://me:secret@host/database")
-    assert "secret" not in str(refused.value)
-    (tmp_path / "text").mkdir()
-    (tmp_path / "text" / "catalogue.sqlite").write_text("no database " * 500)
-    with pytest.raises(InputError, match="file is not a database"):
-        open_catalogue(tmp_path / "text")
+    refused(InputError, "has no catalogue", open_catalogue, tmp_path / "none", create=False)
+    place = "oracle://me:secret@host/database"
+    said = r"holds a catalogue|is not a database"
+    assert "secret" not in str(refused(InputError, said, open_catalogue, place))
+    (tmp_path / "catalogue.sqlite").write_text("no database " * 500)
+    refused(InputError, "file is not a database", open_catalogue, tmp_path)
 
 
 # ------------------------------------------------------------------------------ the command line
@@ -431,9 +397,10 @@ def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_fir
     (recorded,) = views_of(tmp_path / "damaged.mcap", checked=True)
     assert "fails the checksum" in recorded.damage
     catalogue = where()
-    (alone,) = catalogue.add(tmp_path / "damaged.mcap").outcomes
-    assert "fails the checksum" in alone.damage
-    assert catalogue.query()["quality"].tolist() == ["damaged"]
+    added = catalogue.add(tmp_path / "damaged.mcap")
+    assert added.sentence == "1 new trip (1 of damaged logs)"
+    assert "fails the checksum" in added.outcomes[0].damage
+    assert len(catalogue.query("quality = 'damaged' and damage like '%checksum%'")) == 1
     catalogue.add(intact)
     assert catalogue.query()["quality"].tolist() == ["whole"]
     assert catalogue.uncounted()["path"].tolist() == [str(tmp_path / "damaged.mcap")]
@@ -469,30 +436,6 @@ def test_statements_of_one_reading_see_one_state(
         assert connection.execute(count).scalar_one() == before == 1
     with catalogue.reading() as connection:
         assert connection.execute(count).scalar_one() == len(catalogue) > before
-
-
-def test_a_log_that_another_trip_replaced_leaves_the_catalogue(tmp_path: Path) -> None:
-    """Whatever stands under the name now; and it counts again where its content is found."""
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    log = folder / "trip.mcap"
-    shutil.copy(sample("nonstop.mcap"), log)
-    with open_catalogue(tmp_path / "catalogue") as catalogue:
-        catalogue.add(folder)
-        shutil.copy(sample("stopping.mcap"), log)
-        assert catalogue.add(folder).counts["version"] == 1
-        assert len(catalogue) == 1
-        (name,) = catalogue.query(columns=["name"])["name"]
-        assert name == trainlog.read(log).name
-        catalogue.refresh()
-        assert len(catalogue) == 1
-        shutil.copy(sample("nonstop.mcap"), folder / "kept.mcap")
-        catalogue.add(folder)
-        assert len(catalogue) == 2
-        # What cannot be read takes no trip away.
-        log.write_bytes(b"no log")
-        assert catalogue.add(folder).counts["refused"] == 1
-        assert len(catalogue) == 2
 
 
 def _file(
@@ -542,8 +485,14 @@ def test_what_counts_is_what_one_look_at_all_recordings_says(data: st.DataObject
         worse = ("whole", "unclosed", "damaged").index(each.entry.values["quality"])
         order = (False, -each.entry.values["messages"], worse, each.sha256)
         known.append(Known(each.entry.values["name"], each.entry.identity, order))
-    expected = {each.name: ("counts", None, None) for each in known}
-    expected |= {each.trip: ("same drive", each.of, each.share) for each in same_drives(known)}
+
+    def expected_of(known: list[Known]) -> dict[str, tuple[str, str | None, float | None]]:
+        found = same_drives(known)
+        return {each.name: ("counts", None, None) for each in known} | {
+            each.trip: ("same drive", each.of, each.share) for each in found
+        }
+
+    expected = expected_of(known)
     with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
         left = data.draw(st.permutations(recordings))
         while left:
@@ -555,9 +504,7 @@ def test_what_counts_is_what_one_look_at_all_recordings_says(data: st.DataObject
         gone = {name for name, (standing, *_) in expected.items() if standing == "counts"}
         catalogue.remove("name in (" + ", ".join(f"'{name}'" for name in sorted(gone)) + ")")
         others = [each for each in known if each.name not in gone]
-        again = {each.name: ("counts", None, None) for each in others}
-        again |= {each.trip: ("same drive", each.of, each.share) for each in same_drives(others)}
-        assert _standings(catalogue) == again
+        assert _standings(catalogue) == expected_of(others)
 
 
 def test_an_older_version_does_not_count_even_where_the_later_one_vanished(tmp_path: Path) -> None:

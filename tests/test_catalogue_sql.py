@@ -147,19 +147,6 @@ def test_a_statement_ends_at_its_limits(
     assert len(catalogue.sql("select * from trips limit 3")) == 3
 
 
-def test_a_file_of_results_that_is_missing_is_stated(catalogue: Catalogue) -> None:
-    folder = catalogue.results_folder / "top speed"
-    (path, *_) = sorted(folder.glob("*.parquet"))
-    hidden = [each.rename(each.with_suffix(".away")) for each in folder.glob("*.parquet")]
-    try:
-        with pytest.raises(InputError, match="a file of results is missing"):
-            catalogue.sql('select * from "top speed"')
-    finally:
-        for each in hidden:
-            each.rename(each.with_suffix(".parquet"))
-    assert path.is_file()
-
-
 SAME = [
     "select count(distinct e) from edges e",
     "select count(*) from trips natural join edges",
@@ -209,14 +196,10 @@ def unordered(value: object) -> object:
     return value
 
 
-def as_found(statement: str, frame: pd.DataFrame) -> pd.DataFrame:
+def as_found(statement: str, frame: pd.DataFrame) -> list[str]:
     """Rows as a statement gives them; in a fixed order where the statement names none."""
-    if "order by" in statement:
-        return frame
-    cells = frame.map(unordered)
-    return cells.loc[cells.map(repr).agg("".join, axis=1).sort_values().index].reset_index(
-        drop=True
-    )
+    rows = [repr(row) for row in frame.map(unordered).to_numpy().tolist()]
+    return rows if "order by" in statement else sorted(rows)
 
 
 def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
@@ -232,11 +215,12 @@ def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
         monkeypatch.setattr(module, "_columns_of", lambda connection, statement: None)
         for statement, frame in found.items():
             assert len(frame), statement
-            again = as_found(statement, catalogue.sql(statement))
-            pd.testing.assert_frame_equal(as_found(statement, frame), again, obj=statement)
+            again = catalogue.sql(statement)
+            assert list(again) == list(frame), statement
+            assert as_found(statement, again) == as_found(statement, frame), statement
 
 
-@pytest.mark.parametrize("kept", [0, 0.5, -1])
+@pytest.mark.parametrize("kept", [0.5, -1])
 def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
     tmp_path: Path, kept: float
 ) -> None:
@@ -262,6 +246,9 @@ def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
                 ask()
             assert str(refused.value.file) == str(path)
             assert "trainlog fleet update --retry" in str(refused.value.remedy)
+        path.unlink()
+        with pytest.raises(InputError, match="a file of results is missing"):
+            catalogue.sql('select * from "top speed"')
         assert catalogue.sql("select count(*) as n from trips")["n"][0] == 4
         assert catalogue.forget(FIRST) == 2
         todo = catalogue.pending(FIRST)

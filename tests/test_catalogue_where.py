@@ -9,17 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import numpy as np
 import pandas as pd
 import pytest
-import sqlalchemy as sa
 from hypothesis import given, settings, strategies as st
-from sqlalchemy.dialects import postgresql
 from synthetic_trips import synthetic_entry
 
 from trainlog.catalogue import Catalogue, open_catalogue
-from trainlog.catalogue.database import metadata
 from trainlog.catalogue.where import condition_of
 from trainlog.cli.options import lasting_change, moment
 from trainlog.errors import InputError
@@ -71,7 +67,6 @@ def catalogues(
         opened.append(open_catalogue(place, results=results))
         opened[-1].register(ENTRIES)
         asked[name] = _asks(opened[-1])
-    asked["duckdb"] = _duckdb(opened[0])
     yield asked
     for each in opened:
         each.close()
@@ -79,36 +74,6 @@ def catalogues(
 
 def _asks(catalogue: Catalogue) -> Callable[[str], list[str]]:
     return lambda where: sorted(catalogue.query(where, columns=["name"])["name"])
-
-
-def _duckdb(catalogue: Catalogue) -> Callable[[str], list[str]]:
-    """The tables as DuckDB holds them, asked by the same condition."""
-    connection = duckdb.connect()
-    connection.execute("SET integer_division = true")
-    engine = catalogue.engine
-    for name in ("trips", "trip_edges"):
-        table = metadata.tables[name]
-        frame = pd.read_sql(sa.select(table), engine)
-        for column in table.c:
-            if isinstance(column.type, sa.JSON):
-                frame[column.name] = [pd.io.json.ujson_dumps(each) for each in frame[column.name]]
-        connection.register("frame", frame)
-        connection.execute(f"CREATE TABLE {name} AS SELECT * FROM frame")
-        connection.unregister("frame")
-    for name in ("labels", "topics", "passport"):
-        connection.execute(f"ALTER TABLE trips ALTER {name} TYPE JSON")
-
-    def ask(where: str) -> list[str]:
-        asked = sa.select(metadata.tables["trips"].c.name).where(condition_of(where))
-        compiled = asked.compile(
-            dialect=postgresql.dialect(), compile_kwargs={"literal_binds": True}
-        )
-        # A name that begins with a slash is a path to DuckDB.
-        words = str(compiled).replace("%%", "%").replace("'/train/axles'", "'$.\"/train/axles\"'")
-        found = connection.execute(words).fetchall()
-        return sorted(name for (name,) in found)
-
-    return ask
 
 
 @dataclass(frozen=True)
@@ -243,18 +208,19 @@ ATOMS = st.one_of(
 
 
 def _joined(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Expression]:
-    both = st.tuples(inner, inner)
+    def both(one: Expression, other: Expression) -> Expression:
+        return Expression(
+            f"({one.text}) and ({other.text})", lambda f: one.chosen(f) & other.chosen(f)
+        )
+
+    def either(one: Expression, other: Expression) -> Expression:
+        return Expression(
+            f"({one.text}) or {other.text}", lambda f: one.chosen(f) | other.chosen(f)
+        )
+
     return st.one_of(
-        both.map(
-            lambda e: Expression(
-                f"({e[0].text}) and ({e[1].text})", lambda f: e[0].chosen(f) & e[1].chosen(f)
-            )
-        ),
-        both.map(
-            lambda e: Expression(
-                f"({e[0].text}) or {e[1].text}", lambda f: e[0].chosen(f) | e[1].chosen(f)
-            )
-        ),
+        st.builds(both, inner, inner),
+        st.builds(either, inner, inner),
         inner.map(lambda e: Expression(f"not ({e.text})", lambda f: ~e.chosen(f))),
     )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -36,7 +35,6 @@ from trainlog.ingest import ingest, ingest_each, profile_of
 from trainlog.mcap import read_log, recover, write_log
 from trainlog.mcap.convert import convert
 from trainlog.mcap.reader import identity_of_log
-from trainlog.railway import TrackConditionMap
 
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "analysed_once")
 
@@ -115,33 +113,22 @@ def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {make.__name__: make(tmp_path_factory.mktemp(make.__name__)) for make in VERSIONS}
 
 
-@pytest.fixture(scope="module")
-def alone() -> object:
-    return fit([LOG])
-
-
-@pytest.fixture(scope="module")
-def mapped() -> TrackConditionMap:
-    return adhesion_map([LOG]).track
-
-
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
 class TestIdentity:
-    @pytest.mark.parametrize("make", VERSIONS, ids=lambda make: make.__name__)
-    def test_a_drive_is_recognised_in_every_form(
-        self, make: Callable[[Path], Path], versions: dict[str, Path]
-    ) -> None:
-        whole, found = identity_of(WHOLE), identity_of_log(versions[make.__name__])
+    def test_a_drive_is_recognised_in_every_form(self, versions: dict[str, Path]) -> None:
+        whole = identity_of(WHOLE)
         assert whole is not None
-        assert found is not None
-        if make.__name__ in EQUAL:
-            assert found == whole
-            return
-        assert found.samples < whole.samples
-        # The minute in which it was cut, on one side and the other, is no whole one.
-        lost = found.blocks.size - np.intersect1d(found.blocks, whole.blocks).size
-        assert lost <= 2
-        assert whole.shared(found) > 0.8
+        for name, path in versions.items():
+            found = identity_of_log(path)
+            assert found is not None
+            if name in EQUAL:
+                assert found == whole
+                continue
+            assert found.samples < whole.samples
+            # The minute in which it was cut, on one side and the other, is no whole one.
+            lost = found.blocks.size - np.intersect1d(found.blocks, whole.blocks).size
+            assert lost <= 2, name
+            assert whole.shared(found) > 0.8
 
     def test_a_table_in_other_units_is_the_same_drive(self, tmp_path: Path) -> None:
         """As CSV in km/h, in local time, with the load and the line not known."""
@@ -233,59 +220,49 @@ class TestSameDrives:
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
-class TestFit:
-    def test_each_form_of_a_drive_leaves_the_band_as_it_is(
-        self, versions: dict[str, Path], alone: object
-    ) -> None:
-        every = fit([LOG, *(path for name, path in versions.items() if name != "reloaded")])
-        assert len(every.common.trips) == 1
-        assert every.common.freedom == alone.common.freedom
-        speed = np.linspace(0.0, 40.0, 9)
-        np.testing.assert_array_equal(every.common.band(speed), alone.common.band(speed))
-        assert len(every.same) + len(every.refused) == len(versions) - 1
-        assert len(every.same) >= 4
-        assert len(every.parameters.configurations) == 1
-        assert every.parameters.cover["refused"][SAME_DRIVE] == len(every.same)
-
-    def test_with_another_load_it_is_still_one_drive(self, versions: dict[str, Path]) -> None:
-        """Which load is right the samples do not say; that they differ is stated."""
-        both = fit([LOG, versions["reloaded"], versions["converted"]])
-        (used,) = both.common.trips
-        single = fit(versions["reloaded"] if used == "again" else LOG)
-        assert both.common.resistance == single.common.resistance
-        np.testing.assert_array_equal(both.common.covariance, single.common.covariance)
-        assert sum("the loads that were given differ" in words for words in both.same) in (1, 2)
+def test_a_fit_uses_a_drive_once_in_whatever_form(versions: dict[str, Path]) -> None:
+    """Which of two loads is right the samples do not say; that they differ is stated."""
+    alone = fit([LOG])
+    every = fit([LOG, *(path for name, path in versions.items() if name != "reloaded")])
+    assert len(every.common.trips) == 1
+    assert every.common.freedom == alone.common.freedom
+    speed = np.linspace(0.0, 40.0, 9)
+    np.testing.assert_array_equal(every.common.band(speed), alone.common.band(speed))
+    assert len(every.same) + len(every.refused) == len(versions) - 1
+    assert len(every.same) >= 4
+    assert len(every.parameters.configurations) == 1
+    assert every.parameters.cover["refused"][SAME_DRIVE] == len(every.same)
+    both = fit([LOG, versions["reloaded"], versions["converted"]])
+    (used,) = both.common.trips
+    single = fit(versions["reloaded"]) if used == "again" else alone
+    assert both.common.resistance == single.common.resistance
+    np.testing.assert_array_equal(both.common.covariance, single.common.covariance)
+    assert sum("the loads that were given differ" in words for words in both.same) in (1, 2)
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
-class TestMap:
-    def test_each_form_of_a_drive_gives_the_same_map(
-        self, versions: dict[str, Path], mapped: TrackConditionMap
-    ) -> None:
-        alone = mapped
-        paths = [LOG, *(versions[name] for name in ("estimated", "converted", "recovered"))]
-        every = adhesion_map(paths)
-        assert len(every.track.trips) == 1
-        assert len(every.reasons) == 3
-        for name, layer in alone.layers.items():
-            found = every.track.layer(name)
-            assert found.evidence == layer.evidence
-            for field in ("events", "log_mean", "log_std"):
-                np.testing.assert_array_equal(getattr(found, field), getattr(layer, field))
-        assert map_to_bytes(adhesion_map(paths[::-1]).track) == map_to_bytes(every.track)
-
-    def test_the_halves_of_a_drive_are_two(
-        self, versions: dict[str, Path], mapped: TrackConditionMap
-    ) -> None:
-        halves = [versions["first_half"], versions["second_half"]]
-        found = adhesion_map(halves)
-        assert len(found.track.trips) == 2
-        whole = adhesion_map([LOG], found.track)
-        assert whole.skipped == (WHOLE.name,)
-        assert map_to_bytes(whole.track) == map_to_bytes(found.track)
-        apart = [adhesion_map([half]).track for half in halves]
-        assert map_to_bytes(merge(*apart)) == map_to_bytes(found.track)
-        refused(InputError, "the sums of several maps hold one drive", merge, apart[0], mapped)
+def test_a_map_uses_a_drive_once_in_whatever_form(versions: dict[str, Path]) -> None:
+    alone = adhesion_map([LOG]).track
+    paths = [LOG, *(versions[name] for name in ("estimated", "converted", "recovered"))]
+    every = adhesion_map(paths)
+    assert len(every.track.trips) == 1
+    assert len(every.reasons) == 3
+    for name, layer in alone.layers.items():
+        found = every.track.layer(name)
+        assert found.evidence == layer.evidence
+        for field in ("events", "log_mean", "log_std"):
+            np.testing.assert_array_equal(getattr(found, field), getattr(layer, field))
+    assert map_to_bytes(adhesion_map(paths[::-1]).track) == map_to_bytes(every.track)
+    # Its halves are two.
+    halves = [versions["first_half"], versions["second_half"]]
+    both = adhesion_map(halves).track
+    assert len(both.trips) == 2
+    whole = adhesion_map([LOG], both)
+    assert whole.skipped == (WHOLE.name,)
+    assert map_to_bytes(whole.track) == map_to_bytes(both)
+    apart = [adhesion_map([half]).track for half in halves]
+    assert map_to_bytes(merge(*apart)) == map_to_bytes(both)
+    refused(InputError, "the sums of several maps hold one drive", merge, apart[0], alone)
 
 
 def test_a_line_rests_on_each_drive_once(versions: dict[str, Path]) -> None:
