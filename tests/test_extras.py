@@ -65,17 +65,7 @@ assert trainlog.read("copy.mcap") == trip
 with trainlog.record("recorded.mcap") as recording:
     recording.write("/train/state", 1_700_000_000_000_000_000, speed=3.0)
 assert len(trainlog.read("recorded.mcap")["/train/state"]) == 1
-{COMMANDS.format(commands=commands)}
-"""
-    ended = without_extras(program, tmp_path)
-    assert ended.returncode == 0, ended.stderr
-    assert json.loads(ended.stdout.splitlines()[-1]) == [[0, ""]] * len(commands)
-    assert len(read_log(tmp_path / "again.mcap")["/train/state"]) > 0
-
-
-def test_what_needs_an_extra_names_it_in_python_too(tmp_path: Path) -> None:
-    program = """
-import analysis, estimators, trainlog
+import analysis, estimators
 from trainlog.errors import MissingExtraError
 for get in (lambda: analysis.fit, lambda: estimators.SlipDetector, lambda: trainlog.simulate):
     try:
@@ -84,9 +74,12 @@ for get in (lambda: analysis.fit, lambda: estimators.SlipDetector, lambda: train
         assert str(error).endswith("pip install 'trainlog[learn]'"), error
     else:
         raise AssertionError
+{COMMANDS.format(commands=commands)}
 """
     ended = without_extras(program, tmp_path)
     assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout.splitlines()[-1]) == [[0, ""]] * len(commands)
+    assert len(read_log(tmp_path / "again.mcap")["/train/state"]) > 0
 
 
 LEARN = (

@@ -80,11 +80,9 @@ def browser() -> Iterator[Any]:
 class Opened:
     """A report as it stands in the browser, with all that it complained of and asked for."""
 
-    def __init__(self, browser: Any, file: Path, scheme: str, *, scripts: bool = True) -> None:
+    def __init__(self, browser: Any, file: Path, scheme: str) -> None:
         self.context = browser.new_context(
-            viewport={"width": 1200, "height": 900},
-            color_scheme=scheme,
-            java_script_enabled=scripts,
+            viewport={"width": 1200, "height": 900}, color_scheme=scheme
         )
         self.page = self.context.new_page()
         self.complaints = list[str]()
@@ -93,9 +91,8 @@ class Opened:
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda asked: self.requests.append(asked.url))
         self.page.goto(file.as_uri())
-        if scripts:
-            self.page.wait_for_selector("html.drawn", timeout=30_000)
-            self.page.wait_for_timeout(300)
+        self.page.wait_for_selector("html.drawn", timeout=30_000)
+        self.page.wait_for_timeout(300)
 
     def _heard(self, kind: str, words: str) -> None:
         # How fast BokehJS reads its canvases back is not ours to say.
@@ -117,22 +114,14 @@ def dark(browser: Any, page_file: Path) -> Iterator[Opened]:
     opened.context.close()
 
 
-def test_nothing_is_complained_of_and_nothing_is_asked_for(
+def test_every_picture_is_drawn_light_and_dark_and_nothing_is_asked_for(
     light: Opened, dark: Opened, page_file: Path
 ) -> None:
-    for opened in (light, dark):
-        assert opened.complaints == []
-        assert opened.requests == [page_file.as_uri()]
-
-
-def test_a_name_that_is_a_script_is_only_shown(light: Opened) -> None:
-    assert light.page.title() == "Results: results"
-    assert SCRIPT in light.page.inner_text("main")
-
-
-def test_every_picture_is_drawn_light_and_dark(light: Opened, dark: Opened) -> None:
+    assert SCRIPT in light.page.inner_text("main"), "a name that is a script is only shown"
     grounds = {}
     for name, opened in (("light", light), ("dark", dark)):
+        assert opened.complaints == []
+        assert opened.requests == [page_file.as_uri()]
         sizes = opened.page.locator("figure svg, figure img").evaluate_all(
             "all => all.filter(each => !each.closest('.still'))"
             ".map(each => [each.getBoundingClientRect().width,"
@@ -152,18 +141,26 @@ def test_every_picture_is_drawn_light_and_dark(light: Opened, dark: Opened) -> N
     assert grounds["dark"] == {(22, 24, 28, 255)}
 
 
-def test_the_pointer_shows_values(light: Opened) -> None:
+def test_the_pointer_shows_values_and_a_name_in_the_legend_hides_its_curve(light: Opened) -> None:
     plot = light.page.locator(".plot").first
     plot.scroll_into_view_if_needed()
     box = plot.bounding_box()
     assert box is not None
     assert light.page.evaluate(TOOLTIP) == ""
-    light.page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.5 * box["height"])
-    light.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    for share in (0.4, 0.5):
+        light.page.mouse.move(box["x"] + share * box["width"], box["y"] + 0.5 * box["height"])
     light.page.wait_for_timeout(300)
     shown = light.page.evaluate(TOOLTIP)
     assert re.search(r"\d km/h", shown)
     assert "kN" in shown
+    key = light.page.locator(".key", has_text="permitted speed").first
+    visible = """() => [...Bokeh.documents].flatMap(each => [...each._all_models.values()])
+        .filter(each => each.name === "permitted speed").map(each => each.visible)"""
+    before = light.page.evaluate(visible)
+    key.click()
+    assert light.page.evaluate(visible).count(False) == 1
+    key.click()
+    assert light.page.evaluate(visible) == before
 
 
 def test_printed_pages_cut_no_row_and_no_picture(light: Opened) -> None:
@@ -193,15 +190,6 @@ def test_printed_pages_cut_no_row_and_no_picture(light: Opened) -> None:
     assert {(round(float(a)), round(float(b))) for a, b in boxes} <= {(595, 842), (596, 842)}
     light.page.emulate_media(media="screen")
     light.page.set_viewport_size({"width": 1200, "height": 900})
-
-
-def test_without_scripts_the_still_pictures_stand(browser: Any, page_file: Path) -> None:
-    opened = Opened(browser, page_file, "light", scripts=False)
-    still = opened.page.locator(".still")
-    assert still.count() >= 5
-    assert all(still.nth(number).is_visible() for number in range(still.count()))
-    assert not opened.page.locator(".plot").first.is_visible()
-    opened.context.close()
 
 
 def test_on_a_narrow_screen_tables_scroll_and_charts_are_drawn_to_the_width(light: Opened) -> None:
@@ -237,19 +225,3 @@ def test_details_are_folded_on_a_screen_and_open_in_print(light: Opened) -> None
     light.page.locator("nav a").last.click()
     light.page.wait_for_timeout(200)
     assert folded.evaluate_all(seen)[-1]
-
-
-def test_a_name_in_the_legend_hides_its_curve(light: Opened) -> None:
-    key = light.page.locator(".key", has_text="permitted speed").first
-    shown = """() => {
-        const found = [];
-        for (const doc of Bokeh.documents) for (const model of doc._all_models.values())
-            if (model.name === "permitted speed") found.push(model.visible);
-        return found;
-    }"""
-    before = light.page.evaluate(shown)
-    key.click()
-    after = light.page.evaluate(shown)
-    key.click()
-    assert after.count(False) == 1
-    assert light.page.evaluate(shown) == before
