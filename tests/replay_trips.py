@@ -23,6 +23,7 @@ from trainlog.railway import (
 )
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.topics import Topic
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
 START = 1_728_280_800_000_000_000
@@ -58,66 +59,48 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
     pull, brake = 1e5 * np.maximum(lever, 0.0), 1e5 * np.maximum(-lever, 0.0)
     wheels = np.column_stack((speed * 1.01, speed * 0.99))
     slow, known = slice(None, None, 10), np.where(np.arange(seconds.size) % 7 == 3, np.nan, 1.0)
-    frames = [
-        frame_of(topics.TRAIN_STATE, time, {"position": position, "speed": speed}),
-        frame_of(
-            topics.TRAIN_CONTROLS,
-            time,
-            {
-                "lever": lever,
-                "tractive_effort_demand": pull,
-                "braking_effort_demand": brake,
-                "tractive_effort": pull,
-                "dynamic_braking_effort": 0.8 * brake,
-                "pneumatic_braking_effort": 0.2 * brake,
-            },
-        ),
-        frame_of(topics.TRAIN_AXLES, time, {"wheel_speed": wheels, "wheel_effort": wheels}),
-        frame_of(
-            topics.GNSS_FIX, time, {"latitude": latitude * known, "longitude": longitude * known}
-        ),
-        frame_of(topics.GNSS_MOTION, time, {"speed": speed}),
-        frame_of(
-            topics.ENVIRONMENT,
-            time,
-            {"speed_limit": line.speed_limit(position), "gradient": line.gradient(position)},
-        ),
-        frame_of(
-            topics.EVENTS,
-            time[[50, 900]],
-            {
-                "level": [2, 3],
-                "message": ["departure from A", "slip protection"],
-                "name": ["train", ""],
-            },
-        ),
-        frame_of(
-            topics.ESTIMATED_STATE,
-            time,
-            {"position": position, "speed": speed, "speed_std": 0.1 + 0.01 * speed},
-        ),
-        frame_of(
-            topics.ESTIMATED_ADHESION,
-            time,
-            {"slip_speed": wheels - speed[:, None], "adhesion": lever[:, None] * [0.1, 0.2]},
-        ),
-        frame_of(
-            topics.ESTIMATED_RESISTANCE,
-            time[slow],
-            {"resistance": 1e3 + 10 * speed[slow], "resistance_std": np.full(speed[slow].size, 50)},
-        ),
-        frame_of(
-            topics.REFERENCE,
-            time,
-            {"speed": 0.9 * speed, "tractive_effort": 0.8 * pull, "braking_effort": brake},
-        ),
-        frame_of(topics.TRUTH, time, {"running_resistance": 1e3 + 10 * speed}),
-        frame_of(topics.IMU, time, {"specific_force_z": np.full(len(time), 9.81)}),
-        frame_of(topics.TRAIN_VEHICLES, time, {"speed": np.column_stack((speed, speed))}),
-        frame_of(topics.TRAIN_COUPLERS, time, {"force": 0.4 * (pull - brake)[:, None]}),
-    ]
+    state = {"position": position, "speed": speed}
+    values: dict[Topic, dict[str, object]] = {
+        topics.TRAIN_STATE: state,
+        topics.TRAIN_CONTROLS: {
+            "lever": lever,
+            "tractive_effort_demand": pull,
+            "braking_effort_demand": brake,
+            "tractive_effort": pull,
+            "dynamic_braking_effort": 0.8 * brake,
+            "pneumatic_braking_effort": 0.2 * brake,
+        },
+        topics.TRAIN_AXLES: {"wheel_speed": wheels, "wheel_effort": wheels},
+        topics.GNSS_FIX: {"latitude": latitude * known, "longitude": longitude * known},
+        topics.GNSS_MOTION: {"speed": speed},
+        topics.ENVIRONMENT: {
+            "speed_limit": line.speed_limit(position),
+            "gradient": line.gradient(position),
+        },
+        topics.EVENTS: {
+            "level": [2, 3],
+            "message": ["departure from A", "slip protection"],
+            "name": ["train", ""],
+        },
+        topics.ESTIMATED_STATE: {**state, "speed_std": 0.1 + 0.01 * speed},
+        topics.ESTIMATED_ADHESION: {
+            "slip_speed": wheels - speed[:, None],
+            "adhesion": lever[:, None] * [0.1, 0.2],
+        },
+        topics.ESTIMATED_RESISTANCE: {
+            "resistance": 1e3 + 10 * speed[slow],
+            "resistance_std": np.full(speed[slow].size, 50),
+        },
+        topics.REFERENCE: {"speed": 0.9 * speed, "tractive_effort": 0.8 * pull,
+                           "braking_effort": brake},
+        topics.TRUTH: {"running_resistance": 1e3 + 10 * speed},
+        topics.IMU: {"specific_force_z": np.full(len(time), 9.81)},
+        topics.TRAIN_VEHICLES: {"speed": np.column_stack((speed, speed))},
+        topics.TRAIN_COUPLERS: {"force": 0.4 * (pull - brake)[:, None]},
+    }  # fmt: skip
+    times = {topics.EVENTS: time[[50, 900]], topics.ESTIMATED_RESISTANCE: time[slow]}
     return Trip(
-        {frame.attrs["topic"]: frame for frame in frames},
+        {each.name: frame_of(each, times.get(each, time), values[each]) for each in values},
         metadata={"trip": name, "line": "hill", "direction": direction, "weather": "dry"},
         attachments={LINE_ATTACHMENT: line_to_bytes(LINE)},
     ).with_step("made up")

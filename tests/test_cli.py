@@ -22,18 +22,14 @@ from trainlog.formats.samples import DEFAULT_TRAIN, sample
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
 
 
+KINDS = ("missing", "empty", "truncated", "foreign", "nonsensical", "folder")
+
+
 @pytest.fixture
 def broken(tmp_path: Path) -> dict[str, Path]:
     """Files that no command can use."""
     log = sample("nonstop.mcap").read_bytes()
-    files = {
-        "missing": tmp_path / "missing.mcap",
-        "empty": tmp_path / "empty.mcap",
-        "truncated": tmp_path / "truncated.mcap",
-        "foreign": tmp_path / "foreign.mcap",
-        "nonsensical": tmp_path / "nonsensical.mcap",
-        "folder": tmp_path / "folder",
-    }
+    files = {kind: tmp_path / f"{kind}.mcap" for kind in KINDS}
     files["empty"].write_bytes(b"")
     # Before the end of its first chunk.
     files["truncated"].write_bytes(log[:10_000])
@@ -71,9 +67,9 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(
-    "kind", ["missing", "empty", "truncated", "foreign", "nonsensical", "folder"]
+    ("command", "kind"),
+    [(each, KINDS[(n + k) % 6]) for n, each in enumerate(COMMANDS) for k in (0, 3)],
 )
 def test_bad_files_are_refused_in_one_line(
     command: str, kind: str, broken: dict[str, Path], tmp_path: Path, shell: Shell
@@ -107,8 +103,6 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     train = sample(DEFAULT_TRAIN).read_text("utf-8").replace("CH_Stadler_FLIRT_TPF", "OTHER")
     (folder / "other.train.json").write_text(train, "utf-8")
     (folder / "file").write_text("x")
-    (folder / "a.line.json").write_text('{"format": "trainlog/line"}', "utf-8")
-    (folder / "mine.line.toml").write_text("edited", "utf-8")
     write_parameters(analysis.fit([sample("stopping.mcap")]).parameters, folder / "set.json")
     return folder
 
@@ -129,10 +123,6 @@ REFUSED = {
     "map update x": "for example: trainlog map update results/trips --map",
     "advice": "Missing argument 'TRAJECTORIES'; for example: trainlog advice results/",
     "pln x": "No such command 'pln'. Did you mean 'plan'?",
-    "optimise x": "'optimise' is now 'trainlog plan'",
-    "catalogue list": "'catalogue list' is now 'trainlog fleet show'",
-    "fleet status": "'fleet status' is now 'trainlog fleet show'",
-    "simulate --count 2": "'simulate' is now 'trainlog simulate drive",
     "map udate": "Did you mean 'update'?; see 'trainlog map --help'",
     "fit x --cvr 3": "No such option: --cvr (Possible options: --cover)",
     "nonsense": "No such command 'nonsense'; see 'trainlog --help'",
@@ -173,21 +163,15 @@ REFUSED = {
     "PLAN --set assumed-adhesion=0.1": "leave out --set assumed-adhesion or give a map",
     "PLAN --set dwell=30": "leave out --set dwell or give them",
     "PLAN --stops St.Gallen,Wil --set referee=yes": "leave out --set referee",
-    "PLAN MAP --set assumed-adhesion=8": "above 0 and at most 1, not 8",
     "PLAN --km 5:3": "from km 5.000 to km 3.000 is not a section",
-    "PLAN --km 29:31": "has no km 31; its kilometres are 0.000 to 29.556",
     "PLAN --km Gossau": "write kilometres as 3.2:7.5",
     "PLAN --km 1:9 --set initial-speed=400": "400.0 km/h is above the",
-    "PLAN --set initial-speed=-1": "must be finite and not negative",
     "PLAN --set final-speed=inf": "--set final-speed 'inf' is not a valid speed; write it as 80",
     "PLAN --running-time 20:75": "--running-time '20:75' is not a valid time; write it as",
     "PLAN MAP --set sigmas=-1": "give 0 or more",
     "PLAN MAP --set sigmas=1 --set risk=0.1": "leave out --set sigmas",
-    "PLAN MAP --set risk=0": "a risk must be between 0 and 1, not 0",
     "PLAN --set risk=0.05": "leave out --set risk or give a map",
     "PLAN --at 2026-11-22": "leave out --at or give a map",
-    "PLAN MAP --at soon": "'soon' is not a time",
-    "PLAN MAP --at 2024-10-07T06:00Z": "no evidence of a day before 2024-10-07",
     "PLAN --layer dry": "leave out --layer or give a map",
     # what is missing; the samples are taken by name alone, for a plan on another line looks as good
     "simulate drive -o x": "no line and no train are given; give --line FILE --train FILE; for a t",
@@ -200,7 +184,6 @@ REFUSED = {
     "ingest new.xlsx -o x": "save its sheet as CSV",
     "fit new.xlsx -o x.json": "save its sheet as CSV",
     "fit old.xlsx -o x.json": "save its sheet as CSV",
-    "simulate drive --line a.line.json --train sample -o x": "states no version of the format",
     "plan set.json --line sample --train other.train.json -o x.json": "not on 'OTHER'",
     # outputs, before any work
     "ingest gnss.csv -o x.mcap": "the name of a .mcap file, and a folder is needed; name a",
@@ -217,7 +200,6 @@ REFUSED = {
     "plan set.json -o .": "",
     "estimate nonstop.mcap -o .": "",
     "simulate drive BOTH -o nonstop.mcap": "",
-    "new line -o mine.line.toml": "mine.line.toml: exists; choose another name",
     "new line --name Aach-Berg -o x.line.toml": "a template states its own name; leave",
 }
 """Words of commands, and what the one line of the refusal states."""

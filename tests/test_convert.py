@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from refusals import refused
 
 from tests.foreign_logs import json_log
-from tests.mcap_trips import START, assert_same, trip_of
+from tests.mcap_trips import assert_same, trip_of
 from trainlog.cli.options import stretch, times
 from trainlog.errors import InputError, LogError
 from trainlog.formats.trip_tables import CsvTripIndex, folder_writer, read_parquet
@@ -141,25 +141,6 @@ def test_a_csv_file_that_was_damaged_is_named(case: str, log: Path, tmp_path: Pa
     caught = refused(LogError, problem, convert, tmp_path / "trip.csv", tmp_path / "again.mcap")
     assert caught.file == file
     assert not (tmp_path / "again.mcap").exists()
-
-
-@pytest.mark.parametrize("kind", ["mcap", "parquet", pytest.param("csv", marks=pytest.mark.long)])
-def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> None:
-    source = log
-    if kind != "mcap":
-        source = tmp_path / f"trip.{kind}"
-        convert(log, source)
-    start = pd.Timestamp(START + 2 * 10**9, tz="UTC")
-    for number, (part, wanted) in enumerate(
-        (
-            ({"time": (start, None)}, read_log(log).between(start, None)),
-            ({"position": (1205.0, 1555.0)}, read_log(log).within(1205.0, 1555.0)),
-        )
-    ):
-        convert(source, tmp_path / f"{number}.mcap", **part)  # type: ignore[arg-type]
-        convert(source, tmp_path / f"{number}.parquet", **part)  # type: ignore[arg-type]
-        assert_same(wanted, read_log(tmp_path / f"{number}.mcap"))
-        assert_same(wanted, read_parquet(tmp_path / f"{number}.parquet"))
 
 
 def damage(path: Path, chunks: slice) -> None:

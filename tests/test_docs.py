@@ -29,7 +29,10 @@ import sources  # noqa: E402
 from topic_table import with_topics  # noqa: E402
 
 PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
-LONG = ("engineer.md", "gallery.md", "network.md", "planner.md", "simulation.md")
+LONG = (
+    *("comparison.md", "engineer.md", "gallery.md", "network.md", "planner.md", "simulation.md"),
+    "track-condition-map.md",
+)
 """Pages whose code takes many seconds."""
 TUTORIAL = DOCS / "tutorials" / "developer.md"
 PAINTED = Figure.savefig

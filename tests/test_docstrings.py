@@ -26,6 +26,8 @@ def modules() -> list[str]:
 
 
 PACKAGES = ("trainlog", "analysis", "estimators")
+LONG = ("analysis.geometry.centre_line", "analysis.trajectory.referee", "trainlog.condition")
+"""Modules whose examples take more than a second."""
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("name", modules())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.long] if name in LONG else []) for name in modules()],
+)
 def test_examples_run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     # doctest looks with each example whether any file changed that a traceback may show.

@@ -65,36 +65,18 @@ def test_each_table_has_the_columns_that_are_declared_and_documented() -> None:
             assert row in part[1], row
 
 
-@pytest.mark.parametrize("log", [pytest.param(LOGS[0], marks=pytest.mark.long), LOGS[1]])
-def test_the_summary_is_that_of_the_fit(log: str) -> None:
+def test_results_are_those_of_the_single_analyses() -> None:
+    """Of the fit, of the map, and of times and works."""
+    log = LOGS[1]
     row, fit = one("resistance", log).iloc[0], fit_trip(log)
     assert [row["r0"], row["r1"], row["r2"], row["mass"]] == [*fit.beta.tolist(), fit.mass]
-    assert row["identity"] == fit.identity
-    assert row["refused"] == ""
-
-
-def test_a_trip_that_is_refused_has_a_row_with_the_reason() -> None:
-    trip = view_of(LOGS[1])
-    short = TripView(trip.trip.between("2024-10-07T08:01", "2024-10-07T08:03"))
-    row = one("resistance", short).iloc[0]
-    assert row["refused"] != ""
-    assert "trip-03" in row["message"]
-    assert np.isnan(row["mass"])
-
-
-@pytest.mark.parametrize("log", [pytest.param(LOGS[0], marks=pytest.mark.long), LOGS[1]])
-def test_the_evidence_is_that_of_the_map(log: str) -> None:
+    assert (row["identity"], row["refused"]) == (fit.identity, "")
     row = one("adhesion", log).iloc[0]
-    track = empty_map(own_line(trainlog.read(log, [])))
-    piece = evidence_of_log(Path(log), track)
+    piece = evidence_of_log(Path(log), empty_map(own_line(trainlog.read(log, []))))
     assert zlib.decompress(row["evidence"]) == packed_evidence(piece.daily)
     assert row["layer"] == row["main_layer"] == piece.layer
     assert row["onsets"] == piece.daily.events.sum() > 0
     assert json.loads(row["entry"])["weather"] == piece.details["weather"]
-
-
-@pytest.mark.parametrize("log", LOGS)
-def test_times_and_works_are_those_of_the_trip(log: str) -> None:
     row, trip = one("driving", log).iloc[0], driven_trip(log)
     assert row["running_time"] == pytest.approx(trip.running[-1], abs=0.2)
     assert row["dwell"] == pytest.approx(trip.duration - trip.running[-1], abs=0.2)
@@ -104,6 +86,15 @@ def test_times_and_works_are_those_of_the_trip(log: str) -> None:
     late = row["running_time"] - row["shortest_time"]
     assert row[lost].sum() == pytest.approx(late, abs=0.4)
     assert late > 0.0
+
+
+def test_a_trip_that_is_refused_has_a_row_with_the_reason() -> None:
+    trip = view_of(LOGS[1])
+    short = TripView(trip.trip.between("2024-10-07T08:01", "2024-10-07T08:03"))
+    row = one("resistance", short).iloc[0]
+    assert row["refused"] != ""
+    assert "trip-03" in row["message"]
+    assert np.isnan(row["mass"])
 
 
 def test_checks_list_what_is_wrong_with_a_recording() -> None:
@@ -136,7 +127,7 @@ def test_parameters_are_part_of_what_identifies_a_result() -> None:
 def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(long_log: Path) -> None:
     whole = trainlog.read(long_log, ["/train/state", "/train/axles"])
     held = rows_of_log(long_log, TOPICS)
-    for rows in (held - 1, held // 3, held // 20):
+    for rows in (held - 1, held // 7):
         parts = [part.trip for part in views_of(long_log, TOPICS, rows=rows)]
         for topic in whole:
             together = pd.concat([part[topic] for part in parts])

@@ -18,6 +18,7 @@ from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
 from fleet_trips import TRIPS, later, short_trips
 from killed_fleet import grow_old, kept, kill_at_random, maps_in, rows_by_trip
 from killed_points import ANALYSES as TWO, POINTS
+from refusals import refused
 
 import trainlog
 from analysis.adhesion.condition_map import update_map
@@ -93,7 +94,8 @@ def test_threads_as_any_executor_give_the_same_bytes(
 
 
 def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert updated(place, "checks").trips == TRIPS
+    assert updated(place, "checks", where="weather = 'wet'").trips == TRIPS // 2
+    assert updated(place, "checks").trips == TRIPS - TRIPS // 2
     monkeypatch.setattr("analysis.fleet.work.computed", None)
     folder = place / "results" / "checks"
     old, new = (folder / f".{name}-0123abcd.parquet" for name in ("dead", "written-now"))
@@ -105,6 +107,8 @@ def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch)
     assert again.trips == 0
     assert again.sentence == "nothing new"
     assert again.counts["checks"].known == TRIPS
+    refused(InputError, "several engines", UpdateOptions, workers=2, scheduler="tcp://somewhere:1")
+    refused(InputError, "batch of 0 trips", UpdateOptions, batch=0)
 
 
 def test_other_code_and_other_parameters_are_computed_anew(
@@ -171,19 +175,6 @@ def test_a_log_that_cannot_be_read_is_named_and_tried_again(place: Path, tmp_pat
     assert updated(place, "checks").counts["checks"].done == 1
 
 
-def test_only_the_trips_that_are_chosen_are_computed(place: Path) -> None:
-    found = updated(place, "checks", where="weather = 'wet'")
-    assert found.trips == TRIPS // 2
-    assert updated(place, "checks").trips == TRIPS - TRIPS // 2
-
-
-def test_options_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(InputError, match="several engines"):
-        UpdateOptions(workers=2, scheduler="tcp://somewhere:1")
-    with pytest.raises(InputError, match="batch of 0 trips"):
-        UpdateOptions(batch=0)
-
-
 def test_trips_whose_logs_are_gone_are_counted_apart(
     place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -203,16 +194,14 @@ def test_trips_whose_logs_are_gone_are_counted_apart(
 
 
 @pytest.mark.usefixtures("analysed_once")
-@pytest.mark.parametrize("kept", [pytest.param(maps.KEPT, marks=pytest.mark.long), 1])
 def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
     place: Path,
     undisturbed: dict[str, bytes],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    kept: int,
 ) -> None:
     """Also where its evidence was summed up."""
-    monkeypatch.setattr(maps, "KEPT", kept)
+    monkeypatch.setattr(maps, "KEPT", 1)
     (name,) = (name for name in undisturbed if name.endswith(".map"))
     logs = sorted((tmp_path / "logs").glob("*.mcap"))
     updated(place, "adhesion")
@@ -227,7 +216,7 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
         update_map(tmp_path / "logs", tmp_path / name)
         found, made = (read_map(folder / name) for folder in (place / "maps", tmp_path))
         with MapFile(place / "maps" / name) as file:
-            assert bool(file.logs(summed=True)) == (kept == 1)
+            assert file.logs(summed=True)
         assert found.trips == made.trips
         assert {n: layer.evidence for n, layer in found.layers.items()} == {
             n: layer.evidence for n, layer in made.layers.items()
@@ -432,7 +421,7 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
     with open_catalogue(tmp_path / "one") as known:
         known.add(tmp_path / "logs")
     assert updated(tmp_path / "one", *TWO).trips == 4
-    refused = set()
+    full = set()
     for free in (0, 8, 32, 64, 128, 160, 200, 260, 320, 340, 360, 380):
         with open_catalogue(disk / "many") as known:
             known.add(tmp_path / "logs")
@@ -442,7 +431,7 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
         try:
             updated(disk / "many", *TWO)
         except InputError as error:
-            refused.add((Path(str(error.file)).suffix, error.problem, error.remedy))
+            full.add((Path(str(error.file)).suffix, error.problem, error.remedy))
         assert not list((disk / "many" / "results").rglob(".*.parquet")), "nothing half"
         (disk / "filler").unlink()
         assert updated(disk / "many", *TWO).counts["checks"].pending == 0
@@ -450,10 +439,9 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
         updated(disk / "many", *TWO)
         assert kept(disk / "many") == kept(tmp_path / "one")
         shutil.rmtree(disk / "many")
-    print(refused)
-    assert any("cannot be written" in problem for _, problem, _ in refused)
-    assert any("the database refuses" in problem for _, problem, _ in refused)
-    assert all("free some space" in str(remedy) for _, _, remedy in refused)
+    assert any("cannot be written" in problem for _, problem, _ in full)
+    assert any("the database refuses" in problem for _, problem, _ in full)
+    assert all("free some space" in str(remedy) for _, _, remedy in full)
 
 
 def test_a_fleet_is_asked_for_page_by_page(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,6 @@ from analysis.geometry.centre_line import geometry_of
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE
 from analysis.resistance.logs import fit
-from trainlog.cli.map import map_update
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import map_to_bytes
 from trainlog.formats.samples import sample
@@ -95,17 +94,6 @@ def overwritten(folder: Path) -> Path:
 VERSIONS = (reloaded, estimated, first_half, second_half, converted, recovered, overwritten)
 EQUAL = ("reloaded", "estimated", "converted")
 """Versions that hold all that was recorded."""
-
-
-@pytest.mark.parametrize("digits", [0, 1])
-def test_a_rounded_copy_is_another_drive_as_the_help_states(digits: int) -> None:
-    state = WHOLE["/train/state"].round({"speed": digits})
-    state.attrs = WHOLE["/train/state"].attrs
-    copies = [WHOLE, WHOLE.with_topic(state)]
-    known = [Known(f"{number}", identity_of(each)) for number, each in enumerate(copies)]
-    assert same_drives(known) == []
-    words = " ".join((map_update.__doc__ or "").split())
-    assert "rounded values or other times counts as another drive" in words
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,6 @@ from trainlog.mcap import frames_of
 from trainlog.mcap.foreign import MOST_ELEMENTS
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
-KEPT = Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap"
 
 
 def test_ros1_messages_of_the_official_writer_become_columns(tmp_path):
@@ -57,15 +56,6 @@ def test_ros1_messages_of_the_official_writer_become_columns(tmp_path):
         pd.Timestamp(START + row * 10**9, unit="ns", tz="UTC") for row in range(3)
     ]
     assert found.skipped == ()
-
-
-def test_flatbuffers_messages_are_listed_with_the_reason():
-    found = frames_of(KEPT)
-    assert found.frames == {}
-    assert {str(item) for item in found.skipped} == {
-        f"/{name}: encoding 'flatbuffer' is not decoded (3 messages)"
-        for name in ("fix", "log", "scan", "cloud")
-    }
 
 
 def test_json_messages_become_columns_of_their_kinds(tmp_path):

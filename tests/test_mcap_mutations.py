@@ -36,10 +36,8 @@ def judged(folder: Path, seeds: range) -> tuple[list[str], int]:
     own = folder / str(os.getpid())
     own.mkdir(exist_ok=True)
     whole = specimens(own)
-    for each in whole:
-        verdict(each.data, each, own / "damaged.mcap")
+    wrong = [each for one in whole for each in verdict(one.data, one, own / "damaged.mcap")]
     before = most_memory()
-    wrong = []
     for seed in seeds:
         one = whole[seed % len(whole)]
         how, data = mutated(one.data, seed)

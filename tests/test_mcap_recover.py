@@ -18,7 +18,7 @@ import pytest
 from mcap.reader import SeekingReader
 from mcap.writer import CompressionType
 from mcap_judge import Specimen, foreign, messages_in, specimen, specimens, time_limit
-from mcap_mutations import CHANNEL, CHUNK, MESSAGE, chunk_bytes, records_of
+from mcap_mutations import CHANNEL, CHUNK, chunk_bytes, records_of
 from mcap_trips import assert_same, trip_of
 from refusals import refused
 from rerun.chunk import McapReader
@@ -52,34 +52,6 @@ def zeroed(data: bytes, start: int, end: int) -> bytes:
 
 
 # ---------------------------------------------------------------------------------- the account
-
-
-@pytest.mark.parametrize(
-    ("number", "step"),
-    [
-        *((number, 29) for number in (0, 3, 5)),
-        *(pytest.param(number, 1, marks=pytest.mark.long) for number in range(6)),
-    ],
-)
-def test_a_log_cut_anywhere_gives_its_whole_chunks(number: int, step: int, tmp_path: Path) -> None:
-    """Of trainlog, of another program with its schemas in the chunks, and without chunks."""
-    one, path = specimens(tmp_path)[number], put(tmp_path, b"")
-    ends = [record.end for record in records_of(one.data) if record.opcode in (CHUNK, MESSAGE)]
-    counts = [messages.total() for _, messages in one.groups] or [1] * len(ends)
-    path.write_bytes(one.data)
-    with path.open("r+b") as file:
-        for length in range(len(one.data) - 1, 7, -step):
-            file.truncate(length)
-            account = account_of(path)
-            expected = sum(count for count, end in zip(counts, ends, strict=True) if end <= length)
-            undeclared = [loss for loss in account.losses if "nowhere declared" in loss.reason]
-            assert account.messages + sum(loss.messages or 0 for loss in undeclared) == expected
-            assert not (undeclared and one.trip)
-            assert not account.whole
-            assert account.losses[-1].end == length
-    for length in range(8):
-        path.write_bytes(one.data[:length])
-        refused(LogError, "", account_of, path)
 
 
 def test_what_is_lost_is_stated_by_topic(whole: Specimen, tmp_path: Path) -> None:
@@ -257,16 +229,6 @@ def test_the_account_stays_with_the_recovered_log(whole: Specimen, tmp_path: Pat
     assert steps["0001"]["account"] == json.loads(json.dumps(account.details()))
     assert steps["0001"]["file"] == "damaged.mcap"
     assert steps["0002"]["account"]["losses"] == []
-
-
-def test_a_whole_log_stays_as_it_is(tmp_path: Path) -> None:
-    for one in specimens(tmp_path):
-        path, output = put(tmp_path, one.data), tmp_path / "again.mcap"
-        assert recover(path, output).whole
-        assert official(output) == official(path)
-        assert account_of(output).whole
-        if one.trip is not None:
-            assert_same(one.trip, read_log(output))
 
 
 def test_other_programs_logs_are_recovered_with_profile_and_attachments(tmp_path: Path) -> None:

@@ -126,13 +126,6 @@ def test_what_the_lightest_train_may_do_bounds_the_fastest_run() -> None:
     assert found.duration == pytest.approx(2.0 * np.sqrt(80.0 * c.heavy / c.light), rel=0.03)
 
 
-def test_after_a_delay_that_takes_the_time_eq_8_has_no_solution() -> None:
-    late = section(200.0, slope=0.01)
-    late = replace(late, origin=replace(late.origin, departure=60.0))
-    assert fastest_unweighed(late).duration > late.duration
-    refused(InfeasibleError, "the timetable allows 140 s", reference, late)
-
-
 def test_what_breaks_a_constraint_between_its_checks_is_solved_with_more_of_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
