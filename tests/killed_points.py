@@ -63,115 +63,89 @@ ANALYSES = ("adhesion", "checks")
 
 OTHER_CODE = "0123456789abcdef"
 
+STATED = "trips stated to be in the maps"
+NOT_COMMITTED = {
+    "recording": "rows written, not committed",
+    "mapping": "trips stated to be in the maps, not committed",
+    "putting": "rows name the merged file, not committed",
+}
+RENAMED = {
+    "old": "old maps put aside, the new ones not in their place",
+    "maps.next": "new maps in their place, the old ones there",
+}
+
 
 def watch(passed: Passed) -> None:
     """Let this process note what it passes."""
     doing = ["asking"]
 
+    def around(
+        owner: Any,
+        name: str,
+        then: Callable[..., str] = lambda *_: "",
+        while_doing: Callable[..., str] = lambda *_: doing[-1],
+    ) -> None:
+        """What goes on during calls of a function, and the point behind each, if it is one."""
+        inner = getattr(owner, name)
+
+        def outer(*given: Any, **named: Any) -> Any:
+            doing.append(while_doing(*given))
+            try:
+                found = inner(*given, **named)
+            finally:
+                doing.pop()
+            if point := then(found, *given):
+                passed.at(point)
+            return found
+
+        setattr(owner, name, outer)
+
+    def write_bytes(path: Path, data: bytes) -> None:
+        merging = doing[-1] == "merging"
+        with atomic_write(path) as temporary, temporary.open("wb") as stream:
+            stream.write(data[: len(data) // 2])
+            stream.flush()
+            passed.at(f"a {'merged ' * merging}file {'of results ' * (not merging)}half written")
+            stream.write(data[len(data) // 2 :])
+
+    inner_writing = Database.writing
+
     @contextmanager
-    def while_doing(what: str) -> Iterator[None]:
-        doing.append(what)
-        try:
-            yield
-        finally:
-            doing.pop()
+    def writing(self: Database) -> Iterator[Any]:
+        with inner_writing(self) as connection:
+            yield connection
+            if doing[-1] in NOT_COMMITTED:
+                passed.at(NOT_COMMITTED[doing[-1]])
 
-    def patch(owner: Any, name: str, made: Callable[[Any], Any]) -> None:
-        setattr(owner, name, made(getattr(owner, name)))
+    def of_map(of: Any) -> bool:
+        return bool(of.analysis == maps.MAPS)
 
-    def record(inner: Any) -> Any:
-        def outer(self: Any, of: Any, *given: Any) -> Any:
-            is_map = of.analysis == maps.MAPS
-            with while_doing("mapping" if is_map else "recording"):
-                found = inner(self, of, *given)
-            passed.at("trips stated to be in the maps" if is_map else "rows committed")
-            return found
-
-        return outer
-
-    def compact(inner: Any) -> Any:
-        def outer(*given: Any) -> Any:
-            with while_doing("merging"):
-                return inner(*given)
-
-        return outer
-
-    def write_bytes(_: Any) -> Any:
-        def outer(path: Path, data: bytes) -> None:
-            merging = doing[-1] == "merging"
-            with atomic_write(path) as temporary, temporary.open("wb") as stream:
-                stream.write(data[: len(data) // 2])
-                stream.flush()
-                passed.at(
-                    f"a {'merged ' * merging}file {'of results ' * (not merging)}half written"
-                )
-                stream.write(data[len(data) // 2 :])
-
-        return outer
-
-    def write_table(inner: Any) -> Any:
-        def outer(*given: Any) -> Any:
-            found = inner(*given)
-            merging = "a merged file written, rows name the old ones"
-            passed.at(merging if doing[-1] == "merging" else "a file written, its rows not")
-            return found
-
-        return outer
-
-    def writing(inner: Any) -> Any:
-        @contextmanager
-        def outer(self: Database) -> Iterator[Any]:
-            with inner(self) as connection:
-                yield connection
-                point = {
-                    "recording": "rows written, not committed",
-                    "mapping": "trips stated to be in the maps, not committed",
-                    "putting": "rows name the merged file, not committed",
-                }.get(doing[-1])
-                if point:
-                    passed.at(point)
-
-        return outer
-
-    def put(inner: Any) -> Any:
-        def outer(*given: Any) -> Any:
-            with while_doing("putting"):
-                found = inner(*given)
-            if found:
-                passed.at("rows name the merged file, old ones are there")
-            return found
-
-        return outer
-
-    def unlink(inner: Any) -> Any:
-        def outer(self: Path, *given: Any, **named: Any) -> None:
-            inner(self, *given, **named)
-            if self.suffix == ".parquet" and doing[-1] == "merging":
-                passed.at("some old files removed")
-
-        return outer
-
-    def rename(inner: Any) -> Any:
-        def outer(self: Path, target: Path) -> Path:
-            found: Path = inner(self, target)
-            if Path(target).name == "maps.old":
-                passed.at("old maps put aside, the new ones not in their place")
-            elif self.name == "maps.next":
-                passed.at("new maps in their place, the old ones there")
-            return found
-
-        return outer
-
+    results.write_bytes = write_bytes
+    Database.writing = writing  # type: ignore[method-assign,assignment]
     passed.note(update._Update, "prepare", "asking what is pending", after=False)
     passed.note(work, "_of_trip", "reading and computing a trip", after=False)
-    patch(results.Computed, "record", record)
-    patch(results.Computed, "compact", compact)
-    patch(results, "write_bytes", write_bytes)
-    patch(results, "write_table", write_table)
-    patch(results, "_put", put)
-    patch(Database, "writing", writing)
-    patch(pathlib.Path, "unlink", unlink)
-    patch(pathlib.Path, "rename", rename)
+    around(
+        results.Computed, "record",
+        lambda _, self, of, *more: STATED if of_map(of) else "rows committed",
+        lambda self, of, *more: "mapping" if of_map(of) else "recording",
+    )  # fmt: skip
+    around(results.Computed, "compact", while_doing=lambda *_: "merging")
+    merged = "a merged file written, rows name the old ones"
+    around(
+        results, "write_table",
+        lambda *_: merged if doing[-1] == "merging" else "a file written, its rows not",
+    )  # fmt: skip
+    put = "rows name the merged file, old ones are there"
+    around(results, "_put", lambda found, *_: put if found else "", lambda *_: "putting")
+    removed = lambda path: path.suffix == ".parquet" and doing[-1] == "merging"  # noqa: E731
+    around(
+        pathlib.Path, "unlink",
+        lambda _, path, *more: "some old files removed" if removed(path) else "",
+    )  # fmt: skip
+    around(
+        pathlib.Path, "rename",
+        lambda _, path, to: RENAMED.get("old" if Path(to).name == "maps.old" else path.name, ""),
+    )  # fmt: skip
     passed.note(maps._Maps, "_folder", "maps begun anew")
     passed.note(mapfile, "begin", "a map begun")
     passed.note(mapfile.MapFile, "_append", "a trip in a map, not committed")
