@@ -36,7 +36,7 @@ simulate drive --line sample --train sample --count 1 -o trips
 simulate fleet drawn:1 --trains 1 --days 1 --count 1 --jobs 1 -o fleet
 fit efforts sample_logs -o parameters.json
 estimate sample_logs/nonstop.mcap -o estimated
-fit coasting sample_logs -o coast-down.json
+fit coasting sample_logs/nonstop.mcap -o coast-down.json
 fit adhesion curve.csv -o wet.json
 map update sample_logs --map wil.map
 map show sample_logs/CH_StGallen_Wil.map --at 2024-10-09T06:00Z --model
