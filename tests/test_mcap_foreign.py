@@ -58,6 +58,14 @@ def test_ros1_messages_of_the_official_writer_become_columns(tmp_path):
     assert found.skipped == ()
 
 
+def test_flatbuffers_messages_are_listed_with_the_reason():
+    found = frames_of(Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap")
+    assert found.frames == {}
+    reason = "encoding 'flatbuffer' is not decoded (3 messages)"
+    listed = {f"/{name}: {reason}" for name in ("fix", "log", "scan", "cloud")}
+    assert {str(item) for item in found.skipped} == listed
+
+
 def test_json_messages_become_columns_of_their_kinds(tmp_path):
     messages = [
         {"v": 1, "on": True, "name": "a", "at": {"km": 1.5}, "big": 2**63, "n": [1, 2]},
