@@ -41,7 +41,7 @@ wheel: docs
 portable: $(READY)
 	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
 	NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4 AVX512_ICL AVX512_SPR" \
-	$(BIN)/python -m pytest -n 2 tests/test_samples.py tests/test_golden.py tests/test_formats_samples.py
+	$(BIN)/python -m pytest -n 2 tests/test_samples.py tests/test_golden.py
 
 # Three quarters of an hour of processor time and more: kills, whole lines, figures of the papers.
 long: $(READY)

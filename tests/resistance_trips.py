@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from simulated_line import level_line
 from analysis.resistance.recording import Recording
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
-from trainlog.railway import Axles, RunningResistance, StepProfile, Train
+from trainlog.railway import Axles, RunningResistance, Train
 from trainlog.railway.resistance import basis
 from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
@@ -123,87 +122,6 @@ def trip(
         metadata={"trip": name, "train": train.name, "direction": "forward"},
         attachments={
             LINE_ATTACHMENT: line_to_bytes(LINE),
-            TRAIN_ATTACHMENT: train_to_bytes(train),
-        },
-    )
-
-
-def random_trip(
-    seed: int, mass: float, duration: float, step: float, noise: float, tail: float
-) -> Trip:
-    """A trip of a random train on a random line with an imperfect survey and imperfect sensors.
-
-    Parameters
-    ----------
-    seed : int
-        Of all that is drawn: the line, how the train is driven, what the sensors get wrong.
-    mass : float [kg]
-        Empty.
-    duration, step : float [s]
-    noise : float [m/s]
-        Scale of the speed's error.
-    tail : float
-        Degrees of freedom of its Student distribution: near 1 there are many outliers.
-    """
-    draw = np.random.default_rng(seed)
-    time = np.arange(0.0, duration, step)
-    load = draw.uniform(0.0, 0.25) * mass
-    moved = mass + draw.uniform() * load
-    drag = RunningResistance(
-        *(moved * 10.0 ** draw.uniform((-2.3, -4.0, -5.0), (-1.5, -3.0, -4.0)))
-    )
-    waves = sum(
-        draw.uniform() * np.sin(time / draw.uniform(10.0, 200.0) + draw.uniform(0.0, 6.0))
-        for _ in range(4)
-    )
-    start = np.sin(0.5 * np.pi * np.clip(time / 60.0, 0.0, 1.0))
-    speed = np.maximum(draw.uniform(8.0, 45.0) * (0.6 + 0.25 * waves) * start, 0.0)
-    position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)))
-    length = max(1.05 * float(position[-1]), 1000.0)
-    edges = np.concatenate(([0.0], np.sort(draw.uniform(0.0, length, draw.integers(1, 60)))))
-    gradients = draw.normal(0.0, draw.choice([0.0, 0.003, 0.012]), edges.size)
-    surveyed = draw.normal(0.0, draw.choice([0.0, 0.0002, 0.002]), edges.size)
-    line = replace(
-        level_line(length, limit=draw.uniform(10.0, 50.0)),
-        gradients=StepProfile(edges, gradients + surveyed),
-    )
-    train = replace(
-        TRAIN,
-        mass=mass,
-        max_load=load,
-        resistance=drag,
-        rotating_mass_factor=draw.uniform(0.03, 0.12),
-    )
-    true = replace(line, gradients=StepProfile(edges, gradients))
-    effort = (moved + train.rotating_mass) * np.gradient(speed, time) + drag(speed)
-    effort += moved * true.track_acceleration(position)
-    dynamic = np.minimum(np.maximum(-effort, 0.0), draw.choice([0.05, 1.0]) * moved)
-    wrong = 1.0 + draw.choice([0.0, 0.003, 0.03]) * draw.standard_normal((2, time.size))
-    errors = noise * np.clip(draw.standard_t(tail, time.size), -200.0, 200.0)
-    stamps = np.int64(1_700_000_000_000_000_000) + np.round(time * 1e9).astype(np.int64)
-    state = frame_of(
-        TRAIN_STATE,
-        stamps,
-        {
-            "position": position + draw.normal(0.0, draw.choice([0.0, 3.0, 30.0])),
-            "speed": np.abs(draw.choice([1.0, 1.01]) * speed + errors),
-        },
-    )
-    controls = frame_of(
-        TRAIN_CONTROLS,
-        stamps,
-        {
-            "tractive_effort_demand": np.maximum(effort, 0.0),
-            "tractive_effort": np.maximum(effort, 0.0) * wrong[0],
-            "dynamic_braking_effort": dynamic * wrong[1],
-            "pneumatic_braking_effort": np.maximum(-effort - dynamic, 0.0),
-        },
-    )
-    return Trip(
-        topics={"/train/state": state, "/train/controls": controls},
-        metadata={"trip": f"random {seed}", "train": train.name, "direction": "forward"},
-        attachments={
-            LINE_ATTACHMENT: line_to_bytes(line),
             TRAIN_ATTACHMENT: train_to_bytes(train),
         },
     )

@@ -14,11 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 import trainlog
-from trainlog.railway import TrackConditionMap
-from trainlog.trip import Trip
 
 TOLERANCE = 1e-9
 """Share of the largest value of a column by which files from two machines may differ."""
@@ -30,73 +27,39 @@ HASH = re.compile(r"[0-9a-f]{64}")
 def first_difference(found: Path, kept: Path, tolerance: float = TOLERANCE) -> str | None:
     """Where two files differ by more than `tolerance`, in one line; None where they agree.
 
-    Logs are compared topic by topic, JSON value by value, CSV column by column (to one unit in
-    the last written digit), everything else byte by byte.
+    Logs, JSON and maps are compared value by value, columns and lists of numbers as a whole, CSV
+    to one unit in the last written digit, everything else byte by byte.
     """
-    if kept.suffix == ".mcap":
-        return _of_trips(trainlog.read(found), trainlog.read(kept), tolerance)
-    if kept.suffix == ".json":
-        return _of_json(json.loads(found.read_bytes()), json.loads(kept.read_bytes()), tolerance)
-    if kept.suffix == ".map":
-        return _of_maps(trainlog.read_map(found), trainlog.read_map(kept), tolerance)
+    if kept.suffix in (".mcap", ".json", ".map"):
+        return _of_json(_content(found), _content(kept), tolerance)
     if kept.suffix == ".csv":
         return _of_csv(found, kept)
     return None if found.read_bytes() == kept.read_bytes() else "the bytes differ"
 
 
-def _of_trips(found: Trip, kept: Trip, tolerance: float) -> str | None:
-    if list(found.topics) != list(kept.topics):
-        return f"topics {list(found.topics)}, kept {list(kept.topics)}"
-    if found.metadata != kept.metadata:
-        return f"metadata {found.metadata}, kept {kept.metadata}"
-    for topic, frame in kept.topics.items():
-        if difference := _of_frames(found[topic], frame, tolerance):
-            return f"{topic}: {difference}"
-    steps = [json.loads(json.dumps(trip.provenance)) for trip in (found, kept)]
-    if difference := _of_json(steps[0], steps[1], tolerance):
-        return f"provenance{difference}"
-    if found.attachments.keys() != kept.attachments.keys():
-        return f"attachments {sorted(found.attachments)}, kept {sorted(kept.attachments)}"
-    for name, data in kept.attachments.items():
-        if difference := _of_json(json.loads(found.attachments[name]), json.loads(data), tolerance):
-            return f"attachment {name}{difference}"
-    return None
-
-
-def _of_maps(found: TrackConditionMap, kept: TrackConditionMap, tolerance: float) -> str | None:
-    """Every number of the evidence and of the estimate, and the trips."""
-
-    def values(track: TrackConditionMap) -> dict[str, Any]:
-        layers = {
-            name: {
-                each.name: np.asarray(getattr(part, each.name)).tolist()
-                for part in (layer, layer.evidence)
-                for each in fields(part)
-                if each.name in ("log_mean", "log_std", "observed") or part is layer.evidence
-            }
-            for name, layer in track.layers.items()
+def _content(path: Path) -> Any:
+    """All values of a file, as JSON would hold them."""
+    if path.suffix == ".json":
+        return json.loads(path.read_bytes())
+    if path.suffix == ".mcap":
+        trip = trainlog.read(path)
+        topics = {name: frame.to_dict("list") for name, frame in trip.topics.items()}
+        times = {name: frame.index.asi8.tolist() for name, frame in trip.topics.items()}
+        attached = {name: json.loads(data) for name, data in trip.attachments.items()}
+        own = {"metadata": dict(trip.metadata), "provenance": trip.provenance}
+        return topics | {"times": times, "attachments": attached} | json.loads(json.dumps(own))
+    track = trainlog.read_map(path)
+    layers = {
+        name: {
+            each.name: np.asarray(getattr(part, each.name)).tolist()
+            for part in (layer, layer.evidence)
+            for each in fields(part)
+            if each.name in ("log_mean", "log_std", "observed") or part is layer.evidence
         }
-        facts = {name: getattr(track, name) for name in ("line", "length", "settings")}
-        return {**facts, "levels": track.levels.tolist(), "layers": layers, "trips": track.trips}
-
-    plain = [json.loads(json.dumps(values(track))) for track in (found, kept)]
-    return _of_json(plain[0], plain[1], tolerance)
-
-
-def _of_frames(found: pd.DataFrame, kept: pd.DataFrame, tolerance: float) -> str | None:
-    if list(found.columns) != list(kept.columns) or len(found) != len(kept):
-        return f"{found.shape} {list(found.columns)}, kept {kept.shape} {list(kept.columns)}"
-    if not found.index.equals(kept.index):
-        return "times differ"
-    for column in kept:
-        new, old = found[column], kept[column]
-        if not pd.api.types.is_float_dtype(old):
-            if not new.equals(old):
-                return f"{column}: row {int(np.flatnonzero(new != old)[0])} differs"
-            continue
-        if difference := _of_numbers(new.to_numpy(), old.to_numpy(), tolerance):
-            return f"{column}: {difference}"
-    return None
+        for name, layer in track.layers.items()
+    }
+    facts = {name: getattr(track, name) for name in ("line", "length", "settings", "trips")}
+    return json.loads(json.dumps({**facts, "levels": track.levels.tolist(), "layers": layers}))
 
 
 def _of_numbers(found: np.ndarray, kept: np.ndarray, tolerance: float) -> str | None:

@@ -7,7 +7,6 @@ import numpy as np
 from trainlog.railway import (
     Axles,
     Brake,
-    Configuration,
     CurvatureProfile,
     Geometry,
     Line,
@@ -15,7 +14,6 @@ from trainlog.railway import (
     Station,
     StepProfile,
     Train,
-    Trajectory,
     Tunnel,
 )
 from trainlog.units import KMH
@@ -92,63 +90,3 @@ def flirt(**changes: object) -> Train:
         "brake": Brake(),
     }
     return Train(**{**known, **changes})  # type: ignore[arg-type]
-
-
-def trajectory_of(line: Line, train: Train, factors: tuple[float, ...]) -> Trajectory:
-    """A trajectory to follow: power, coasting, and a brake of its own for each configuration."""
-    nodes = np.concatenate((np.arange(0.0, 20.0, 1.0), np.arange(20.0, line.length + 1.0, 10.0)))
-    width = np.diff(nodes)
-    middle = 0.5 * (nodes[1:] + nodes[:-1])
-    ceiling = line.speed_limit(nodes) - 1.0
-    energy = ceiling**2 + 2.0 * 0.5 * nodes
-    energy[-1] = 2.0 * 0.5 * nodes[-1]
-    ceiling = np.sqrt(
-        np.maximum(np.minimum.accumulate(energy[::-1])[::-1] - 2.0 * 0.5 * nodes, 0.0)
-    )
-    configurations = tuple(
-        Configuration(
-            f"r{factor:g}",
-            train.mass + 8_000.0,
-            train.rotating_mass,
-            train.resistance.scaled(factor),
-            train.max_traction_power,
-        )
-        for factor in factors
-    )
-    track = line.track_acceleration(middle)
-    traction = np.zeros(width.size)
-    speeds = np.zeros((len(factors), nodes.size))
-    braking = np.zeros((len(factors), width.size))
-    middling = configurations[len(factors) // 2]
-    for k in range(width.size):
-        v = speeds[len(factors) // 2, k]
-        spare = ceiling[k + 1] ** 2 - v**2
-        drag = float(middling.resistance(v)) + middling.mass * track[k]
-        wanted = middling.inertia * spare / (2.0 * width[k]) + drag
-        limit = min(120e3, 0.9 * train.max_traction_power / max(v, 1.0))
-        traction[k] = min(max(wanted, 0.0), limit)
-        for row, c in enumerate(configurations):
-            u = speeds[row, k]
-            drag = float(c.resistance(u)) + c.mass * track[k]
-            square = u**2 + 2.0 * width[k] * (traction[k] - drag) / c.inertia
-            excess = max(square - ceiling[k + 1] ** 2, 0.0)
-            braking[row, k] = 0.5 * c.inertia * excess / width[k]
-            speeds[row, k + 1] = np.sqrt(max(square - excess, 0.01 if k < width.size - 1 else 0.0))
-    times = np.concatenate(
-        (
-            np.zeros((len(factors), 1)),
-            np.cumsum(2.0 * width / (speeds[:, 1:] + speeds[:, :-1]), axis=1),
-        ),
-        axis=1,
-    )
-    return Trajectory(
-        line=line.name,
-        train=train.name,
-        positions=nodes,
-        configurations=configurations,
-        speeds=speeds,
-        times=times,
-        tractive_effort=traction,
-        braking_effort=braking,
-        running_time=float(times[:, -1].max()),
-    )

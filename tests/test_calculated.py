@@ -9,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refused
 
-from analysis.comparison.calculated import Calculation, calculate, judged_together
+from analysis.comparison.calculated import Calculation, calculate
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
-from trainlog.errors import InputError
 from trainlog.formats.railway import write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
@@ -119,23 +117,6 @@ def test_a_recorded_wind_makes_bands_narrower_and_times_truer() -> None:
     fits = [fit_trip(windy(recorded)).resistance for recorded in (False, True)]
     truth = scenario().resistance(25.0)
     assert abs(fits[1](25.0) - truth) < 0.4 * abs(fits[0](25.0) - truth)
-
-
-def test_a_linear_term_is_separated_from_wind_where_wind_is_recorded() -> None:
-    """Four times the linear term is to one trip a head wind of 8 m/s."""
-    wrong = wrong_file("r1")
-    assert calculate(windy(True), wrong).diagnosis.wrong[0].name == "r1"
-
-
-def test_trips_together_contradict_what_one_leaves_open() -> None:
-    logs = [sample("stopping.mcap"), sample("nonstop.mcap")]
-    trips = [calculate(log, wrong_file("r2")) for log in logs]
-    together = judged_together(trips)
-    assert [each.name for each in together.wrong] == ["r2"]
-    assert together.judged_trips == 2
-    stds = [each.diagnosis.wrong[0].factor_std for each in trips]
-    assert together.wrong[0].factor_std < max(stds)
-    refused(InputError, "one train", judged_together, [])
 
 
 @pytest.mark.parametrize("name", ["r0", "r2"])

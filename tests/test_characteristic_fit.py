@@ -88,45 +88,6 @@ def test_bands_hold_the_truth_of_curves_of_another_form() -> None:
     assert np.median(np.abs(found)) < 0.01
 
 
-def test_polachs_own_curve_is_found_again_at_several_speeds() -> None:
-    wet = polach_curve("wet")
-    speeds = np.repeat([5.0, 15.0, 40.0], 20)
-    creepages = np.tile(np.geomspace(0.002, 0.4, 20), 3)
-    points = AdhesionPoints(creepages, wet.over_creepage(creepages, speeds), "creepage", speeds)
-    fit = fit_adhesion_characteristic(points, clean_stiffness=300.0)
-    found = fit.characteristic
-    assert isinstance(found, PolachCurve)
-    for name in ("adhesion_factor", "slip_factor", "friction", "friction_ratio", "friction_decay"):
-        assert getattr(found, name) == pytest.approx(getattr(wet, name), rel=0.02), name
-    assert not fit.findings
-
-
-class TestRefused:
-    slips = np.linspace(0.001, 0.1, 25)
-    adhesions = magic_formula(slips, 0.25, 0.02, 1.6)
-
-    def refusal(self, used: np.ndarray) -> str:
-        with pytest.raises(NotIdentifiableError) as caught:
-            fit_adhesion_characteristic(
-                AdhesionPoints(self.slips[used], self.adhesions[used]), speed=10.0
-            )
-        return str(caught.value)
-
-    def test_points_below_the_maximum_alone(self) -> None:
-        dense = np.linspace(0.0005, 0.009, 25)
-        points = AdhesionPoints(dense, magic_formula(dense, 0.25, 0.02, 1.6))
-        with pytest.raises(NotIdentifiableError, match=r"still rises at the largest creepage"):
-            fit_adhesion_characteristic(points, speed=10.0)
-
-    def test_of_a_file_with_its_name(self, tmp_path: Path) -> None:
-        path = written(tmp_path, "creepage [%];adhesion\n0.1;0.1\n0.2;0.15\n")
-        with pytest.raises(NotIdentifiableError, match=r"curve\.csv: 2 points do not determine"):
-            fit_adhesion_characteristic(path)
-
-    def test_points_beyond_the_maximum_alone(self) -> None:
-        assert "below the maximum" in self.refusal(self.slips > 0.04)
-
-
 # --------------------------------------------------------------------------------------- files
 
 CURVES = st.one_of(
@@ -218,22 +179,6 @@ def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
 def test_tables_that_would_mislead_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_adhesion_points(written(tmp_path, text))
-
-
-def test_a_train_speed_beside_those_of_the_points_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, "creepage [%];adhesion;speed [km/h]\n1;0.2;72\n2;0.3;72\n")
-    with pytest.raises(InputError, match="the points state their train speeds, and one is given"):
-        run(
-            [
-                "fit",
-                "adhesion",
-                str(path),
-                "-o",
-                str(tmp_path / "a.json"),
-                "--speed",
-                "80",
-            ]
-        )
 
 
 @pytest.mark.usefixtures("unpainted")

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 import pytest
 from refusals import refused
 
-from analysis.comparison.compare import Comparison, compare, section_table, sections_between
+from analysis.comparison.compare import Comparison, compare
 from analysis.comparison.driven import driven_trip
 from trainlog import read_line, read_train
 from trainlog.errors import InputError
@@ -107,14 +106,6 @@ def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell() -> None:
     assert early.total == pytest.approx(-30.0, abs=0.11)
 
 
-def test_a_later_departure_counts_by_the_time_of_day_alone() -> None:
-    late = delayed(stopping(), stopping().start - pd.Timedelta(days=1), 45.0, "late")
-    assert compare([stopping(), late], stopping()).trip("late").lost.total == 0.0
-    by_day = compare([stopping(), late], stopping(), by_time_of_day=True).trip("late").lost
-    assert by_day.by_cause() == {"start": pytest.approx(45.0)}
-    assert by_day.behind[0] == pytest.approx(45.0)
-
-
 def test_losses_add_up_to_the_difference_and_to_the_sections() -> None:
     found = compare([stopping(), nonstop()])
     trip = found.trip("trip-03")
@@ -128,32 +119,6 @@ def test_losses_add_up_to_the_difference_and_to_the_sections() -> None:
     assert times == pytest.approx(driven_trip(stopping()).duration, abs=0.2)
     # Three stops of some 42 s, and slowing down and starting for each.
     assert lost(found, "trip-03")["stop"] > 200.0
-
-
-def test_two_halves_lose_what_the_whole_loses() -> None:
-    halves = [
-        replace(stopping().within(*limits), metadata={**stopping().metadata, "trip": name})
-        for limits, name in (((None, 12_000.0), "first"), ((12_000.0, None), "second"))
-    ]
-    found = compare([*halves, stopping(), nonstop()], nonstop())
-    parts = [found.trip(name) for name in ("first", "second")]
-    whole = found.trip("trip-03").lost.total
-    assert sum(each.lost.total for each in parts) == pytest.approx(whole, abs=0.3)
-    assert parts[0].common == pytest.approx((0.0, 12_000.0), abs=5.0)
-    work = [each.table["traction"].sum() for each in (*parts, found.trip("trip-03"))]
-    assert work[0] + work[1] == pytest.approx(work[2], rel=1e-3)
-
-
-def test_directions_are_kept_apart_and_each_has_a_reference() -> None:
-    back, again = (
-        altered(each, lambda frame: frame, direction="reverse", trip=name)
-        for each, name in ((nonstop(), "back"), (stopping(), "again"))
-    )
-    found = compare([stopping(), nonstop(), back, again])
-    assert [each.direction for each in found.directions] == ["forward", "reverse"]
-    assert found.directions[1].reference.name == "back"
-    assert found.directions[1].sections.ends[0] == "Wil"
-    assert found.trip("back").lost is None
 
 
 @pytest.mark.parametrize("forward", [1, 2])
@@ -245,20 +210,6 @@ def test_a_counter_that_starts_anew_is_left_out_with_the_reason() -> None:
     refused(InputError, r"no trip can be compared: .*runs backwards", compare, anew)
 
 
-def test_a_trip_that_stops_short_is_compared_as_far_as_it_went() -> None:
-    state = stopping()["/train/state"]
-    stand = stopping().between(
-        None, state.index[state["position"] <= 14_400.0][-1] + pd.Timedelta("30s")
-    )
-    short = replace(stand, metadata={**stand.metadata, "trip": "short"})
-    found = compare([stopping(), nonstop(), short], nonstop()).trip("short")
-    assert found.common == pytest.approx((0.0, 14_477.0), abs=5.0)
-    # It brakes to a stand at Flawil, which the other passes: that is no slow driving.
-    assert found.lost.by_cause()["stop"] > 80.0
-    table = compare([stopping(), nonstop(), short], nonstop()).trip("short").table
-    assert table.index.tolist() == ["St.Gallen - Gossau SG", "Gossau SG - Flawil"]
-
-
 # What was done to a driver who always drives as fast as his habits allow is the truth.
 
 HABITS = Habits(coasting=0.0, margin=0.7, lever=0.9)
@@ -318,15 +269,6 @@ def test_poor_adhesion_costs_what_it_costs() -> None:
     assert found.lost.by_cause()["slip"] == pytest.approx(truth, abs=0.15 * truth)
     assert found.table["slips"].iloc[0] > 0
     assert found.table["slips"].iloc[1:].sum() == 0
-
-
-def test_excess_speed_is_stated_with_where_it_was() -> None:
-    fast = simulate(replace(scenario(name="fast"), habits=replace(HABITS, margin=-2.0)))
-    found = compare([free(), fast])
-    table = found.trip("fast").table
-    assert 1.5 < table["excess"].max() < 3.0
-    assert table["excess_distance"].sum() > 3_000.0
-    assert compare(free()).trip("free").table["excess_distance"].sum() == 0.0
 
 
 def test_energies_of_unlike_loads_are_alike_at_one_load() -> None:
@@ -401,40 +343,6 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
     own = driven_trip(stopping())
     until = float(own.time[np.searchsorted(own.position, metres - 20.0)])
     assert found.trip("trip-03").lost.total == pytest.approx(until - duration, abs=15.0)
-
-
-def test_a_section_ends_where_the_train_stood_not_at_the_station_beside_it() -> None:
-    trip = read_log(sample("stopping.mcap"))
-    driven = driven_trip(trip)
-    sections = sections_between(driven.line, *driven.covered)
-    table = section_table(driven, sections)
-    truth = trip["/truth"]
-    seconds = (truth.index.asi8 - truth.index.asi8[0]) / 1e9
-    moving = np.diff(seconds, prepend=0.0) * (truth["speed"].to_numpy() > 0.0)
-    edges = [0.0]
-    for edge in sections.edges[1:-1]:
-        stood = (truth["speed"] == 0.0) & (np.abs(truth["position"] - edge) < 200.0)
-        edges.append(float(truth["position"][stood].iloc[0]))
-    place = truth["position"].to_numpy()
-    for row, (low, high) in enumerate(pairwise([*edges, np.inf])):
-        expected = moving[(place > low) & (place <= high)].sum()
-        assert table["running_time"].iloc[row] == pytest.approx(expected, abs=1.0)
-
-
-def test_time_lost_by_slip_is_found_by_the_wheels_where_no_protection_is_recorded() -> None:
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    drawn = draw_scenarios(line, train, count=12, seed=77)
-    wet, dry = simulate(drawn[2]), simulate(drawn[4])
-    protection = ("/train/slip_protection", "/events")
-    bare = {name: frame for name, frame in wet.topics.items() if name not in protection}
-    lost = []
-    for trip in (wet, replace(wet, topics=bare)):
-        compared = compare([dry, trip], reference=dry).trip(trip.name).lost
-        assert compared is not None
-        losses = compared.losses
-        lost.append(float(losses["lost"][losses["cause"] == "slip"].sum()))
-    assert lost[0] > 20.0
-    assert lost[1] == pytest.approx(lost[0], rel=0.2)
 
 
 def test_without_efforts_the_energy_is_unknown() -> None:

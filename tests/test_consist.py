@@ -84,47 +84,6 @@ def test_momentum_is_kept_without_outer_forces() -> None:
     assert np.ptp(state.speeds) < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("r0", "r1", "r2"), [(4_000.0, 30.0, 8.0), (4_000.0, 600.0, 8.0), (4_000.0, 400.0, 10.0)]
-)
-def test_coasting_down_follows_the_closed_form(r0: float, r1: float, r2: float) -> None:
-    """All three signs of the discriminant r1² - 4 r0 r2."""
-    vehicle = replace(WAGON, mass=350e3, resistance=RunningResistance(r0, r1, r2))
-    plant = ConsistPlant(Consist("one", (vehicle,)))
-    state = plant.at(0.0, 40.0)
-    plant.advance(state, 0.0, 0.0, 20_000)
-    time, inertia = 200.0, vehicle.inertia
-    discriminant = r1**2 - 4.0 * r0 * r2
-    if discriminant < 0.0:
-        root = np.sqrt(-discriminant)
-        angle = np.arctan((2.0 * r2 * 40.0 + r1) / root) - root * time / (2.0 * inertia)
-        expected = (root * np.tan(angle) - r1) / (2.0 * r2)
-    elif discriminant > 0.0:
-        root = np.sqrt(discriminant)
-        ratio = (2.0 * r2 * 40.0 + r1 - root) / (2.0 * r2 * 40.0 + r1 + root)
-        ratio *= np.exp(-root * time / inertia)
-        expected = ((1.0 + ratio) / (1.0 - ratio) * root - r1) / (2.0 * r2)
-    else:
-        expected = (
-            1.0 / (1.0 / (2.0 * r2 * 40.0 + r1) + time / (2.0 * inertia)) - r1
-        ) / (2.0 * r2)  # fmt: skip
-    assert 5.0 < expected < 39.0
-    assert state.speeds[0] == pytest.approx(expected, rel=1e-10)
-
-
-def test_integration_is_of_fourth_order() -> None:
-    def speeds(step: float) -> np.ndarray:
-        plant = ConsistPlant(replace(train(5), brake=ConsistBrake(0.0, 0.0)), step=step)
-        state = plant.at(0.0, 10.0)
-        plant.advance(state, [0.0, 31_250.0, 0.0, 0.0, 0.0], 0.0, round(2.0 / step))
-        return state.speeds
-
-    exact = speeds(0.00025)
-    errors = [np.abs(speeds(step) - exact).max() for step in (0.008, 0.004, 0.002)]
-    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    assert np.all(orders > 3.7), (errors, orders)
-
-
 def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
     slope = 0.02
     climbing = replace(level_line(5_000.0), gradients=steps((0.0, slope)))
@@ -135,17 +94,6 @@ def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
     plant.advance(state, [6.0 * weight, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0, 60_000)
     assert plant.coupler_forces(state) == pytest.approx(weight * np.arange(5, 0, -1), rel=1e-6)
     assert state.speeds == pytest.approx(10.0, abs=1e-3)
-
-
-def test_the_track_acts_under_each_vehicle() -> None:
-    """Only the vehicles that have passed the edge climb."""
-    edge = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (1_000.0, 0.02)))
-    plant = ConsistPlant(train(8, resistance=FRICTIONLESS), edge, step=0.001)
-    state = plant.at(1_099.95, 10.0)  # four of eight are beyond km 1.0 on average
-    before = plant.momentum(state)
-    plant.advance(state, 0.0, 0.0, 10)
-    pull = (before - plant.momentum(state)) / 0.01
-    assert pull == pytest.approx(4 * GRAVITY * WAGON.mass * 0.02 / np.hypot(1.0, 0.02), rel=1e-6)
 
 
 def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
@@ -195,19 +143,6 @@ def test_the_demand_travels_along_the_train_pipe() -> None:
     assert np.all(plant.coupler_forces(state) < -1e3)
 
 
-def test_buffers_push_with_their_own_spring() -> None:
-    coupler = replace(COUPLER, buffing_stiffness=4e6, buffing_nonlinearity=5.0)
-    assert coupler.force([0.01, -0.01]) == pytest.approx(
-        [10e6 * (1.0 + 200.0 * 1e-4) * 0.01, -4e6 * (1.0 + 5.0 * 1e-4) * 0.01]
-    )
-    consist = train(2, coupler, resistance=FRICTIONLESS)
-    plant = ConsistPlant(consist, step=0.002)
-    pushed = plant.at(0.0, 10.0)
-    plant.advance(pushed, [0.0, 30e3], 0.0, 20_000)
-    assert plant.coupler_forces(pushed) == pytest.approx(-15e3, rel=1e-6)
-    assert coupler.force(plant.stretches(pushed)) == pytest.approx(-15e3, rel=1e-6)
-
-
 def test_the_resistance_swings_as_named() -> None:
     vehicle = replace(WAGON, resistance=RunningResistance(10_000.0, 0.0, 0.0))
     plant = ConsistPlant(
@@ -238,15 +173,6 @@ def test_the_resistance_swings_as_named() -> None:
 )
 def test_what_cannot_be_is_refused(make: object, words: str) -> None:
     refused(InputError, words, make)
-
-
-def test_efforts_that_a_vehicle_does_not_have_are_refused() -> None:
-    plant = ConsistPlant(train(2))
-    state = plant.at()
-    with pytest.raises(InputError, match=r"vehicle 2 .* tractive effort of 99\.0 kN.*31\.2 kN"):
-        plant.advance(state, [0.0, 99e3], 0.0, 1)
-    with pytest.raises(InputError, match="3 braking efforts for 2 vehicles"):
-        plant.advance(state, 0.0, [1.0, 1.0, 1.0], 1)
 
 
 def test_a_softening_coupler_is_refused_beyond_its_validity() -> None:

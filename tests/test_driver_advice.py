@@ -108,7 +108,9 @@ def test_places_are_the_operators_and_named_in_the_direction_of_travel(
 ) -> None:
     back = line.reversed()
     found = journey_advice(sections, back)
+    stations = np.array([each.position for each in back.stations])
     for row in found.rows:
+        assert row.place.startswith("at ") == (np.abs(stations - row.position).min() < 50.0)
         assert row.km == pytest.approx(float(back.kilometre(row.position)) / 1e3)
         before = re.fullmatch(r"([\d.]+) km (before|after) (.+)", row.place)
         if before is None:
@@ -149,16 +151,6 @@ def test_a_coast_does_not_end_above_the_speed_that_it_allows() -> None:
     words = "coast to km 44.798: speed falls to at most 115 km/h"
     assert coast.words() == words
     assert "falls to 116 km/h" in replace(coast, caps=()).words()
-
-
-def test_a_place_that_is_stated_to_be_at_a_station_is_less_than_50_m_away(
-    sections: tuple[Trajectory, ...], line: Line
-) -> None:
-    found = journey_advice(sections, line)
-    stations = np.array([each.position for each in line.stations])
-    away = {row.position: np.abs(stations - row.position).min() for row in found.rows}
-    for row in found.rows:
-        assert row.place.startswith("at ") == (away[row.position] < 50.0)
 
 
 def test_page_and_table_state_the_same(

@@ -164,45 +164,8 @@ def test_bad_csv_is_refused_with_the_place(text: str, words: str, tmp_path: Path
 
 # ---- OSRD and railtoolkit -----------------------------------------------------------------------
 
-STOCK = {
-    "railjson_version": "3.2",
-    "name": "unit",
-    "mass": 100_000,
-    "length": 50,
-    "max_speed": 40,
-    "comfort_acceleration": 0.8,
-    "inertia_coefficient": 1.05,
-    "gamma": {"type": "CONST", "value": 0.5},
-    "rolling_resistance": {"type": "davis", "A": 1000, "B": 20, "C": 5},
-    "loading_gauge": "G1",
-    "effort_curves": {
-        "default_mode": "25000V",
-        "modes": {
-            "25000V": {
-                "is_electric": True,
-                "curves": [
-                    {
-                        "cond": {"comfort": "AC"},
-                        "curve": {"speeds": [0, 40], "max_efforts": [90e3, 30e3]},
-                    }
-                ],
-                "default_curve": {"speeds": [0, 20, 40], "max_efforts": [120e3, 80e3, 40e3]},
-            },
-            "1500V": {
-                "curves": [],
-                "default_curve": {"speeds": [0, 40], "max_efforts": [80e3, 20e3]},
-            },
-        },
-    },
-}
 
-
-def stock(folder: Path, **changes: object) -> Path:
-    path = folder / "stock.json"
-    path.write_text(json.dumps(STOCK | changes))
-    return path
-
-
+@SHARED
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -215,7 +178,9 @@ def stock(folder: Path, **changes: object) -> Path:
 def test_bad_rolling_stock_is_refused_with_the_place(
     changes: dict[str, object], words: str, tmp_path: Path
 ) -> None:
-    refused(InputError, words, osrd.read_train, stock(tmp_path, **changes))
+    known = json.loads((DATA / "osrd/rolling_stocks/electric_rolling_stock.json").read_text())
+    (tmp_path / "stock.json").write_text(json.dumps(known | changes))
+    refused(InputError, words, osrd.read_train, tmp_path / "stock.json")
 
 
 @SHARED

@@ -19,21 +19,6 @@ from estimators.slip import SlipDetector
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
-
-def test_a_saved_state_that_does_not_fit_is_refused() -> None:
-    state, resume = SlipDetector(2, 0.05).state(), SlipDetector.resume
-    assert resume(state).state() == state
-    refused(InputError, "format 'other', version 2", resume, state | {"format": "other"})
-    refused(InputError, "version 3 .needs version 2", resume, state | {"version": 3})
-    refused(InputError, "is not a saved state", resume, [])
-    refused(InputError, r"seen has shape \(3,\), needs \(2,\)", resume, state | {"seen": [0, 0, 0]})
-    refused(InputError, "wrong value .*many", resume, state | {"last": "many"})
-    for count in (-1, 1.5, True, None, float("inf")):
-        refused(InputError, "samples|int", resume, state | {"samples": count})
-    del state["above"]
-    refused(InputError, "is incomplete.*above", resume, state)
-
-
 COUNT = 400
 RNG = np.random.default_rng(1)
 TIME = 0.1 * np.arange(COUNT)

@@ -1,42 +1,181 @@
 """Golden replays: estimators and analyses give over the sample logs what they gave before.
 
-The references are renewed by ``pytest tests/test_golden.py --renew-golden``; the difference is
-reviewed like code.
+A replay takes a trip and gives its figures by name. A new analysis adds one entry to `REPLAYS`;
+``pytest tests/test_golden.py --renew-golden`` stores its reference, reviewed like code.
 """
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from golden_replays import LOGS, REPLAYS, Replay, trip_of
 from numpy.typing import ArrayLike
+from same_values import first_difference
 
+import trainlog
+from analysis.adhesion.condition_map import empty_map, update
+from analysis.adhesion.evidence import evidence_of
+from analysis.adhesion.slip import slip
+from analysis.comparison.groups import trip_cost
+from analysis.estimates import with_estimates
+from analysis.resistance.coast_down import coast_down
+from analysis.resistance.fit import fit_trip
+from analysis.resistance.recording import Prepared, prepare
+from analysis.view import view_of
+from estimators.rls import RecursiveLeastSquares, edges_crossed, record_with_resets
 from trainlog.errors import TrainlogError
+from trainlog.formats.railway import line_of, train_of
+from trainlog.formats.samples import folder
+from trainlog.trip import Trip
 
-pytestmark = pytest.mark.usefixtures("remembered")
+Figures = Mapping[str, ArrayLike]
+
+LOGS = ("nonstop", "stopping")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What is run over a trip, and how far its figures may differ from the reference.
+
+    Attributes
+    ----------
+    run : function
+    tolerance : float
+        Share of the largest value in a column of a figure.
+    """
+
+    run: Callable[[Trip], Figures]
+    tolerance: float = 1e-6
+
+
+@cache
+def trip_of(name: str) -> Trip:
+    return trainlog.read(folder() / f"{name}.mcap")
+
+
+def prepared(trip: Trip) -> Prepared:
+    return prepare(view_of(trip))
+
+
+def least_squares(trip: Trip) -> Figures:
+    """Forces that resist, reset in part where the gradient changes."""
+    ready, train = prepared(trip), train_of(trip)
+    use = ready.usable
+    inertia = train.mass + train.rotating_mass
+    acceleration = np.gradient(ready.smooth, ready.time)
+    force = ready.effort - inertia * acceleration - train.mass * ready.track
+    rows = np.column_stack([np.ones(force.size), ready.smooth, ready.smooth**2])
+    estimator = RecursiveLeastSquares(
+        [1e4, 300.0, 10.0], forgetting=0.9999, random_walk_std=[1.0, 1e-3, 1e-5]
+    )
+    estimates, _ = record_with_resets(
+        estimator,
+        edges_crossed(line_of(trip).gradients.positions, ready.position)[use],
+        rows[use],
+        force[use],
+        1e6,
+        parameters=[0],
+    )
+    return {"course": estimates}
+
+
+def estimates(trip: Trip) -> Figures:
+    """Smoothed motion, running resistance in its course, adhesion and slip as topics."""
+    result, refusals = with_estimates(trip)
+    topics = [topic for topic in result.topics if topic.startswith("/estimates/")]
+    columns = {
+        f"{topic}.{name}": values.to_numpy(np.float64)
+        for topic in topics
+        for name, values in result[topic].items()
+    }
+    return {"refusals": len(refusals)} | columns
+
+
+def fit(trip: Trip) -> Figures:
+    found = fit_trip(trip)
+    curve = found.resistance
+    speeds = np.linspace(*found.asked, 7)
+    return {
+        "curve": curve(speeds),
+        "band": np.array([found.band(speed) for speed in speeds.tolist()]),
+        "mass": found.mass,
+        "std": np.sqrt(np.diag(found.covariance)),
+        "condition": found.condition,
+        "windows": list(found.windows.values()),
+        "masked": list(found.masked.values()),
+    }
+
+
+def slip_events(trip: Trip) -> Figures:
+    found = slip(trip)
+    columns = ("axle", "position", "speed", "peak_slip", "adhesion", "adhesion_std", "measured")
+    return {name: found.events[name].to_numpy(np.float64) for name in columns} | {
+        "wheel_factor": found.wheel_factor,
+        "speed_of_train": found.speed,
+    }
+
+
+def map_update(trip: Trip) -> Figures:
+    empty = empty_map(line_of(trip))
+    track, _ = update(empty, [evidence_of(slip(trip), empty, "dry")])
+    layer = track.layers["dry"]
+    return {
+        "maximum_adhesion": np.exp(layer.log_mean),
+        "log_std": layer.log_std,
+        "observed": layer.observed,
+        "events": layer.events,
+    }
+
+
+def cost(trip: Trip) -> Figures:
+    reported = asdict(trip_cost(trip))
+    return {name: value for name, value in reported.items() if isinstance(value, int | float)}
+
+
+def coasting(trip: Trip) -> Figures:
+    found = coast_down([trip])
+    powers = np.linspace(*found.curve.covered, 7)[:, None] ** np.arange(3)
+    return {
+        "curve": powers @ found.curve.theta[1:],
+        "std": np.sqrt(np.diag(found.curve.covariance)),
+        "covered": found.curve.covered,
+        "ratio": found.ratio.value,
+        "evidence": found.evidence,
+    }
+
+
+REPLAYS: dict[str, Replay] = {
+    "least squares": Replay(least_squares),
+    "estimates": Replay(estimates, 1e-4),
+    "fit": Replay(fit, 1e-3),
+    "coast-down": Replay(coasting, 1e-3),
+    "slip events": Replay(slip_events, 1e-4),
+    "map update": Replay(map_update, 1e-4),
+    "cost": Replay(cost),
+}
+"""By name; fits choose among samples, which a rounding may decide otherwise elsewhere."""
+
 
 GOLDEN = Path(__file__).parent / "data" / "golden"
 
 SAMPLES = 9
 """Rows of a long figure that are kept, from the first to the last."""
 
-DIGITS = 10
-
 ZERO = 1e-9
 """Share of the largest value of a figure that counts as nothing in any of its columns."""
-
-Reference = dict[str, object]
 
 
 def path_of(name: str, log: str) -> Path:
     return GOLDEN / f"{name.replace(' ', '_')}.{log}.json"
 
 
-def replayed(replay: Replay, log: str) -> Reference:
+def replayed(replay: Replay, log: str) -> dict[str, object]:
     """A digest of each figure, or why it is refused."""
     try:
         figures = replay.run(trip_of(log))
@@ -46,66 +185,36 @@ def replayed(replay: Replay, log: str) -> Reference:
 
 
 def digest(values: ArrayLike) -> dict[str, object]:
-    """Shape, how many are unknown, and by column the largest and the mean size; some rows."""
+    """Shape, how many are unknown, and of each column largest and mean size and some rows."""
     array = np.asarray(values, dtype=np.float64)
     few = array.ndim == 0 or (array.ndim == 1 and array.size <= SAMPLES)
     # A few numbers side by side, an estimate say, are columns of their own.
     rows = array.reshape(1, -1) if few else array.reshape(len(array), -1)
+    known = np.where(np.isfinite(rows), rows, 0.0)
+    known[np.abs(known) <= ZERO * np.abs(known).max(initial=0.0)] = 0.0
     chosen = np.unique(np.linspace(0, max(len(rows) - 1, 0), min(SAMPLES, len(rows))).astype(int))
-    size = np.where(np.isfinite(rows), np.abs(rows), 0.0)
+    size = np.abs(known)
+    kept = np.vstack([size.max(axis=0, initial=0.0), size.sum(axis=0) / len(rows), known[chosen]])
     return {
         "shape": list(array.shape),
         "unknown": int(np.count_nonzero(~np.isfinite(array))),
-        "largest": [rounded(value) for value in size.max(axis=0, initial=0.0)],
-        "mean": [rounded(value) for value in size.sum(axis=0) / max(len(rows), 1)],
-        "rows": [[rounded(value) for value in row] for row in rows[chosen]],
+        "columns": [[float(f"{value:.10g}") for value in column] for column in kept.T],
     }
 
 
-def rounded(value: float) -> float | None:
-    """To `DIGITS` digits, which JSON holds exactly; None where unknown."""
-    return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
-
-
-def differences(found: Reference, golden: Reference, tolerance: float) -> list[str]:
-    """What of a replay is not what it was, in a line each."""
-    if "refused" in found or "refused" in golden:
-        was, now = (each.get("refused", "answered") for each in (golden, found))
-        return [] if was == now else [f"was: {was}; is: {now}"]
-    lines = [f"{name}: only in one of the two" for name in sorted(set(found) ^ set(golden))]
-    for name in sorted(set(found) & set(golden)):
-        now, was = found[name], golden[name]
-        assert isinstance(now, dict)
-        assert isinstance(was, dict)
-        lines += [
-            f"{name}: {part} was {was[part]}, is {now[part]}"
-            for part in ("shape", "unknown")
-            if now[part] != was[part]
-        ]
-        if now["shape"] != was["shape"]:
-            continue
-        largest = np.array(was["largest"])
-        allowed = tolerance * np.maximum(largest, ZERO * largest.max(initial=1e-300))
-        for part in ("largest", "mean", "rows"):
-            new, old = (np.array(each[part], dtype=np.float64) for each in (now, was))
-            off = np.where(np.isnan(new) & np.isnan(old), 0.0, np.abs(new - old)) / allowed
-            if not np.all(off <= 1.0):
-                worst = tolerance * float(np.max(off))
-                lines.append(f"{name}: {part} differ by {worst:.1e} of the largest")
-    return lines
-
-
+@pytest.mark.usefixtures("remembered")
 @pytest.mark.parametrize("log", LOGS)
 @pytest.mark.parametrize("name", REPLAYS)
-def test_replay_gives_what_it_gave(name: str, log: str, request: pytest.FixtureRequest) -> None:
-    replay, path = REPLAYS[name], path_of(name, log)
-    found = replayed(replay, log)
-    if request.config.getoption("--renew-golden"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
+def test_replay_gives_what_it_gave(
+    name: str, log: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    renew, path = request.config.getoption("--renew-golden"), path_of(name, log)
+    made = path if renew else tmp_path / path.name
+    found = replayed(REPLAYS[name], log)
+    made.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
     assert path.exists(), f"no reference: pytest {Path(__file__).name} --renew-golden"
-    changed = differences(found, json.loads(path.read_text("utf-8")), replay.tolerance)
-    assert not changed, "; ".join(changed) + "; if it is meant: --renew-golden"
+    changed = first_difference(made, path, REPLAYS[name].tolerance)
+    assert not changed, f"{changed}; if it is meant: --renew-golden"
 
 
 def test_every_reference_belongs_to_a_replay() -> None:
@@ -113,11 +222,13 @@ def test_every_reference_belongs_to_a_replay() -> None:
     assert set(GOLDEN.glob("*.json")) == wanted
 
 
-def test_a_change_beyond_the_tolerance_is_told() -> None:
-    golden: Reference = {"force": digest([1.0, 2.0, np.nan])}
-    assert differences({"force": digest([1.0, 2.0 + 1e-7, np.nan])}, golden, 1e-6) == []
-    (line,) = differences({"force": digest([1.0 + 1e-4, 2.0, np.nan])}, golden, 1e-6)[-1:]
-    assert "rows differ by 1.0e-04 of the largest" in line
-    assert "unknown was 1, is 0" in differences({"force": digest([1.0, 2.0, 3.0])}, golden, 1e-6)[0]
-    assert differences({}, golden, 1e-6) == ["force: only in one of the two"]
-    assert differences({"refused": "why"}, golden, 1e-6) == ["was: answered; is: why"]
+@pytest.mark.parametrize(
+    ("now", "told"), [(2.0 + 1e-7, ""), (2.001, "/force/columns"), (np.nan, "/")]
+)
+def test_a_change_beyond_the_tolerance_is_told(now: float, told: str, tmp_path: Path) -> None:
+    for name, value in (("was", 2.0), ("is", now)):
+        column = digest(np.append(np.full(20, 1.0), value))
+        (tmp_path / f"{name}.json").write_text(json.dumps({"force": column}))
+    found = first_difference(tmp_path / "is.json", tmp_path / "was.json", 1e-6)
+    assert (found or "").startswith(told)
+    assert bool(found) == bool(told)

@@ -55,14 +55,6 @@ def test_so_many_at_most_and_the_level_says_what_they_reach(most: int) -> None:
     assert bounded(others, trips[chosen.rows]).min() > chosen.level - 0.06
 
 
-def test_trips_that_do_not_differ_need_one_configuration() -> None:
-    same = np.tile([1.0, 2.0, 3.0, 4.0], (50, 1))
-    chosen = choose(same * (1.0 + 1e-5 * features(50, 5)), 0.95)
-    assert chosen.rows.size == 1
-    assert chosen.weights.tolist() == [50]
-    assert choose(same[:1], 0.95).rows.tolist() == [0]
-
-
 def test_the_set_differs_as_much_as_the_trips_do() -> None:
     """Best estimates are drawn to the mean; the set is spread out again."""
     estimated, spread, true_spread = [], [], []

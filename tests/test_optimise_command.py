@@ -47,15 +47,6 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
     return read_trajectory(output)
 
 
-def test_a_run_begins_and_ends_where_and_as_fast_as_given(observed: Path, tmp_path: Path) -> None:
-    speeds = ("--set", "initial-speed=72", "--set", "final-speed=36")
-    found = asked(observed, tmp_path, "--km", "3.2:7.5", *speeds)
-    assert (found.positions[0], found.positions[-1]) == (3200.0, 7500.0)
-    assert found.speeds[:, 0] == pytest.approx(72 / KMH, abs=1e-9)
-    assert np.all(found.speeds[:, -1] <= 36 / KMH + 1e-5)
-    assert found.speeds[:, -1] == pytest.approx(36 / KMH, rel=1e-3)
-
-
 def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(
     observed: Path, tmp_path: Path
 ) -> None:
@@ -146,14 +137,6 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     assert (trips / "driven-nominal.mcap").is_file()
 
 
-def test_a_load_is_of_the_train_file_alone(observed: Path, tmp_path: Path) -> None:
-    output = ("-o", str(tmp_path / "t.json"))
-    with pytest.raises(InputError, match="the parameter set holds the masses"):
-        cli.run(["plan", str(observed), *SAMPLES, "--set", "load=8t", *output])
-    with pytest.raises(InputError, match="is not plausible for a train of 122 t"):
-        cli.run(["plan", *SAMPLES, "--set", "load=800t", *output])
-
-
 def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -> None:
     words = ("--km", "3.2km:7500m", "--set", "initial-speed=20m/s", "--set", "final-speed=36 km/h")
     written = asked(observed, tmp_path, *words, "--running-time", "4:30")
@@ -161,6 +144,9 @@ def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -
     same = asked(observed, tmp_path, *plain, "--running-time", 270)
     assert written.running_time == same.running_time == 270.0
     assert np.array_equal(written.speeds, same.speeds)
+    assert (same.positions[0], same.positions[-1]) == (3200.0, 7500.0)
+    assert same.speeds[:, 0] == pytest.approx(72 / KMH, abs=1e-9)
+    assert np.all(same.speeds[:, -1] <= 36 / KMH + 1e-5)
     reserve = [asked(observed, tmp_path, "--km", ":4", "--reserve", each) for each in ("7%", "7")]
     assert reserve[0].running_time == reserve[1].running_time
 
@@ -260,15 +246,6 @@ def test_the_plan_of_a_journey_is_followed_section_by_section(stops: str, tmp_pa
     assert all(b.start - a.start > pd.Timedelta("100s") for a, b in pairwise(trips))
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [("7,5%", "is one number or two"), ("0.07", "is less than 0.5 %")],
-)
-def test_a_reserve_that_may_be_another_is_refused(given: str, said: str, tmp_path: Path) -> None:
-    words = ["plan", *SAMPLES, "--km", ":4", "--reserve", given, "-o", str(tmp_path / "p.json")]
-    refused(InputError, said, cli.run, words)
-
-
 @pytest.mark.parametrize("protect", ["front", "train"])
 def test_what_of_a_plan_is_less_than_it_seems_is_stated(
     protect: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -280,3 +257,19 @@ def test_what_of_a_plan_is_less_than_it_seems_is_stated(
     notes = json.loads(capsys.readouterr().out)["notes"]
     for begins in ("Speed limits hold for the train's front", "The final speed of 500 km/h is"):
         assert any(note.startswith(begins) for note in notes) == (protect == "front")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("--reserve", "7,5%"), "is one number or two"),
+        (("--reserve", "0.07"), "is less than 0.5 %"),
+        (("--set", "load=800t"), "is not plausible for a train of 122 t"),
+        (("parameters", "--set", "load=8t"), "the parameter set holds the masses"),
+    ],
+)
+def test_values_that_mean_another_are_refused(
+    given: tuple[str, ...], said: str, observed: Path, tmp_path: Path
+) -> None:
+    words = [str(observed) if each == "parameters" else each for each in given]
+    refused(InputError, said, cli.run, ["plan", *SAMPLES, *words, "-o", str(tmp_path / "p.json")])

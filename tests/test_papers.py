@@ -79,18 +79,3 @@ def test_every_part_names_code_that_is_there_and_a_result(paper: str) -> None:
         assert result in RESULTS, part
         # What is corrected, differs or is not run says why.
         assert what or result in ("as printed", "reached"), part
-
-
-def test_figures_that_are_reached_are_those_of_the_studies() -> None:
-    """Those of a clause that says so are the paper's own."""
-    studies = (DOCS / "studies.md").read_text("utf-8")
-    clauses = [
-        clause
-        for paper in NUMBERED
-        for *_, what in rows(paper)
-        for clause in what.split(";")
-        if "published" not in clause
-    ]
-    stated = set(re.findall(r"\d+\.\d{2,}(?:e-\d+)?|\d+\.\de-\d+", " ".join(clauses)))
-    assert len(stated) > 20
-    assert {number for number in stated if number not in studies} == set()

@@ -138,30 +138,6 @@ def test_gain_and_load_are_what_all_pairs_of_them_say(std: float) -> None:
     assert mass.value == pytest.approx(train.mass + of_load)
 
 
-def test_noise_of_a_speed_is_estimated_in_its_size(stopping: Trip) -> None:
-    axles = stopping["/train/axles"]
-    generator = np.random.default_rng(4)
-    noisy = axles["wheel_speed_3"] + 0.3 * generator.standard_normal(len(axles))
-    changed = axles.assign(wheel_speed_3=noisy)
-    changed.attrs = axles.attrs
-    noise = estimated_passport(stopping.with_topic(changed)).speed_noise
-
-    assert noise["/train/axles.wheel_speed_3"].value == pytest.approx(0.3, rel=0.05)
-    assert noise["/train/axles.wheel_speed_2"].value == pytest.approx(0.035, abs=0.01)
-
-
-def test_a_trip_with_nothing_but_fixes_has_a_passport() -> None:
-    trip = trainlog.read("sample_logs/stopping.mcap", topics=["/gnss/motion"])
-    found = estimated_passport(replace(trip, attachments={}, metadata={"trip": "ride"}))
-
-    assert found.trip == "ride"
-    assert found.speed_noise["/gnss/motion.speed"].value == pytest.approx(0.08, rel=0.2)
-    assert not found.mass.known
-    assert thing_to_bytes(thing_from_bytes(Passport, thing_to_bytes(found))) == thing_to_bytes(
-        found
-    )
-
-
 def test_ingest_stores_the_passport_and_info_shows_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

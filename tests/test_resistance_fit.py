@@ -5,29 +5,26 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from refusals import refused
-from resistance_trips import LINE, RESISTANCE, TRAIN, changed, random_trip, trip, with_exact_efforts
+from resistance_trips import RESISTANCE, TRAIN, changed, trip, with_exact_efforts
 
 import analysis
 from analysis.estimates import with_estimates
 from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.curve import band_factor, curve_std
-from analysis.resistance.fit import mass_prior
-from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.windows import build_windows
 from analysis.view import view_of
-from trainlog.errors import InputError, LogError, NotIdentifiableError
-from trainlog.formats.railway import line_to_bytes, read_line, read_train, train_to_bytes
+from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.formats.railway import read_line, read_train, train_to_bytes
 from trainlog.formats.samples import sample
-from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
+from trainlog.railway import RunningResistance
 from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.resistance import basis
 from trainlog.simulation import draw_scenarios, simulate
@@ -76,37 +73,23 @@ def test_truth_of_simulated_trips_is_found(simulated: list[Trip], fitted: list[T
     assert fit_trip(with_exact_efforts(simulated[0])).mass_std < 0.005 * truth(simulated[0])[1]
 
 
-@pytest.mark.long
-def test_truth_lies_in_the_band_of_trips_on_lines_surveyed_apart() -> None:
-    """Trips of one series share the line file's errors, so that they miss together or not at all:
-    one trip of each series, and one of four may miss what 95 of 100 hold."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    inside = []
-    for seed in range(1, 5):
-        one = simulate(draw_scenarios(line, train, 1, seed)[0])
-        inside.append(in_band(fit_trip(one), truth(one)[0]))
-    assert sum(inside) >= 3, inside
-
-
-@settings(max_examples=3, derandomize=True)
+@settings(max_examples=4, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    mass=st.floats(np.log(40e3), np.log(2000e3)).map(np.exp),
-    duration=st.floats(100.0, 2000.0),
-    step=st.sampled_from([0.1, 0.2, 0.5]),
+    duration=st.floats(100.0, 1500.0),
     noise=st.floats(np.log(1e-3), np.log(0.5)).map(np.exp),
     tail=st.sampled_from([1.2, 2.0, 4.0, 100.0]),
 )
-@example(seed=5, mass=80e3, duration=1500.0, step=0.1, noise=0.02, tail=1.2)
-@example(seed=7, mass=1500e3, duration=900.0, step=0.5, noise=0.1, tail=1.5)
+@example(seed=5, duration=1500.0, noise=0.02, tail=1.2)
 def test_any_trip_is_fitted_or_refused(
-    seed: int, mass: float, duration: float, step: float, noise: float, tail: float
+    seed: int, duration: float, noise: float, tail: float
 ) -> None:
     """However many outliers there are: the residuals are those of the windows that were kept."""
-    made = random_trip(seed, mass, duration, step, noise, tail)
+    made = trip(duration=duration, noise=0.0)
+    speed = made["/train/state"]["speed"].to_numpy()
+    errors = np.random.default_rng(seed).standard_t(tail, speed.size).clip(-200.0, 200.0)
     try:
-        fit = fit_trip(made)
+        fit = fit_trip(changed(made, "/train/state", speed=np.abs(speed + noise * errors)))
     except NotIdentifiableError:
         return
     assert fit.residuals.value.size == fit.windows["used"]
@@ -168,58 +151,12 @@ def test_wrong_wheels_are_found_by_satellites_and_charged_without_them() -> None
     assert blind.std(top) > 2.0 * calibrated.std(top)
 
 
-def test_unrecorded_brakes_are_masked_by_their_demand_or_by_deceleration() -> None:
-    made = trip(noise=0.02)
-    braking = made["/train/controls"]["dynamic_braking_effort"]
-    unknown = changed(
-        made, "/train/controls", dynamic_braking_effort=np.nan, pneumatic_braking_effort=np.nan
-    )
-    stated = changed(unknown, "/train/controls", braking_effort_demand=braking)
-    by_demand = prepare(view_of(stated))
-    hard = braking.to_numpy() > 5000.0
-    assert not by_demand.usable[hard].any()
-    assert in_band(fit_trip(stated), RESISTANCE)
-    by_deceleration = prepare(view_of(unknown))
-    harder = braking.to_numpy() > 0.3 * 142e3
-    assert not by_deceleration.usable[harder].any()
-
-
-def unit(name: str, mass: float, effort: float, power: float, drag: RunningResistance) -> Train:
-    """A train like the sample's, of another size."""
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    return replace(
-        train,
-        name=name,
-        mass=mass,
-        resistance=drag,
-        max_tractive_effort=effort,
-        max_traction_power=power,
-        axles=train.axles
-        if mass > 1e5
-        else replace(train.axles, count=2, adhesive_mass=0.5 * mass),
-    )
-
-
 FLIRT = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
 
 
-@pytest.mark.parametrize(
-    ("train", "share", "lever"),
-    [
-        (FLIRT, 0.93, 1.0),
-        (FLIRT, 0.93, 0.8),
-        pytest.param(
-            unit("railcar", 62e3, 90e3, 0.75e6, RunningResistance(1100.0, 30.0, 6.0)),
-            0.9,
-            1.0,
-            marks=pytest.mark.long,
-        ),
-    ],
-    ids=lambda given: getattr(given, "name", None),
-)
-def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(
-    train: Train, share: float, lever: float
-) -> None:
+@pytest.mark.parametrize("lever", [1.0, 0.8])
+def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(lever: float) -> None:
+    train, share = FLIRT, 0.93
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     (scenario,) = draw_scenarios(line, train, 1, seed=2)
     power = share * train.max_traction_power
@@ -237,25 +174,6 @@ def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(
     assert fit.max_power_std < 0.015 * power
 
 
-def test_power_limit_is_read_off_a_curve_of_effort() -> None:
-    """The share of the power at which the curve gives the efforts; its power is not constant."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    curve = EffortCurve(np.array([0.0, 10.0, 20.0, 45.0]), np.array([200e3, 180e3, 95e3, 25e3]))
-    train = replace(
-        read_train(sample("CH_Stadler_FLIRT_TPF.train.json")),
-        traction_curve=curve,
-        max_traction_power=curve.peak_power,
-    )
-    (scenario,) = draw_scenarios(line, train, 1, seed=2)
-    weak = replace(
-        scenario,
-        max_power=0.75 * train.max_traction_power,
-        habits=replace(scenario.habits, lever=0.9),
-    )
-    found = fit_trip(with_exact_efforts(simulate(weak))).max_power
-    assert found == pytest.approx(weak.max_power, rel=0.01)
-
-
 @pytest.mark.parametrize("factor", [0.0, 0.25, 3.6])
 def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], factor: float) -> None:
     kept = ("/train/state", "/train/controls")
@@ -266,14 +184,6 @@ def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], fac
     assert stated.reason == "contradiction"
     refused(LogError, f"nothing can be estimated; state: .*{said}", with_estimates, wrong)
     refused(NotIdentifiableError, said, coast_down, [wrong])
-
-
-def test_bad_trips_are_refused() -> None:
-    made = trip()
-    refused(LogError, "has no line", fit_trip, replace(made, attachments={}))
-    state = made["/train/state"]
-    backwards = state.iloc[np.r_[0:100, 50 : len(state)]]
-    refused(LogError, "time does not increase", fit_trip, made.with_topic(backwards))
 
 
 def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
@@ -289,40 +199,6 @@ def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
         held = np.mean(np.all(np.abs(draws) < factor, axis=1))
         assert 0.945 < held < 0.975
         assert np.mean(np.abs(draws[:, 60]) < factor) > 0.95
-
-
-def test_estimated_chainage_is_free_of_the_wheels_error(simulated: list[Trip]) -> None:
-    """A wheel 0.5 % too small, set right by a balise every kilometre."""
-    made = simulated[0]
-    truth, frame = made["/truth"], made["/train/state"]
-    true = np.interp(frame.index.asi8, truth.index.asi8, truth["position"].to_numpy())
-    balise = np.floor(true / 1_000.0) * 1_000.0
-    wrong = changed(
-        made,
-        "/train/state",
-        position=balise + 1.005 * (true - balise),
-        speed=1.005 * np.interp(frame.index.asi8, truth.index.asi8, truth["speed"].to_numpy()),
-    )
-    found = with_estimates(wrong)[0]["/estimates/state"]
-    error = np.abs(found["position"].to_numpy() - true)
-    assert np.max(np.abs(wrong["/train/state"]["position"].to_numpy() - true)) > 4.5
-    assert np.max(error) < 1.0
-    assert np.mean(error < 1.96 * found["position_std"].to_numpy()) > 0.95
-
-
-@pytest.mark.parametrize(
-    "speeds", [(30.0, 10.0), (-1.0, 20.0), (5.0, np.nan), (5.0, np.inf), (5.0,), 5.0, (5.0, 5.0)]
-)
-def test_speeds_that_bound_no_range_are_refused(speeds: Any) -> None:
-    for fitted in (fit_trip, analysis.fit):
-        with pytest.raises(InputError, match=r"must be a lowest and a higher, .* in m/s"):
-            fitted(sample("nonstop.mcap"), speeds)
-
-
-def test_speeds_in_kilometres_an_hour_are_refused() -> None:
-    for fitted in (fit_trip, analysis.fit):
-        with pytest.raises(InputError, match="give the speeds in m/s, not in km/h"):
-            fitted(sample("nonstop.mcap"), (40.0, 120.0))
 
 
 def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line() -> None:
@@ -369,15 +245,6 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
     assert unseen > 0.5
     assert rest < 0.25 * unseen
     assert used > 0.8 * all_time
-    # Once a second the efforts do not show it: the fit states so, and of no other trip.
-    for one, step, notes in ((bare, 1, 0), (bare, 10, 1), (trip, 10, 0)):
-        seldom = {n: f.iloc[:: step if len(f) > 5_000 else 1] for n, f in one.topics.items()}
-        fit = fit_trip(replace(one, topics=seldom))
-        assert len(fit.notes) == notes
-        # Without axle speeds nothing is called slip: the efforts dip.
-        (row,) = (panel.rows for panel in timeline_chart(fit.timeline, "").panels if panel.rows)
-        shown = f"{row} {fit.summary()['masked']}"
-        assert ("slip" in shown, "effort dips" in shown) == (one is trip, one is bare)
 
 
 def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded() -> None:
@@ -450,58 +317,3 @@ def test_without_a_recorded_wind_the_band_of_still_air_holds_the_truth() -> None
     assert "no wind is recorded" in fit.summary()["in still air"]
     (note,) = (each for each in analysis.fit(windy).notes if "wind is recorded" in each)
     assert "A head wind of 10 m/s" in note
-
-
-def test_efforts_that_rest_for_a_minute_are_a_gap() -> None:
-    made, speed = trip(), np.array([12.0, 20.0, 30.0])
-    frame = made["/train/controls"].copy()
-    effort = frame["tractive_effort"].to_numpy().copy()
-    for start in (2_000, 5_000, 9_000):
-        strong = start + int(np.argmax(effort[start : start + 600]))
-        effort[strong : strong + 600] = effort[strong]
-    found = frame.assign(tractive_effort=effort)
-    found.attrs = made["/train/controls"].attrs
-    plain, fit = fit_trip(made), fit_trip(made.with_topic(found))
-    assert 175.0 < fit.masked["gap"] - plain.masked["gap"] < 195.0
-    np.testing.assert_allclose(fit.resistance(speed), RESISTANCE(speed), rtol=0.03)
-
-
-def test_gradients_and_tunnels_are_taken_off() -> None:
-    """The same motion under a slope and in tunnels, with the efforts that it then takes."""
-    made = trip(noise=0.02)
-    position = made["/train/state"]["position"].to_numpy()
-    speed = made["/train/state"]["speed"].to_numpy()
-    train = replace(TRAIN, tunnel_resistance=((40.0, 7.0),))
-    line = replace(
-        LINE,
-        gradients=StepProfile(np.arange(0.0, 80e3, 800.0), np.tile([4e-3, -4e-3], 50)),
-        tunnels=(Tunnel(5_000.0, 4_000.0, 40.0),),
-    )
-    extra = 130e3 * line.track_acceleration(position) + np.where(
-        (position > 5_000.0) & (position < 9_000.0), 7.0 * speed**2, 0.0
-    )
-    controls = made["/train/controls"]
-    net = controls["tractive_effort"] - controls["dynamic_braking_effort"] + extra
-    hilly = changed(
-        made,
-        "/train/controls",
-        tractive_effort=net.clip(lower=0.0),
-        dynamic_braking_effort=(-net).clip(lower=0.0),
-    )
-    hilly = replace(
-        hilly,
-        attachments={"line.json": line_to_bytes(line), "train.json": train_to_bytes(train)},
-    )
-    fit = fit_trip(hilly)
-    assert in_band(fit, RESISTANCE)
-    assert curve_error(fit, RESISTANCE) < 0.05
-
-
-def test_mass_prior_is_weak() -> None:
-    mass, std = mass_prior(TRAIN)
-    assert (mass, std) == (130e3, 20e3)
-    mass, std = mass_prior(replace(TRAIN, max_load=0.0))
-    assert std == pytest.approx(0.15 * TRAIN.mass)
-    for true in (105e3, 170e3):
-        fit = fit_trip(with_exact_efforts(trip(mass=true, noise=0.02)))
-        assert fit.mass == pytest.approx(true, rel=5e-3)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
 
 from analysis.charts import draw, draw_all, draw_charts
-from analysis.resistance import TripFit, TripRefusedError, combine, fit_trip, parameter_set
+from analysis.resistance import TripFit, TripRefusedError, combine, fit_trip
 from analysis.resistance.curve import nearest_physical
 from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit
@@ -21,13 +23,12 @@ from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals
 from analysis.resistance.windows import WindowPoints
 from trainlog.arrays import FloatArray
-from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.railway import read_line, read_parameters, read_train, write_parameters
+from trainlog.errors import InputError, LogError, NotIdentifiableError
+from trainlog.formats.railway import read_parameters, write_parameters
 from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.railway import Passport, Quantity, RunningResistance
 from trainlog.railway.resistance import basis
-from trainlog.simulation import draw_scenarios, simulate
 
 SPEED = np.linspace(5.0, 35.0, 61)
 TRUE = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
@@ -121,13 +122,6 @@ def test_order_does_not_matter(order: list[int]) -> None:
     np.testing.assert_array_equal(one.betas, other.betas)
 
 
-def test_trips_without_noise_are_averaged_and_left_alone() -> None:
-    fits, true = drawn(8, 0.07, (0.1, 0.1, 0.1), seed=2)
-    common = combine(fits)
-    np.testing.assert_allclose(beta_of(common.resistance), true.mean(axis=0), rtol=1e-4)
-    np.testing.assert_allclose(common.betas, true, rtol=1e-3)
-
-
 def test_differences_between_trips_are_found_and_reported() -> None:
     spreads = []
     for seed in range(10):
@@ -218,53 +212,6 @@ def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
         fit([])
 
 
-@pytest.mark.long
-def test_five_times_twelve_simulated_trips() -> None:
-    """The figures that the project promises: coverage, one trip, twelve together."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    speed = np.linspace(5.0, 125 / 3.6, 61)
-    at = basis(speed)
-    single, covered, coefficients, twelve, refused = [], [], [], [], 0
-    for seed in range(1, 6):
-        fits, true = [], []
-        for scenario in draw_scenarios(line, train, 12, seed):
-            r = beta_of(scenario.resistance)
-            try:
-                fit = fit_trip(simulate(scenario))
-            except NotIdentifiableError:
-                refused += 1
-                continue
-            fits.append(fit)
-            true.append(r)
-            low, high = fit.band(speed)
-            single.append(np.sqrt(np.mean((fit.resistance(speed) / (at @ r) - 1.0) ** 2)))
-            covered.append(np.all((low <= at @ r) & (at @ r <= high)))
-            z = np.append(fit.beta - r, fit.mass - scenario.mass) / np.sqrt(np.diag(fit.covariance))
-            coefficients.append(np.abs(z) < 1.96)
-        mean = at @ np.mean(true, axis=0)
-        twelve.append(np.sqrt(np.mean((combine(fits).resistance(speed) / mean - 1.0) ** 2)))
-    assert refused <= 6
-    assert np.mean(covered) >= 0.9
-    assert np.all(np.mean(coefficients, axis=0) >= 0.9)
-    assert np.median(single) <= 0.08
-    assert np.quantile(single, 0.9) <= 0.08
-    assert np.all(np.array(twelve) <= 0.02)
-
-
-def test_a_cover_that_is_no_fraction_and_a_set_of_none_are_refused() -> None:
-    for cover in (95.0, -1.0, 0.0, 1.0, np.nan):
-        with pytest.raises(InputError, match="must be a fraction above 0 and below 1"):
-            fit(sample("nonstop.mcap"), cover=cover)
-    for most in (0, -3, 2.5):
-        with pytest.raises(InputError, match=f"most {most} must be a whole number .* 1 or more"):
-            fit(sample("nonstop.mcap"), most=most)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="cover '95 %' must be a fraction"):
-        fit(sample("nonstop.mcap"), cover="95 %")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="a fraction above 0 and at most 1"):
-        parameter_set([], cover=95.0)
-
-
 def test_an_assumed_gain_of_the_efforts_does_not_average_out() -> None:
     """All trips of one recorder err alike; what each weighed load shows errs anew."""
     fits, _ = drawn(12, 0.02, (60.0, 60.0, 60.0), seed=4)
@@ -305,3 +252,23 @@ def test_trips_on_different_routes_share_the_errors_of_their_edges() -> None:
     independent, shared, same = variances
     assert independent < shared < same
     assert shared - independent == pytest.approx(0.5 * (same - independent), rel=0.05)
+
+
+def test_options_that_state_nothing_are_refused() -> None:
+    cases: dict[tuple[str, str], tuple[Any, ...]] = {
+        ("cover", "must be a fraction above 0 and below 1"): (95.0, 1.0, "95 %"),
+        ("most", "must be a whole number .* 1 or more"): (0, 2.5),
+        ("speeds", "must be a lowest and a higher, .* in m/s"): ((30.0, 10.0), (5.0, np.nan), 5.0),
+        ("speeds", "give the speeds in m/s, not in km/h"): ((40.0, 120.0),),
+    }
+    for (name, words), values in cases.items():
+        for value in values:
+            refused(InputError, words, fit, sample("nonstop.mcap"), **{name: value})
+
+
+def test_logs_that_cannot_be_fitted_are_refused() -> None:
+    made = trip()
+    refused(LogError, "has no line", fit_trip, replace(made, attachments={}))
+    state = made["/train/state"]
+    backwards = state.iloc[np.r_[0:100, 50 : len(state)]]
+    refused(LogError, "time does not increase", fit_trip, made.with_topic(backwards))

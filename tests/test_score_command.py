@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from test_forecast_scores import BINS, FIRST, TRACK, evidence
 
 from analysis.verification.scoring import Score, score_rolling
@@ -178,21 +177,6 @@ def test_a_maps_forecast_in_a_file_scores_as_the_map(
     for what in ("onsets", "used"):
         one, other = (each[f"log_score_{what}"] for each in (own, file))
         assert one == pytest.approx(other, abs=0.1)
-
-
-def test_one_bad_log_does_not_stop_the_others(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (folder / "bad.mcap").write_bytes(b"no log")
-    path = folder / "other.csv"
-    path.write_text(FORECAST)
-    words = ["map", "score", str(path), str(folder / "stopping.mcap"), str(folder / "bad.mcap")]
-    try:
-        status = run(words)
-    except typer.Exit as end:
-        status = end.exit_code
-    assert status == 1
-    assert "bad.mcap" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
-from simulated_line import flirt, hilly_line, level_line, steps, trajectory_of
+from simulated_line import flirt, hilly_line, level_line, steps
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway.motion import timetable_run
-from trainlog.simulation import Run, Scenario, draw_scenarios, drive, trajectory_scenarios
-from trainlog.simulation.drivers import Driver, Habits, Stop, TimetableDriver, plan
+from trainlog.simulation import Run, Scenario, draw_scenarios, drive
+from trainlog.simulation.drivers import Habits, Stop, TimetableDriver, plan
 
 
 def journey(line=None, adhesion: float = 0.3, **changes: object) -> Scenario:
@@ -84,23 +84,9 @@ def test_timetable_driver_waits_and_is_roughly_on_time() -> None:
         assert abs(standing[0] - stop.arrival) < 40.0
 
 
-def test_driver_stops_on_slippery_rails() -> None:
-    scenario = journey(adhesion=0.13)
-    found = columns(scenario, drive(scenario))
-    wanted = [station.position for station in scenario.line.stations]
-    np.testing.assert_allclose(stands(found), wanted, atol=3.0)
-    assert found["protected_axles"].max() > 0.0
-
-
 def test_a_train_that_cannot_climb_is_refused() -> None:
     line = replace(hilly_line(), gradients=steps((0.0, 0.0), (3_000.0, 0.06)))
     refused(InfeasibleError, "does not arrive; at km 3", drive, journey(line, adhesion=0.05))
-
-
-def test_a_train_that_never_moves_is_given_up_after_twenty_minutes() -> None:
-    weak = replace(flirt(), max_tractive_effort=500.0)
-    with pytest.raises(InfeasibleError, match=r"does not arrive; at km 0\.000 after 12\d\d s"):
-        drive(journey(train=weak))
 
 
 def test_running_time_of_a_level_run() -> None:
@@ -144,19 +130,6 @@ def test_a_restriction_ends_where_the_rear_has_passed_it(
 )
 def test_impossible_stops_are_refused(stops: tuple[Stop, ...], message: str) -> None:
     refused(InputError, message, TimetableDriver, hilly_line(), flirt(), stops)
-
-
-def nobody() -> Driver:
-    raise AssertionError("nobody is asked to drive")
-
-
-def test_trajectory_of_another_line_is_refused() -> None:
-    trajectory = trajectory_of(hilly_line(), flirt(), (1.0,))
-    with pytest.raises(InputError, match="made for line 'hilly', not for 'level'"):
-        trajectory_scenarios(trajectory, level_line(length=5_000.0), flirt(), ["r1"], nobody)
-    shorter = replace(level_line(length=5_000.0), name="hilly")
-    with pytest.raises(InputError, match=r"ends at km 11\.000"):
-        trajectory_scenarios(trajectory, shorter, flirt(), ["r1"], nobody)
 
 
 def test_a_train_that_cannot_brake_is_not_driven() -> None:

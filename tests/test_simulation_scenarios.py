@@ -78,11 +78,6 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
     assert not other["/truth"].equals(trip["/truth"])
 
 
-def test_the_first_trips_do_not_depend_on_how_many_are_drawn() -> None:
-    few = draw_scenarios(hilly_line(), flirt(), count=2, seed=1)
-    assert [s.truth() for s in few] == [s.truth() for s in drawn()[:2]]
-
-
 def test_the_log_states_the_load_as_it_was_weighed() -> None:
     errors = []
     for scenario, trip in zip(drawn(), trips(), strict=False):
@@ -115,16 +110,6 @@ def test_truth_is_attached() -> None:
         np.testing.assert_allclose(
             frame.running_resistance, np.where(frame.speed > 0.0, expected, 0.0)
         )
-
-
-def test_trips_keep_limits_and_arrive() -> None:
-    for scenario, trip in zip(drawn(), trips(), strict=False):
-        truth = trip["/truth"]
-        limit = scenario.travelled.speed_limit(truth.position)
-        assert np.max(truth.speed - limit) <= 1.0 / 3.6
-        assert abs(truth.position.iloc[-1] - scenario.line.length) < 2.0
-        assert truth.speed.iloc[-1] == 0.0
-        assert np.all(np.diff(truth.energy) >= 0.0)
 
 
 def test_sensors_see_the_truth_within_their_errors() -> None:

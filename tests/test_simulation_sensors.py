@@ -115,7 +115,3 @@ def test_environment_is_that_of_the_position() -> None:
 @pytest.mark.parametrize("rate", [5, 15, 30, 400])
 def test_impossible_rates_are_refused(rate: int) -> None:
     refused(InputError, f"rate {rate} Hz", Sensors, rate=rate)
-
-
-def test_negative_noise_is_refused() -> None:
-    refused(InputError, r"speed_noise -0\.1 is negative", Sensors, speed_noise=-0.1)

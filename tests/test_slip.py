@@ -11,19 +11,17 @@ import pandas as pd
 import pytest
 from refusals import refused
 from simulated_line import flirt, hilly_line
-from slip_truth import Fine, Score, Seen, onset_errors, seen, slip_power
+from slip_truth import Fine, Score, Seen, onset_errors, seen
 
-from analysis import passport
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.estimates import estimate_log
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
-from trainlog.formats.railway import read_line, read_train, train_to_bytes, with_passport
-from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.railway import train_to_bytes
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import Axles, Quantity
+from trainlog.railway import Axles
 from trainlog.resampling import interpolated
-from trainlog.simulation import Scenario, draw_scenarios, simulate
+from trainlog.simulation import Scenario, draw_scenarios
 from trainlog.simulation.plant import Plant
 from trainlog.spans import runs_of
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
@@ -55,17 +53,6 @@ def test_train_speed_under_slipping_wheels(trips: list[Seen]) -> None:
         assert np.max(np.abs(error)) < 0.8
 
 
-def test_wheel_diameters_are_told_apart(trips: list[Seen]) -> None:
-    """Measured over true speed of each wheel, where it rolls without creep."""
-    for each in trips:
-        wheels = each.trip["/train/axles"].filter(like="wheel_speed_").to_numpy()
-        true = np.abs(each.slip) < 0.01
-        for axle, factor in enumerate(each.found.wheel_factor):
-            rolls = true[:, axle] & (each.speed > 10.0)
-            scale = np.sum(wheels[rolls, axle]) / np.sum(each.speed[rolls])
-            assert factor == pytest.approx(scale, abs=0.002)
-
-
 def test_every_slip_is_found_and_nothing_else(trips: list[Seen]) -> None:
     found = score(trips)
     assert found.true > 100
@@ -79,43 +66,6 @@ def test_onsets_measure_the_maximum_adhesion(trips: list[Seen]) -> None:
     assert np.median(np.abs(errors)) < 0.005
     assert np.mean(np.abs(errors) < 0.02) > 0.95
     assert abs(np.median(errors)) < 0.003
-
-
-def test_creep_curves_find_the_maximum_and_whether_it_was_passed(trips: list[Seen]) -> None:
-    errors, scaled, falls = [], [], []
-    for each in trips[2:3]:
-        some = replace(each.found, events=each.found.events.iloc[::2].reset_index(drop=True))
-        events = some.events.join(some.creep_curves())
-        events = events[events["measured"] & events["maximum"].notna()]
-        truth = each.scenario.maximum_adhesion(events["position"].to_numpy())
-        errors.append(events["maximum"].to_numpy() - truth)
-        scaled.append(errors[-1] / events["maximum_std"].to_numpy())
-        falls.append(events["slope"].to_numpy() < 0.0)
-    error, z = np.concatenate(errors), np.concatenate(scaled)
-    assert error.size > 30
-    assert np.median(np.abs(error)) < 0.003
-    assert abs(np.median(error)) < 0.0015
-    assert np.mean(np.abs(z) < 1.96) > 0.88
-    assert np.mean(np.concatenate(falls)) > 0.75
-
-
-def test_slip_that_stays_short_of_the_maximum_does_not_measure_it(trips: list[Seen]) -> None:
-    """What is not marked as measured lies below the maximum, not around it."""
-    for each in trips:
-        events = each.found.events[~each.found.events["measured"]]
-        truth = each.scenario.maximum_adhesion(events["position"].to_numpy())
-        assert np.all(events["adhesion"].to_numpy() < 1.1 * truth)
-
-
-def test_no_slip_no_events() -> None:
-    """A rail that bears everything: no event, an empty frame of the right columns."""
-    scenario = draw_scenarios(hilly_line(), flirt(), 1, seed=3)[0]
-    profile = scenario.maximum_adhesion
-    good = replace(profile, values=np.full_like(profile.values, 0.5))
-    found = seen(replace(scenario, maximum_adhesion=good)).found
-    assert len(found.events) == 0
-    assert not found.slipping.any()
-    assert len(found.events_frame()) == 0
 
 
 @pytest.mark.parametrize(
@@ -217,12 +167,6 @@ class TestSmallSlips:
         assert errors.size > 50
         assert abs(np.median(errors)) < 0.05
 
-    def test_nothing_else_is_found(self, quick: Seen) -> None:
-        """Each one reported is a slip that the protection ended."""
-        for axle in range(quick.found.slipping.shape[1]):
-            for a, b in runs_of(quick.found.slipping[:, axle]):
-                assert np.abs(quick.slip[max(a - 3, 0) : b + 3, axle]).max() > 0.35
-
 
 class TestWhatTheRecorderLacks:
     def check(self, heavy: Seen, found: SlipAnalysis) -> None:
@@ -271,11 +215,6 @@ class TestWhatTheRecorderLacks:
         assert abs(np.median(off(heavy, found))) < 0.05
         assert any("axles 2, 4 are not known" in note for note in found.notes)
 
-    def test_axle_efforts_that_contradict_the_total(self, heavy: Seen) -> None:
-        found = slip(of_efforts(heavy.trip, lambda efforts: 1.25 * efforts, "/train/axles"))
-        self.check(heavy, found)
-        assert any("1.25 times the total" in note for note in found.notes)
-
     def test_noise_of_the_wheel_speeds(self, heavy: Seen) -> None:
         generator = np.random.default_rng(4)
         axles = heavy.trip["/train/axles"].copy()
@@ -287,13 +226,6 @@ class TestWhatTheRecorderLacks:
         assert total.recall > 0.97
         assert any("slips below" in note for note in found.notes)
         assert not found.complete
-
-    def test_slips_of_coarse_samples_measure_no_level(self, wet: Fine) -> None:
-        found, coarse = (slip(slower(wet.trip, every)) for every in (10, 30))
-        assert found.events["measured"].any()
-        assert len(coarse.events)
-        assert not coarse.events["measured"].any()
-        assert any("6 s may be missed, none measures a level" in note for note in coarse.notes)
 
     @pytest.mark.parametrize("every", [5, 10])
     def test_levels_of_slow_samples_hold_their_band(self, wet: Fine, every: int) -> None:
@@ -339,16 +271,6 @@ def wet() -> Fine:
 class TestEnergyOfSlip:
     """Against the works that the plant integrates, on recorders that are not all good."""
 
-    def test_the_truth_is_the_work_that_the_plant_integrates(self) -> None:
-        scenario = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]
-        plant = scenario.plant()
-        state = plant.at(1_000.0, speed=8.0)
-        samples = plant.advance(state, 200e3, 0.0, steps=6_000)
-        power = slip_power(scenario, 0.005 * np.arange(len(samples)), samples)
-        work = np.trapezoid(power.sum(axis=1), dx=0.005)
-        assert state.works["slip"] > 1e5
-        assert work == pytest.approx(state.works["slip"], rel=5e-3)
-
     @pytest.mark.parametrize(
         "change",
         [
@@ -367,12 +289,6 @@ class TestEnergyOfSlip:
         assert len(found) > 10
         score = (found["energy"] - found["truth"]) / found["energy_std"]
         assert np.mean(np.abs(score) < 1.96) > 0.93
-
-    def test_without_efforts_there_is_none(self, wet: Fine) -> None:
-        found = slip(without(total_only(wet.trip), "/train/controls"))
-        assert len(found.events) > 10
-        assert found.events[["energy", "energy_std"]].isna().all(axis=None)
-        assert not found.events_frame()["message"].str.contains("kJ").any()
 
 
 def no_axle_speed(trip: Trip) -> Trip:
@@ -408,28 +324,6 @@ def test_what_cannot_be_analysed_is_refused(
     trips: list[Seen], spoilt: Callable[[Trip], Trip], words: str
 ) -> None:
     refused(LogError, words, slip, spoilt(trips[0].trip))
-
-
-class TestEffortsOfUnknownDelay:
-    """The passport knows the delay to half a second only; the efforts are 0.3 s late."""
-
-    def analysed(self, each: Seen, delay: float, std: float) -> SlipAnalysis:
-        known = replace(passport(each.trip), effort_delay=Quantity(0.0, std, "assumed"))
-        return slip(with_passport(of_efforts(each.trip, lambda v: late(v, delay)), known))
-
-    @pytest.mark.parametrize("kind", ["heavy", "quick"])
-    def test_the_band_of_the_levels_holds(self, kind: str, request: pytest.FixtureRequest) -> None:
-        each: Seen = request.getfixturevalue(kind)
-        found = self.analysed(each, 0.3, 0.25)
-        rows = found.events[found.events["measured"]]
-        errors = np.abs(off(each, found))
-        without, with_delay = (
-            np.mean(errors > 1.96 * std / rows["adhesion"])
-            for std in (rows["adhesion_std"], np.hypot(rows["adhesion_std"], rows["delay_std"]))
-        )
-        assert with_delay < 0.07
-        assert with_delay < 0.6 * without
-        assert any("± 0.49 s: levels within ± " in note for note in found.notes)
 
 
 @pytest.mark.parametrize("recorded", [pytest.param("total only", marks=pytest.mark.long), "gaps"])
@@ -481,42 +375,3 @@ def test_values_that_rest_for_a_minute_are_left_out(trips: list[Seen]) -> None:
         abs(before["start"].to_numpy() - after["start"].to_numpy()) < pd.Timedelta("0.3s")
     ).all()
     np.testing.assert_allclose(before["adhesion"], after["adhesion"], rtol=0.07)
-
-
-def with_total_effort(trip: Trip) -> Trip:
-    """What a data logger keeps of a trip: 5 Hz, wheel speeds, the total effort; no satellites."""
-    kept = {
-        "/train/state": ("position", "speed"),
-        "/train/controls": ("lever", "tractive_effort", "dynamic_braking_effort"),
-        "/train/axles": ("wheel_speed",),
-    }
-    topics = {}
-    for name, columns in kept.items():
-        frame = trip[name].iloc[::2].copy()
-        frame = frame.drop(columns=[each for each in frame if each.startswith("wheel_effort")])
-        for column in frame:
-            if not column.startswith(columns):
-                frame[column] = np.nan
-            elif "speed" in column:
-                frame[column] = np.round(36.0 * frame[column]) / 36.0
-        frame.attrs = trip[name].attrs
-        topics[name] = frame
-    return replace(trip, topics=topics)
-
-
-@pytest.mark.parametrize(
-    ("seed", "number"),
-    [
-        (77, 2),
-        *(pytest.param(*each, marks=pytest.mark.long) for each in ((77, 10), (5, 10))),
-    ],
-)
-def test_driven_wheels_are_not_said_to_slip_in_braking(seed: int, number: int) -> None:
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    trip = simulate(draw_scenarios(line, train, count=12, seed=seed)[number])
-    found, whole = slip(with_total_effort(trip)), slip(trip)
-    braking = found.events[found.events["kind"] == "braking"]
-    at = trip["/train/controls"]["tractive_effort"].reindex(braking["onset"], method="nearest")
-    assert np.count_nonzero(at.to_numpy() > 20e3) <= 0.05 * len(braking)
-    left_out = [note for note in found.notes if "against the effort of the motors" in note]
-    assert left_out or len(found.events) > 0.9 * len(whole.events)

@@ -12,7 +12,7 @@ from simulated_line import level_line, steps
 
 from analysis.studies.in_train_forces import simulation as study
 from trainlog.cli.main import run as command
-from trainlog.errors import InfeasibleError, InputError
+from trainlog.errors import InputError
 from trainlog.formats.railway import read_consist, write_consist, write_line
 from trainlog.formats.samples import sample
 from trainlog.railway.train import Consist
@@ -85,9 +85,3 @@ def test_the_command_runs_a_file(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_driven_is_refused(consist: Consist, speed: float, words: str) -> None:
     refused(InputError, words, study.run, consist, SHORT, speed=speed)
-
-
-def test_a_train_that_cannot_climb_is_refused() -> None:
-    steep = replace(SHORT, gradients=steps((0.0, 0.0), (600.0, 0.19)))
-    with pytest.raises(InfeasibleError, match="does not get over line 'level': at km 0"):
-        study.run(passenger(), steep, speed=15.0)

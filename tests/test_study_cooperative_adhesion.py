@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from cooperative_referee import NonlinearReferee
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 from test_study_tables import check, on_page, tables
@@ -17,17 +15,14 @@ from analysis.control.cooperative import (
     CooperativeController,
     Tuning,
     adhesion_at,
-    peak_slips,
     within,
 )
 from analysis.control.rail_estimate import RailEstimator
-from analysis.estimates import with_estimates
 from analysis.studies.report import as_markdown
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.run import published_table, start_table, torque_table, trip_of
-from analysis.studies.zhao_2025.simulation import coefficients, demand_on, euler, runge_kutta
+from analysis.studies.zhao_2025.run import published_table, start_table, torque_table
+from analysis.studies.zhao_2025.simulation import coefficients, demand_on, runge_kutta
 from trainlog.errors import InputError
-from trainlog.mcap import read_log, write_log
 from trainlog.railway.adhesion import DRY, WET
 
 LOCOMOTIVE = study.PUBLISHED_LOCOMOTIVE
@@ -49,85 +44,6 @@ def sensible() -> dict[int, study.Run]:
     return {case.number: study.run(case, study.SENSIBLE) for case in study.CASES}
 
 
-def test_the_peaks_of_the_creep_curves_are_those_of_table_1() -> None:
-    assert peak_slips(coefficients([DRY, WET])) == pytest.approx([1.210, 2.984], abs=5e-4)
-    assert (DRY.peak, WET.peak) == pytest.approx((0.2862, 0.1471), abs=5e-5)
-
-
-def test_case_1_every_motor_gives_its_share_on_dry_rail_and_tracks_the_peak_on_wet(
-    literal: dict[int, study.Run],
-) -> None:
-    run = literal[1]
-    for span in (STILL_DRY, (27.0, 30.0)):
-        assert run.mean(run.torque, *span) == pytest.approx(4_125.0, abs=1.0)
-        used = run.mean(run.adhesion, *span)
-        assert np.all((used >= 0.2675) & (used <= 0.2765))
-    assert run.mean(run.torque, *WET_AT_REST) == pytest.approx(2_138.0, abs=2.0)
-    assert run.mean(run.adhesion, *WET_AT_REST) == pytest.approx(0.1471, abs=1e-4)
-
-
-def test_case_1_begins_as_in_the_paper_where_the_first_torque_is_assumed(
-    literal: dict[int, study.Run],
-) -> None:
-    """Eq. (19): u(0) is assumed, and the program is solved from the second sample on."""
-    run = study.run(study.CASES[0], integration="euler", first=study.FIRST_TORQUE)
-    assert run.torque[0] == pytest.approx([1_500.0] * 4)
-    assert run.torque[1:50] == pytest.approx(4_125.0, abs=1.0)
-    assert literal[1].torque[0] == pytest.approx([4_125.0] * 4, abs=1.0)
-    assert run.mean(run.torque, *WET_AT_REST) == pytest.approx(2_138.0, abs=2.0)
-    # It is no local optimum that a solver stops at: IPOPT finds the same share at a stand.
-    controller = CooperativeController(LOCOMOTIVE, study.PAPER.tuning)
-    demand = demand_on(controller, study.CASES[0].rail(0.0))
-    referee = NonlinearReferee(LOCOMOTIVE, study.PAPER.tuning)
-    best = referee.plan(0.0, np.zeros(4), np.full((5, 4), 1_500.0), demand)
-    assert best[0] == pytest.approx([4_125.0] * 4, abs=1.0)
-    refused(InputError, "first torque", study.run, study.CASES[0], first=6_000.0)
-
-
-def test_case_2_axles_1_to_3_give_more_than_axle_4_which_is_wet(
-    literal: dict[int, study.Run],
-) -> None:
-    run = literal[2]
-    wanted = [3_935.0, 3_935.0, 3_935.0, 3_350.0]
-    assert run.mean(run.torque, *WET_AT_REST) == pytest.approx(wanted, abs=4.0)
-    # At first axle 4 needs more, to come to the slip speed at which a wet rail gives most.
-    first = run.mean(run.torque, 10.0, 11.0)
-    before = run.mean(run.torque, *STILL_DRY)
-    assert first[3] > before[3]
-    assert np.all(first[:3] < before[:3])
-
-
-def test_case_3_two_wet_axles_cost_acceleration(literal: dict[int, study.Run]) -> None:
-    run = literal[3]
-    wanted = [3_531.0, 3_531.0, 2_947.0, 2_947.0]
-    assert run.mean(run.torque, *WET_AT_REST) == pytest.approx(wanted, abs=4.0)
-    assert run.mean(run.acceleration, *STILL_DRY) == pytest.approx(2.47, abs=0.01)
-    assert run.mean(run.acceleration, *WET_AT_REST) == pytest.approx(1.93, abs=0.01)
-
-
-def test_case_4_the_others_give_more_while_a_motor_fails(literal: dict[int, study.Run]) -> None:
-    run = literal[4]
-    wet = run.mean(run.torque, *WET_AT_REST)
-    assert wet == pytest.approx([2_066.0] * 3 + [2_000.0], abs=4.0)
-    dry = run.mean(run.torque, 22.0, 25.0)
-    assert dry == pytest.approx([3_372.0] * 3 + [2_000.0], abs=4.0)
-    restored = run.mean(run.torque, 27.0, 30.0)
-    assert restored == pytest.approx([4_125.0] * 4, abs=2.0)
-
-
-def test_no_motor_and_no_total_is_ever_exceeded(
-    literal: dict[int, study.Run],
-    exact: dict[int, study.Run],
-    sensible: dict[int, study.Run],
-) -> None:
-    for runs in (literal, exact, sensible):
-        for run in runs.values():
-            limits = np.array([run.case.limits(float(now), run.preset) for now in run.time])
-            assert run.torque.min() >= 0.0
-            assert np.all(run.torque <= limits)
-            assert run.torque.sum(axis=1).max() <= run.total * (1.0 + 1e-12)
-
-
 def test_energy_of_the_motors_is_that_of_train_wheels_creep_and_resistance(
     exact: dict[int, study.Run], sensible: dict[int, study.Run]
 ) -> None:
@@ -143,29 +59,6 @@ def test_energy_of_the_motors_is_that_of_train_wheels_creep_and_resistance(
         kinetic = 0.5 * locomotive.mass * run.speed[-1] ** 2
         turning = 0.5 * locomotive.rotating_mass * float(np.sum(run.wheel_speed[-1] ** 2))
         assert put_in == pytest.approx(kinetic + turning + lost, rel=2e-3)
-
-
-def test_a_real_time_iteration_gives_the_torques_of_the_nonlinear_problem() -> None:
-    """Where the rail has not just changed; right after that one linearisation lags behind."""
-    case, preset = study.CASES[1], study.PAPER
-    controller = CooperativeController(LOCOMOTIVE, preset.tuning)
-    referee = NonlinearReferee(LOCOMOTIVE, preset.tuning)
-    state = np.zeros(5)
-    differences = []
-    for k in range(220):
-        now = 0.1 * k
-        rail = case.rail(now)
-        demand = demand_on(controller, rail, case.limits(now, preset))
-        guess = controller.guess(demand)
-        torques = controller.torques(float(state[0]), state[1:], demand)
-        settling = any(0.0 <= now - change < 0.55 for change in study.WET_SPAN)
-        if k % 10 == 3 and not settling:
-            best = referee.plan(float(state[0]), state[1:], guess, demand)
-            differences.append(np.abs(best[0] - torques).max())
-        euler(state, torques, rail, LOCOMOTIVE.loads, LOCOMOTIVE.constants, 0.1, 1)
-    assert len(differences) >= 18
-    assert max(differences) < 6.4
-    assert np.median(differences) < 0.01
 
 
 @pytest.mark.parametrize(("lag", "direction"), [(0.0, 1.0), (0.1, 1.0), (0.1, -1.0)])
@@ -244,43 +137,10 @@ def test_steep_creep_curves_are_driven_at_their_peak(peak_slip: float, axles: in
     np.testing.assert_allclose(used, 1.0, atol=0.01)
 
 
-def test_programs_that_no_solver_solves_are_counted_and_the_train_is_still_driven(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(cooperative, "solve", lambda program: (np.full(20, np.nan), -1))
-    locomotive = study.LOCOMOTIVE_85_T
-    controller = CooperativeController(locomotive, Tuning())
-    rail = coefficients([DRY] * 4)
-    state = np.zeros(5)
-    for _ in range(50):
-        torques = controller.torques(float(state[0]), state[1:], demand_on(controller, rail))
-        runge_kutta(state, torques, rail, locomotive.loads, locomotive.constants, 0.002, 50)
-    assert controller.unsolved == controller.steps == 50
-    # The plan that only brings each axle to its slip speed drives, and keeps the limits.
-    assert torques.sum() == pytest.approx(28_000.0, rel=0.02)
-    assert state[0] > 1.8
-
-
 def steep(peak_slip: float, maximum: float) -> np.ndarray:
     """A creep curve with its maximum at a slip speed [m/s]."""
     a = np.log(4.0) / 3.0 / peak_slip
     return np.array([a, 4.0 * a, maximum / (np.exp(-a * peak_slip) - np.exp(-4.0 * a * peak_slip))])
-
-
-def test_sharing_the_torque_pulls_more_than_fixed_shares_where_one_axle_is_wet() -> None:
-    case = study.CASES[1]
-    pulled = {}
-    for strategy in ("cooperative", "each axle for itself", "one torque for all"):
-        run = study.run(case, study.SENSIBLE, study.SCARCE, strategy=strategy)
-        pulled[strategy] = float(run.mean(run.force, *WET_AT_REST))
-    assert pulled["cooperative"] > 1.05 * pulled["each axle for itself"]
-    assert pulled["each axle for itself"] > 1.1 * pulled["one torque for all"]
-
-
-def test_wheels_race_without_slip_control() -> None:
-    run = study.run(study.CASES[0], strategy="no slip control")
-    assert run.slip.max() > 20.0
-    assert float(run.mean(run.force, *WET_AT_REST)) < 0.2 * float(run.mean(run.force, *STILL_DRY))
 
 
 @settings(max_examples=40)
@@ -299,24 +159,6 @@ def test_torques_are_brought_within_any_limits(
     # Next to the smallest numbers there are, nothing is left to round to.
     smallest = np.finfo(np.float64).tiny
     assert np.all(found.sum(axis=1) <= total * (1.0 + 1e-12) + smallest)
-
-
-def test_a_run_becomes_a_log_that_the_estimators_read(
-    sensible: dict[int, study.Run], tmp_path: Path
-) -> None:
-    run = sensible[3]
-    write_log(trip_of(run), tmp_path / "run.mcap")
-    again = read_log(tmp_path / "run.mcap")
-    np.testing.assert_array_equal(again["/truth"]["speed"], run.speed)
-    assert again.provenance[-1]["case"] == 3
-    assert again.metadata["traction_unsolved"] == "0"
-    assert again.metadata["traction_decisions"] == "300"
-    estimated, _ = with_estimates(again)
-    adhesion = estimated["/estimates/adhesion"]
-    for axle in (1, 4):
-        at_rest = (run.time > 15.0) & (run.time < 19.5)
-        found = adhesion[f"adhesion_{axle}"].to_numpy()[at_rest]
-        assert found == pytest.approx(run.adhesion[at_rest, axle - 1], abs=0.01)
 
 
 def test_the_page_has_what_the_cases_reach(
@@ -354,21 +196,6 @@ def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:
     for each, curve in ((dry, DRY), (wet, WET)):
         assert each.adhesion == pytest.approx(curve.peak, abs=0.02)
         assert np.all((each.low <= each.maximum) & (each.maximum <= each.high))
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("mass", 0.0), ("gear_ratio", -1.0), ("axle_loads", ()), ("torque_limit", np.nan)],
-)
-def test_a_locomotive_that_cannot_be_is_refused(field: str, value: object) -> None:
-    refused(InputError, "", replace, LOCOMOTIVE, **{field: value})
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("margin", 0.0), ("control_horizon", 11), ("lag", -0.1), ("iterations", 0)]
-)
-def test_a_tuning_that_cannot_be_is_refused(field: str, value: float) -> None:
-    refused(InputError, "", Tuning, **{field: value})
 
 
 def test_bad_speeds_are_refused() -> None:

@@ -177,7 +177,3 @@ def test_efforts_that_no_plant_can_give_are_refused(efforts: np.ndarray) -> None
 @pytest.mark.parametrize("period", [0.0, 0.001, 0.0125])
 def test_a_period_that_the_plant_does_not_resolve_is_refused(period: float) -> None:
     refused(InputError, "period", TractionLoop, Shared(np.ones(4), period=period), plant())
-
-
-def test_sensors_that_cannot_be_are_refused() -> None:
-    refused(InputError, "speed_noise", DriveSensors, speed_noise=-1.0)

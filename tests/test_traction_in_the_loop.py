@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from refusals import refused
-from simulated_line import level_line
-from typer.testing import CliRunner
 
-from analysis.adhesion.condition_map import adhesion_map
 from analysis.control.rail_estimate import MAXIMA, RailEstimator, map_prior
 from analysis.control.traction import (
     TUNING,
@@ -22,14 +18,12 @@ from analysis.control.traction import (
     with_traction,
 )
 from analysis.studies.zhao_2025.simulation import runge_kutta
-from trainlog.cli.main import app
 from trainlog.errors import InputError
-from trainlog.formats.mapfile import read_map, write_map
-from trainlog.formats.railway import read_line, read_train, write_line
-from trainlog.mcap import read_log
+from trainlog.formats.mapfile import read_map
+from trainlog.formats.railway import read_line, read_train
 from trainlog.railway import StepProfile, TrackConditionMap, Train
 from trainlog.railway.adhesion import AdhesionCharacteristic, creep_coefficients, polach_curve
-from trainlog.simulation import DriveReading, Plant, TractionLoop, draw_scenarios, simulate
+from trainlog.simulation import DriveReading, Plant, TractionLoop, draw_scenarios
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -41,11 +35,6 @@ MASS = 130e3
 @cache
 def known_map() -> TrackConditionMap:
     return read_map("sample_logs/CH_StGallen_Wil.map")
-
-
-def with_axles(count: int) -> Train:
-    axles = replace(TRAIN.axles, count=count, rotating_mass=TRAIN.axles.rotating_mass * 4 / count)
-    return replace(TRAIN, axles=axles)
 
 
 @dataclass(frozen=True)
@@ -134,13 +123,6 @@ def test_a_heavy_train_that_starts_slowly_stays_near_the_peak(maximum: float) ->
     assert found.gained > 0.97 * most
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(12, marks=pytest.mark.long)])
-def test_any_number_of_axles_is_driven(count: int) -> None:
-    found = driven("cooperative", 0.14, train=with_axles(count), seconds=6.0)
-    assert found.unsolved == 0
-    assert found.gained > 0.8 * driven("cooperative", 0.14, seconds=6.0).gained
-
-
 @pytest.mark.parametrize("control", ["cooperative", "readhesion"])
 @pytest.mark.parametrize("condition", [pytest.param("dry", marks=pytest.mark.long), "wet"])
 def test_wheels_come_back_on_a_characteristic_that_no_control_knows(
@@ -191,20 +173,6 @@ def shared(
             runge_kutta(state, at_work, curves, model.loads, model.constants, period / 50, 1)
     assert control.unsolved == 0
     return direction * np.array(given)
-
-
-@pytest.mark.parametrize(
-    ("maximum", "layer", "direction"),
-    [(0.14, None, -1.0), (0.30, "dry", -1.0)],
-)
-def test_less_than_the_rail_gives_is_shared_evenly(
-    maximum: float, layer: str | None, direction: float
-) -> None:
-    total = 0.5 * maximum * TRAIN.adhesive_weight(MASS - TRAIN.mass)
-    settled = shared([maximum] * 4, total, direction, layer)[-100:]
-    np.testing.assert_allclose(settled.sum(axis=1), total, rtol=1e-3)
-    assert np.all(np.ptp(settled, axis=1) < 0.05 * settled.mean(axis=1))
-    assert np.all(np.abs(np.diff(settled, axis=0)) < 0.05 * settled[1:])
 
 
 @pytest.mark.parametrize("direction", [pytest.param(1.0, marks=pytest.mark.long), -1.0])
@@ -283,21 +251,3 @@ def test_trips_are_driven_with_either_control_and_state_it() -> None:
     )
     other = replace(scenario, line=replace(LINE, name="another"))
     refused(InputError, "another", with_traction, [other], "cooperative", known_map())
-
-
-@pytest.mark.long
-def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
-    line = level_line(length=1_500.0, limit=15.0)
-    write_line(line, tmp_path / "short.line.json")
-    scenario = draw_scenarios(line, TRAIN, 1)[0]
-    plain = simulate(scenario)
-    write_map(adhesion_map([plain]).track, tmp_path / "short.map")
-    command = f"simulate drive --count 1 -o {tmp_path}/out --traction cooperative".split()
-    command += ["--line", f"{tmp_path}/short.line.json", "--map", f"{tmp_path}/short.map"]
-    command += ["--train", "sample_logs/CH_Stadler_FLIRT_TPF.train.json"]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
-    trip = read_log(tmp_path / "out" / "trip-01.mcap")
-    assert trip.metadata["traction_control"] == "cooperative"
-    assert trip.metadata["traction_unsolved"] == "0"
-    assert not np.array_equal(trip["/truth"]["energy"], plain["/truth"]["energy"])

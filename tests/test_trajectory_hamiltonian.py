@@ -249,42 +249,6 @@ def test_a_costate_joins_its_ends(even: bool) -> None:
         assert np.ptp(apart, axis=2).max() < 1e-9 * np.abs(slopes).max()
 
 
-def test_no_finer_run_is_faster_than_what_is_reached() -> None:
-    """The envelope on its own cells, thinned out, bounds those between; and not by much."""
-    run = TrajectoryProblem(hilly_line(), FLIRT, drawn(FLIRT, 2, seed=2))
-    fine = fastest_run(run)
-    kept = np.unique(
-        [
-            *range(0, fine.positions.size, 2),
-            *np.flatnonzero(np.isin(fine.positions, run.breakpoints)),
-        ]
-    )
-    coarse = replace(
-        fine, positions=fine.positions[kept], speeds=fine.speeds[:, kept],
-        elapsed=fine.elapsed[:, kept], pulling=fine.pulling[:, kept[:-1]],
-    )  # fmt: skip
-    found = reached(coarse, fine.positions)
-    assert np.all(found >= fine.speeds)
-    assert np.median(found - fine.speeds) < 0.02
-    any_run = replace(
-        coarse, positions=np.arange(5.0), speeds=np.array([[0.0, 3.0, 3.5, 2.0, 1.0]])
-    )
-    at_nodes = reached(any_run, any_run.positions)
-    np.testing.assert_allclose(at_nodes, any_run.speeds, rtol=3e-4, atol=2e-6)
-
-
-def test_what_a_cell_costs_at_any_speed_has_a_close_bound() -> None:
-    rng = np.random.default_rng(4)
-    a, b, c = rng.normal(0.0, 1.0, (3, 600)) * [[20.0], [0.5], [0.03]]
-    low = rng.uniform(0.5, 20.0, 600)
-    high = low + rng.uniform(0.1, 20.0, 600)
-    v = low + (high - low) * np.linspace(0.0, 1.0, 4_001)[:, None]
-    least = (a / v + b * v + c * v**2).min(axis=0)
-    found = bound._least(a, b, c, (low, high), rng.uniform(low, high))
-    assert np.all(found <= least + 1e-9)
-    np.testing.assert_allclose(found, least, atol=1e-4)
-
-
 @pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0)])
 def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(
     signs: tuple[int, int],
@@ -299,17 +263,6 @@ def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(
     found = bound._least(a, b, c, (low, high), rng.uniform(low, high))
     assert np.all(found <= least + 1e-9 * np.maximum(np.abs(least), 1.0))
     assert np.max(least - found) < 1e-4
-
-
-def test_what_is_reached_does_not_depend_on_the_unit_of_length() -> None:
-    fastest = fastest_run(of("line")[0].problem.run)
-    s = fastest.positions
-    places = np.sort(np.random.default_rng(2).uniform(s[0], s[-1], 500))
-    found = reached(fastest, places)
-    for unit in (1e-3, 7.0):
-        np.testing.assert_allclose(
-            reached(replace(fastest, positions=unit * s), unit * places), found, rtol=1e-6
-        )
 
 
 @pytest.mark.parametrize("curve", [TRACTION, BRAKE], ids=["traction", "brake"])

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import cvxpy as cp
 import pytest
+from refusals import refused
 from trajectory_cases import (
     FLIRT,
     KMH,
@@ -18,9 +23,13 @@ from trajectory_cases import (
     steps,
 )
 
+from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.convex import NoSolutionError, Relaxation
 from analysis.trajectory.feasibility import UnprovenError
+from trainlog.cli.main import run
+from trainlog.display import at_most
 from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, RunningResistance, TimingPoint
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
@@ -62,17 +71,6 @@ def test_a_moment_too_little_is_not_reported_as_nothing() -> None:
         optimised(*run, running_time=least - 0.034)
 
 
-def test_the_least_time_of_free_traction_cannot_be_met_on_cells() -> None:
-    fastest = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.0, cells=80)
-    alone = fastest.certificate["least_time"][0]
-    with pytest.raises(InfeasibleError, match="under one common traction"):
-        optimised(
-            hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=alone * (1.0 + 1e-9), cells=80
-        )
-    # No reserve at all asks for the least time that there is on the cells.
-    assert alone < fastest.running_time < 1.005 * alone
-
-
 def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can() -> None:
     options = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 50}
     configurations = observed(VIRM6, 0.97, 1.0, 1.03)
@@ -109,27 +107,6 @@ def test_a_time_that_no_solver_found_is_not_asked_for(monkeypatch: pytest.Monkey
     assert "inf" not in str(error.value)
 
 
-def test_a_slope_too_steep_for_the_load() -> None:
-    line = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (2_000.0, 0.15)))
-    with pytest.raises(InfeasibleError, match=r"comes to a stand at km 2\.\d+: full traction"):
-        optimised(line, FLIRT, observed(FLIRT, 1.0, load=400_000.0))
-
-
-def test_a_slope_too_steep_for_the_brake() -> None:
-    line = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (2_000.0, -0.19)))
-    with pytest.raises(InfeasibleError, match="cannot brake on the slope"):
-        optimised(line, FLIRT, observed(FLIRT, 1.0))
-
-
-def test_a_rail_too_slippery_to_climb() -> None:
-    line = replace(level_line(5_000.0), gradients=steps((0.0, 0.03)))
-    with pytest.raises(InfeasibleError, match="comes to a stand"):
-        optimised(
-            line, FLIRT, observed(FLIRT, 1.0),
-            condition_map=slippery(line, (0.0, 5_000.0, 0.03)),
-        )  # fmt: skip
-
-
 def test_a_start_too_fast_to_stop() -> None:
     with pytest.raises(
         InfeasibleError, match=r"starts at 72\.0 km/h and cannot brake in time"
@@ -139,70 +116,116 @@ def test_a_start_too_fast_to_stop() -> None:
     assert limit == pytest.approx((2.0 * 1.1 * 100.0) ** 0.5, rel=0.03)
 
 
-def test_too_little_time_names_the_section_and_what_holds_the_train_back() -> None:
-    """On an even line under a low limit it is the limit; without one it is the power."""
-    slow, fast = level_line(20_000.0, (0.0, 60.0)), level_line(20_000.0, (0.0, 900.0))
-    train = replace(FLIRT, max_speed=900.0 / KMH)
-    for line, words in (
-        (slow, "9\\d % of the time at the limits or the train's own top speed"),
-        (fast, "at full power"),
-    ):
-        with pytest.raises(InfeasibleError, match=words) as error:
-            optimised(line, train, observed(train, 1.0), running_time=100.0)
-        assert "from km 0.000 (A) to km 20.000 (B)" in str(error.value)
-        assert "100.0 s (1:40 min)" in str(error.value)
-
-
-def test_a_slippery_rail_is_named_where_it_holds_the_train_back() -> None:
-    line = level_line(5_000.0, (0.0, 140.0))
-    with pytest.raises(InfeasibleError, match=r"\d+ % (of the time )?at the adhesion of the map"):
-        optimised(
-            line, FLIRT, observed(FLIRT, 1.0), running_time=100.0,
-            condition_map=slippery(line, (0.0, 5_000.0, 0.05)),
-        )  # fmt: skip
-
-
-def test_two_windows_that_cannot_both_be_kept_are_reported_together() -> None:
-    windows = [TimingPoint(3_000.0, earliest=200.0), TimingPoint(6_000.0, latest=230.0)]
-    with pytest.raises(
-        InfeasibleError, match=r"needs at least \d+\.\d s from km 3\.000 to km 6\.000"
-    ):
-        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, windows=windows)
-
-
-def test_a_speed_above_the_limit_at_a_passing_point_names_the_limit() -> None:
-    windows = [TimingPoint(4_000.0, lowest_speed=30.0)]
-    with pytest.raises(InfeasibleError, match=r"the limit is the 80 km/h permitted there"):
-        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, windows=windows)
-
-
-def test_a_resistance_that_falls_with_the_speed_is_refused() -> None:
-    own = FLIRT.resistance
-    for resistance, name in (
-        (RunningResistance(own.r0, -100.0, 30.0), "r1 = -100"),
-        (RunningResistance(own.r0, 200.0, -0.5), "r2 = -0.5"),
-    ):
-        odd = replace(Configuration.of(FLIRT, name="odd"), resistance=resistance)
-        with pytest.raises(InputError, match=f"'odd' has a negative part, {name}"):
-            optimised(hilly_line(), FLIRT, [odd])
+SLOPES = {
+    change: replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (2_000.0, change)))
+    for change in (0.15, -0.19)
+}
+SLIPPERY = replace(level_line(5_000.0), gradients=steps((0.0, 0.03)))
+FAST = level_line(20_000.0, (0.0, 900.0))
+LATE = {"line": hilly_line(), "running_time": 450.0}
 
 
 @pytest.mark.parametrize(
-    ("weights", "words"),
+    ("question", "words"),
     [
-        ((1.0,), "1 weight for 2 configurations"),
-        ((1.0, -1.0), "configuration 'x1.1' must be 0 or more, not -1"),
-        ((0.0, 0.0), "the weights add up to 0"),
-        ((1.0, float("nan")), "configuration 'x1.1' must be 0 or more, not nan"),
+        (
+            {"line": SLOPES[0.15], "configurations": observed(FLIRT, 1.0, load=400_000.0)},
+            r"comes to a stand at km 2\.\d+: full traction",
+        ),
+        ({"line": SLOPES[-0.19]}, "cannot brake on the slope"),
+        (
+            {"line": SLIPPERY, "condition_map": slippery(SLIPPERY, (0.0, 5_000.0, 0.03))},
+            "comes to a stand",
+        ),
+        (
+            {"line": level_line(5_000.0), "running_time": 100.0}
+            | {"condition_map": slippery(level_line(5_000.0), (0.0, 5_000.0, 0.05))},
+            r"\d+ % (of the time )?at the adhesion of the map",
+        ),
+        (
+            {"line": level_line(20_000.0, (0.0, 60.0)), "running_time": 100.0},
+            "9\\d % of the time at the limits or the train's own top speed",
+        ),
+        (
+            {"line": FAST, "running_time": 100.0, "train": replace(FLIRT, max_speed=900.0 / KMH)},
+            r"100\.0 s \(1:40 min\) .* from km 0\.000 \(A\) to km 20\.000 \(B\).*at full power",
+        ),
+        (
+            LATE | {"windows": [TimingPoint(3e3, earliest=200.0), TimingPoint(6e3, latest=230.0)]},
+            r"needs at least \d+\.\d s from km 3\.000 to km 6\.000",
+        ),
+        (
+            LATE | {"windows": [TimingPoint(4e3, lowest_speed=30.0)]},
+            r"the limit is the 80 km/h permitted there",
+        ),
+        (
+            LATE | {"windows": [TimingPoint(6e3, latest=150.0)]},
+            r"after \d+\.\d s at the earliest, .* window closes",
+        ),
+        (
+            LATE | {"windows": [TimingPoint(6e3, earliest=440.0)]},
+            r"needs at least \d+\.\d s from km 6\.000",
+        ),
+        (
+            LATE | {"windows": [TimingPoint(6e3, lowest_speed=40.0)]},
+            r"km/h at most, 144\.0 km/h are required",
+        ),
     ],
 )
-def test_weights_that_are_none_are_refused(weights: tuple[float, ...], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        optimised(
-            hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.1), weights=weights, objective="expected"
-        )
+def test_the_reason_and_its_place_are_named(question: dict[str, Any], words: str) -> None:
+    asked = {"train": FLIRT, "configurations": observed(FLIRT, 1.0), "cells": 60} | question
+    with pytest.raises(InfeasibleError, match=words):
+        optimised(**asked)
 
 
-def test_a_timetable_that_would_make_it_stand_on_the_way_is_refused() -> None:
-    with pytest.raises(InputError, match=r"is 2\d\.\d times the least, .* from km 0\.000 \(A\)"):
-        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=8_000.0)
+@pytest.mark.parametrize(("r1", "r2", "name"), [(-100.0, 30.0, "r1 = -100"), (2e2, -0.5, "r2 = -")])
+def test_a_resistance_that_falls_with_the_speed_is_refused(r1: float, r2: float, name: str) -> None:
+    resistance = RunningResistance(FLIRT.resistance.r0, r1, r2)
+    odd = replace(Configuration.of(FLIRT, name="odd"), resistance=resistance)
+    refused(InputError, f"'odd' has a negative part, {name}", optimised, hilly_line(), FLIRT, [odd])
+
+
+def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise cp.SolverError("Try another solver, or solve with verbose=True")
+
+    monkeypatch.setattr(cp.Problem, "solve", broken)
+    monkeypatch.setattr(convex, "_by_piqp", lambda *_, **__: None)
+    monkeypatch.setattr(active_set, "descend", lambda *_: None)
+    monkeypatch.setattr(optimiser, "_paced", lambda *_: None)
+    with pytest.raises(InfeasibleError, match="beyond the solver's arithmetic") as refusal:
+        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
+    assert "verbose" not in str(refusal.value)
+
+
+def test_the_time_that_a_refusal_names_is_accepted() -> None:
+    asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.1))
+    least = max(optimised(*asked, reserve=0.0, cells=40).certificate["least_time"])
+    named = set()
+    for share in (0.5, 1.0 + 1e-7):
+        with pytest.raises(InfeasibleError) as refusal:
+            optimised(*asked, running_time=share * least, cells=40)
+        named.add(refusal.value.remedy or "")
+    (words,) = named
+    time = re.fullmatch(r"allow at least (\d+) s", words)
+    assert time
+    found = optimised(*asked, running_time=float(time[1]), cells=40)
+    assert found.certificate["audit"]["lateness"] <= 1e-4
+
+
+def test_a_bound_is_rounded_up() -> None:
+    assert at_most(0.000141, 2) == "0.02%"
+    assert at_most(0.0002, 2) == "0.02%"
+    assert at_most(0.0, 2) == "0.00%"
+
+
+def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:
+    content = json.loads(sample("CH_Stadler_FLIRT_TPF.train.json").read_text("utf-8"))
+    del content["length"]
+    (tmp_path / "short.train.json").write_text(json.dumps(content))
+    arguments = ["plan", "--train", str(tmp_path / "short.train.json"), "--set", "protect=train"]
+    arguments += ["--line", "sample"]
+    with pytest.raises(InputError, match="not known; state its length in the train's file"):
+        run([*arguments, "-o", str(tmp_path / "a.json")])

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from refusals import refused
-from trajectory_cases import FLIRT, KMH, drawn, hilly_line, observed, optimised, optimised_journey
+from trajectory_cases import FLIRT, drawn, hilly_line, observed, optimised, optimised_journey
 
 from analysis.trajectory.journey import JourneyPlan, sections_of
-from analysis.trajectory.problem import TrajectoryProblem
-from analysis.trajectory.referee import refereed
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.ttobench import read_journey, read_track
 from trainlog.railway import Journey, TimingPoint, Trajectory
 
-LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 OPTIONS = {"running_time": 450.0, "cells": 100}
 PLACE = 6_000.0
 
@@ -38,10 +33,6 @@ def free() -> Trajectory:
     return run(TimingPoint(PLACE))
 
 
-def test_a_point_without_windows_changes_nothing(free: Trajectory) -> None:
-    assert free.certificate["energy"] == pytest.approx(run().certificate["energy"], rel=2e-4)
-
-
 @pytest.mark.parametrize("change", [-15.0, 15.0])
 def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> None:
     time = passing(free)[0] + change
@@ -51,11 +42,6 @@ def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> N
     assert passing(found)[0] == pytest.approx(time, abs=1e-3)
     certificate = found.certificate
     assert certificate["energy"] > 1.001 * free.certificate["energy"]
-    question = {"running_time": OPTIONS["running_time"], "windows": [window]}
-    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), **question)  # type: ignore[arg-type]
-    result, excess = refereed(problem, found)
-    assert result.solved
-    assert abs(excess) <= 2e-5
     assert certificate["gap"] <= 1e-3
     assert certificate["lower_bound"] > free.certificate["energy"]
     assert certificate["bound_holds_for"] == "all trajectories"
@@ -69,16 +55,6 @@ def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free: Trajectory) -> 
     assert passing(found)[0] >= later - 1e-4
     assert "early passing allowed" in found.certificate["bound_holds_for"]
     assert found.certificate["lower_bound"] < found.certificate["energy"]
-
-
-def test_windows_of_several_configurations_are_certified(free: Trajectory) -> None:
-    configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
-    window = TimingPoint(PLACE, earliest=passing(free)[0] + 8.0)
-    certificate = optimised(
-        hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=100
-    ).certificate
-    assert certificate["gap"] <= 1e-3
-    assert certificate["bound_holds_for"] == "all trajectories"
 
 
 def test_windows_of_speed_are_kept_and_certified(free: Trajectory) -> None:
@@ -111,18 +87,6 @@ def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
     node = int(np.flatnonzero(found.positions == PLACE)[0])
     assert np.all(found.times[:, node] >= time - 1e-4)
     assert np.all(found.times[:, node] <= time + 5.0 + 1e-4)
-
-
-@pytest.mark.parametrize(
-    ("window", "words"),
-    [
-        (TimingPoint(PLACE, latest=150.0), r"after \d+\.\d s at the earliest, .* window closes"),
-        (TimingPoint(PLACE, earliest=440.0), r"needs at least \d+\.\d s from km 6\.000"),
-        (TimingPoint(PLACE, lowest_speed=40.0), r"km/h at most, 144\.0 km/h are required"),
-    ],
-)
-def test_windows_that_cannot_be_kept_are_explained(window: TimingPoint, words: str) -> None:
-    refused(InfeasibleError, words, run, window)
 
 
 @pytest.mark.parametrize(
@@ -175,20 +139,6 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
             )
         ]  # fmt: skip
         assert sum(parts) > plan.certificate["energy"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("objective", ["wheel", "line"])
-def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str) -> None:
-    # Another test may have asked without renewals.
-    plan, configurations = with_stops.__wrapped__(objective), ASKED[2]
-    certificate = plan.certificate
-    totals = sum(np.array(each.certificate[f"{objective}_energy"]) for each in plan.sections)
-    assert certificate["costliest_energy"] == pytest.approx(np.max(totals))
-    assert certificate["costliest"] == configurations[int(np.argmax(totals))].name
-    assert certificate["costliest_energy"] == pytest.approx(certificate["energy"])
-    assert certificate["lower_bound"] <= certificate["energy"]
-    assert certificate["certified"]
 
 
 @pytest.mark.usefixtures("unrenewed")
@@ -245,19 +195,6 @@ def test_journeys_that_cannot_be_are_explained() -> None:
         optimised_journey(*train, Journey("long", "hilly", (*points[:2], stop(9_000.0))))
     with pytest.raises(InputError, match="more than an arrival and a departure"):
         sections_of(Journey("thrice", "hilly", (points[0], *[points[1]] * 3, points[2])))
-
-
-@pytest.mark.skipif(not LIBRARY.exists(), reason=f"{LIBRARY} is not here")
-def test_the_library_journey_leaves_too_little_time_and_that_is_reported() -> None:
-    journey = read_journey(LIBRARY / "journeys" / "CH_StGallen_Wil_Journey_01.json")
-    line = read_track(LIBRARY / "tracks" / "CH_StGallen_Wil.json")
-    first, second = sections_of(journey)
-    assert [point.position for point in first.passing] == [12_500.0]
-    assert second.departure.earliest == 800.0
-    # From km 20.0, passed after 1200 s, to the stop at km 29.6 after 1450 s: 138 km/h on average.
-    with pytest.raises(InfeasibleError, match=r"is at km 29\.556 .* 10\d\.\d s after"):
-        optimised_journey(line, FLIRT, observed(FLIRT, 1.0), journey)
-    assert max(line.speed_limits.values) * KMH < 145.0
 
 
 def test_two_points_at_one_position_are_a_stop_without_any_speed() -> None:

@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, optimised, steps
 
+from analysis.studies.cunillera_2022.model import phases_by_switching
 from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import NoSolutionError, power_cells
-from analysis.trajectory.discretisation import discretise
+from analysis.trajectory.discretisation import discretise, graded_mesh
+from analysis.trajectory.instructions import Phase, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import Solution
 from trainlog.errors import TrainlogError
+from trainlog.formats.railway import read_line, read_train
+from trainlog.formats.samples import sample
 from trainlog.railway import CurvatureProfile, Trajectory
 
 OPTIONS: dict[str, Any] = {"reserve": 0.1, "cells": 120, "tolerance": np.inf}
@@ -42,34 +46,21 @@ def test_the_answer_of_a_solver_that_stops_early_is_solved_again(
     assert same(found, usual)
 
 
+@pytest.mark.parametrize("wrong", ["no solution", "not converged"])
 def test_iterations_that_fail_begin_again_from_the_cone_relaxation(
-    usual: Trajectory, monkeypatch: pytest.MonkeyPatch
+    wrong: str, usual: Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    minimise, failed = active_set.minimise, []
+    minimise, seen = active_set.minimise, []
 
     def fails_first(*arguments: Any, **options: Any) -> Solution:
-        if not failed:
-            failed.append(True)
+        seen.append(True)
+        if wrong == "no solution" and len(seen) == 1:
             raise NoSolutionError("user_limit")
-        return minimise(*arguments, **options)
+        return replace(minimise(*arguments, **options), converged=len(seen) > 1)
 
     monkeypatch.setattr(active_set, "minimise", fails_first)
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert found.certificate["solver"]["statuses"][0].startswith("CLARABEL")
-    assert same(found, usual)
-
-
-def test_iterations_that_do_not_converge_begin_again_too(
-    usual: Trajectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    minimise, seen = active_set.minimise, []
-
-    def restless_first(*arguments: Any, **options: Any) -> Solution:
-        seen.append(True)
-        return replace(minimise(*arguments, **options), converged=len(seen) > 1)
-
-    monkeypatch.setattr(active_set, "minimise", restless_first)
-    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert same(found, usual)
 
 
@@ -102,16 +93,10 @@ def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
 
 
 @pytest.mark.usefixtures("unrenewed")
-@pytest.mark.parametrize("coarse", [60, pytest.param(120, marks=pytest.mark.long)])
-@pytest.mark.parametrize("objective", ["wheel", pytest.param("line", marks=pytest.mark.long)])
-def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str, coarse: int) -> None:
-    configurations = drawn(FLIRT, 2, seed=2)
+def test_a_run_without_reserve_is_the_fastest_and_audited() -> None:
     times = []
-    for cells in (coarse, 2 * coarse):
-        found = optimised(
-            hilly_line(), FLIRT, configurations, reserve=0.0, cells=cells,
-            objective=objective,  # type: ignore[arg-type]
-        )  # fmt: skip
+    for cells in (60, 120):
+        found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 2, seed=2), reserve=0.0, cells=cells)
         assert found.certificate["audit"]["passed"]
         times.append(found.running_time / max(found.certificate["least_time"]) - 1.0)
     # None is faster than alone under traction that follows the power; finer cells come closer.
@@ -136,3 +121,37 @@ def test_cells_too_long_to_be_passed_within_their_limit_have_no_power() -> None:
     cells = discretise(problem, np.array([0.0, 500.0, 1_000.0, 2_500.0, 2_750.0, 3_000.0]))
     assert np.flatnonzero(cells.ceiling < 0.0).tolist() == [2, 3]
     assert power_cells(cells, 0.5, np.ones(5)).tolist() == [0, 1, 3, 4]
+
+
+def test_embedded_line_and_train_with_twelve_configurations() -> None:
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    found = optimised(line, train, drawn(train, 12, seed=5), reserve=0.07)
+    certificate = found.certificate
+    assert certificate["gap"] <= 5e-4
+    assert certificate["certified"]
+    assert certificate["audit"]["lateness"] <= 1e-4
+    assert certificate["audit"]["overspeed"] <= 1e-5
+    assert certificate["audit"]["power"] <= 1.0 + 1e-6
+
+
+def test_phases_by_control() -> None:
+    traction = np.array([100.0, 60.0, 0.0, 0.0, 0.0, 40.0])
+    braking = np.array([0.0, 0.0, 0.0, 30.0, 50.0, 25.0])
+    phases = phases_by_control(traction, braking, np.full(6, 100.0), np.full(6, 50.0))
+    assert phase_letters(phases) == "TPCHBP"
+    switching = np.array([1.5, 1.0, 0.5, 0.0, -0.5, 1.0])
+    assert phase_letters(phases_by_switching(switching)) == "TPCHBP"
+    assert Phase.MAXIMUM_TRACTION.label == "maximum traction"
+
+
+def test_mesh_goes_through_every_breakpoint_and_is_fine_where_speed_changes() -> None:
+    positions = np.linspace(0.0, 1_000.0, 1_001)
+    speeds = np.minimum(np.sqrt(2.0 * positions), 20.0)
+    breakpoints = np.array([0.0, 333.3, 777.7, 1_000.0])
+    mesh = graded_mesh(breakpoints, positions, speeds, 100)
+    assert np.isin(breakpoints, mesh).all()
+    assert abs(mesh.size - 1 - 100) <= 3
+    assert np.diff(mesh)[0] < 0.2 * np.diff(mesh)[-1]
+    # Cells are to spare on a line of many breakpoints.
+    assert graded_mesh(positions[::10], positions, speeds, 80).size - 1 >= 118

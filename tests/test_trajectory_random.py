@@ -9,21 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import refused
-from trajectory_cases import FLIRT, KMH, hilly_line, level_line, observed, steps
+from scipy.optimize import brentq
+from trajectory_cases import FLIRT, KMH, drawn, hilly_line, level_line, observed, optimised, steps
 
-from analysis.trajectory.convex import NoSolutionError, Unknowns, bounded
-from analysis.trajectory.discretisation import Plan, discretise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-from analysis.trajectory.rollout import cell_times
-from analysis.trajectory.sqp import Motion, QPSubproblem
 from trainlog.errors import InfeasibleError
+from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
-from benchmark_certificate import question
 from benchmark_random import problem_of_kind, random_problem
 from independent import driven, least_time
 
@@ -35,9 +31,7 @@ def answered(problem: TrajectoryProblem, cells: int = 200) -> Trajectory:
     return found
 
 
-@pytest.mark.parametrize(
-    "number", [1004, 1008, *(pytest.param(each, marks=pytest.mark.long) for each in (1002, 1005))]
-)
+@pytest.mark.parametrize("number", [1004, 1008])
 def test_random_problems_are_answered_and_the_answers_hold(number: int) -> None:
     problem = random_problem(number)
     found = answered(problem)
@@ -58,35 +52,6 @@ def test_cells_of_a_kilometre_do_not_add_up_to_a_train_that_never_stops() -> Non
     answered(replace(problem, configurations=problem.configurations[1:]))
 
 
-@pytest.mark.long
-def test_cells_are_laid_anew_while_the_energy_still_falls() -> None:
-    """Over 115 km it falls by a sixth, and last by .6 %, when the gap is just certified."""
-    problem = question(411)
-    least = float(fastest_run(problem).times.max())
-    found = optimise(replace(problem, running_time=(1.0 + problem.reserve) * least))
-    assert found.certificate["gap"] <= 1e-3
-
-
-@pytest.mark.parametrize(
-    ("count", "reserves"),
-    [
-        (3, (1.0,)),
-        pytest.param(3, (0.6, 1.0), marks=pytest.mark.long),
-        pytest.param(11, (0.2, 0.4, 0.6, 0.8, 1.0), marks=pytest.mark.long),
-    ],
-)
-def test_more_time_is_never_refused_and_never_costs_more(
-    count: int, reserves: tuple[float, ...]
-) -> None:
-    """Weak trains on 45 per mille, at 1.5 m/s: in long cells they would stand, or lose minutes."""
-    problem = random_problem(32)
-    few = replace(problem, configurations=problem.configurations[-count:])
-    found = [optimise(replace(few, reserve=each), OptimiserOptions()) for each in reserves]
-    energies = np.array([each.certificate["energy"] for each in found])
-    assert np.all(energies[1:] <= energies[:-1] * (1.0 + 1e-4))
-    assert all(each.certificate["certified"] for each in found)
-
-
 @pytest.mark.usefixtures("unrenewed")
 def test_the_judge_sees_what_is_wrong() -> None:
     """Less traction: late or short; a little more: too fast; another energy: named."""
@@ -99,29 +64,6 @@ def test_the_judge_sees_what_is_wrong() -> None:
     energy = found.certificate | {"energy": 1.002 * found.certificate["energy"]}
     wrong = replace(found, certificate=energy)
     assert driven(problem, wrong).faults(problem, wrong) == ["energy wrong by 0.002"]
-
-
-def test_a_plan_that_stalls_has_a_finite_program() -> None:
-    """Without linear resistance, times that are infinite times it are no numbers."""
-    train = replace(FLIRT, resistance=RunningResistance(9_000.0, 0.0, 12.0))
-    run = TrajectoryProblem(hilly_line(), train, observed(train, 1.0))
-    problem = discretise(run, run.breakpoints)
-    z = np.full((1, problem.positions.size), 1e-5)
-    none = np.zeros(problem.shape)
-    plan = Plan(z, none[0], none, none)
-    assert np.isinf(cell_times(problem, plan)).any()
-    motion = Motion.about(problem, plan)
-    for each in (motion.times, motion.keep, motion.push):
-        assert np.all(np.isfinite(each))
-    found = QPSubproblem(problem, plan, none).solve(400.0, 1.0, 100.0, 0.0)
-    assert np.all(np.isfinite(found.plan.z))
-
-
-def test_bounds_that_exclude_each_other_are_no_crash() -> None:
-    run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0))
-    unknowns = Unknowns(discretise(run, run.breakpoints))
-    unknowns.low[unknowns.z[0, 3]], unknowns.high[unknowns.z[0, 3]] = 2.0, 1.0
-    refused(NoSolutionError, "infeasible", bounded, unknowns)
 
 
 def test_no_linear_resistance_and_much_time() -> None:
@@ -209,3 +151,112 @@ def test_one_configuration_with_a_common_brake_has_a_brake_of_its_own() -> None:
     )
     np.testing.assert_allclose(common.speeds, own.speeds)
     assert common.provenance["settings"]["braking"] == "common"
+
+
+MASS = 100e3
+
+
+def train(effort: float, power: float, brake: float, brake_power: float) -> Train:
+    """Efforts and powers over its mass, nothing that resists."""
+    return Train(
+        name="free",
+        mass=MASS,
+        rotating_mass_factor=0.0,
+        resistance=RunningResistance(0.0, 0.0, 0.0),
+        max_tractive_effort=effort * MASS,
+        max_traction_power=power * MASS,
+        max_dynamic_braking_effort=brake * MASS,
+        max_dynamic_braking_power=brake_power * MASS,
+        max_speed=100.0,
+        max_acceleration=10.0,
+        max_deceleration=10.0,
+    )
+
+
+def way_and_time(effort: float, power: float, speed: float) -> tuple[float, float]:
+    """From standstill to a speed: constant effort, then constant power."""
+    first = min(speed, power / effort)
+    return (
+        first**2 / (2.0 * effort) + (speed**3 - first**3) / (3.0 * power),
+        first / effort + (speed**2 - first**2) / (2.0 * power),
+    )
+
+
+@pytest.mark.parametrize("length", [300.0, 3_000.0])
+@pytest.mark.parametrize(("effort", "power"), [(1.0, 3.0), (0.8, 12.0), (0.2, 1.5)])
+@pytest.mark.parametrize(("brake", "brake_power"), [(0.6, 1e3), (0.9, 4.0)])
+def test_least_time_of_power_and_brake_alone(
+    length: float, effort: float, power: float, brake: float, brake_power: float
+) -> None:
+    """Accelerating to one speed and braking at once, no limit and no resistance: a closed form."""
+    pull, stop = (effort, power), (brake, brake_power)
+    peak = brentq(
+        lambda v: way_and_time(*pull, v)[0] + way_and_time(*stop, v)[0] - length, 0.1, 99.0
+    )
+    exact = way_and_time(*pull, peak)[1] + way_and_time(*stop, peak)[1]
+    own = train(effort, power, brake, brake_power)
+    run = TrajectoryProblem(level_line(length, (0, 360)), own, [Configuration.of(own)])
+    assert fastest_run(run).times[0] == pytest.approx(exact, rel=2e-5)
+
+
+def test_least_time_to_a_limit_and_to_another() -> None:
+    """Constant effort up to 20 m/s, held, braked to 10 m/s at 800 m, and to the stop at 1 km."""
+    own = train(0.5, 1e4, 0.8, 1e4)
+    line = level_line(1_000.0, (0, 72), (800, 36))
+    run = TrajectoryProblem(line, own, [Configuration.of(own)])
+    braked = (20.0**2 - 10.0**2) / 1.6
+    exact = 20.0 / 0.5 + (800.0 - 400.0 - braked) / 20.0 + 10.0 / 0.8
+    exact += (200.0 - 10.0**2 / 1.6) / 10.0 + 10.0 / 0.8
+    assert fastest_run(run).times[0] == pytest.approx(exact, rel=2e-5)
+
+
+def test_least_time_with_gradients_bends_and_a_tunnel() -> None:
+    """Against DOP853, which finds the instants at which one curve takes over from another."""
+    short = replace(hilly_line(), tunnels=())
+    for line in (hilly_line(), short):
+        run = TrajectoryProblem(line, FLIRT, observed(FLIRT, 0.9, 1.2))
+        exact = [least_time(run, each) for each in run.configurations]
+        np.testing.assert_allclose(fastest_run(run).times, exact, rtol=2e-5)
+
+
+def test_least_time_from_a_speed_to_a_speed() -> None:
+    run = TrajectoryProblem(
+        hilly_line(), FLIRT, observed(FLIRT, 1.0), initial_speed=40 / KMH, final_speed=60 / KMH
+    )
+    assert fastest_run(run).times[0] == pytest.approx(
+        least_time(run, run.configurations[0]), rel=2e-5
+    )
+
+
+LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
+TRACKS = sorted(path.stem for path in (LIBRARY / "tracks").glob("*.json"))
+
+published = pytest.mark.skipif(not LIBRARY.exists(), reason=f"{LIBRARY} is not here")
+
+
+@published
+@pytest.mark.parametrize("track", ["CH_Stadelhofen_Altstetten", "00_var_gradient_plus_10"])
+def test_short_and_steep_tracks_with_three_configurations(track: str) -> None:
+    line = read_track(LIBRARY / "tracks" / f"{track}.json")
+    train = read_train(LIBRARY / "trains" / "CH_Stadler_FLIRT_TPF.json")
+    found = optimised(line, train, drawn(train, 3, seed=8, spread=0.05), reserve=0.1)
+    assert found.certificate["gap"] <= 2e-3
+
+
+@pytest.mark.long
+@published
+@pytest.mark.parametrize("track", TRACKS or ["none"])
+@pytest.mark.parametrize("objective", ["wheel", "line"])
+def test_whole_library(track: str, objective: str) -> None:
+    line = read_track(LIBRARY / "tracks" / f"{track}.json")
+    for path in sorted((LIBRARY / "trains").glob("*.json")):
+        train = read_train(path)
+        for reserve in (0.02, 0.05, 0.1, 0.3):
+            found = optimised(
+                line, train, [Configuration.of(train)], reserve=reserve,
+                objective=objective,  # type: ignore[arg-type]
+            )  # fmt: skip
+            certificate = found.certificate
+            assert certificate["audit"]["passed"], path.stem
+            assert -1e-6 <= certificate["gap"] <= 2e-3, (path.stem, reserve, certificate["gap"])
+            assert len(certificate["solver"]["statuses"]) <= 10

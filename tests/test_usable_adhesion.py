@@ -71,15 +71,6 @@ def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_noth
     assert demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5] >= before
 
 
-def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -> None:
-    with pytest.raises(InputError, match=r"above 0 and at most 1, not 0"):
-        usable_adhesion(made(), "wet", assumed=0.0)
-    with pytest.raises(InputError, match=r"above 0 and at most 1, not 8"):
-        usable_adhesion(made(), "wet", assumed=8.0)
-    with pytest.raises(InputError, match="lacks the setting 'trip_std'"):
-        usable_adhesion(replace(made(), settings={}), "wet", assumed=0.05)
-
-
 def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place() -> None:
     track = made({3: 0.07, 9: 0.1})
     generator = np.random.default_rng(1)

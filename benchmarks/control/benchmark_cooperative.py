@@ -15,14 +15,9 @@ and the same times and differences.
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-
 from benchmark_tracking import timed
 from cooperative_referee import NonlinearReferee
 from rich.console import Console

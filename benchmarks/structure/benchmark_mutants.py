@@ -41,8 +41,8 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 NEAREST = {
     "estimators/regression.py": "regression resistance_windows passport",
-    "analysis/resistance/regression.py": "resistance_diagnostics resistance_windows passport",
-    "estimators/rls.py": "rls resets estimators resistance_windows",
+    "analysis/resistance/regression.py": "resistance_windows passport",
+    "estimators/rls.py": "rls estimators resistance_windows",
     "estimators/condition_passes.py": "condition_passes condition_field traction_map",
     "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_export",
@@ -60,9 +60,9 @@ WIDER = {
     "estimators/rls.py": "study_rls_sliding_mode resistance_fit golden",
     "estimators/condition_passes.py": "map_export map_difference traction_map_figures golden",
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
-    "trainlog/formats/mapfile.py": "network_maps traction_map formats_samples golden",
-    "analysis/trajectory/audit.py": "trajectory_many trajectory_limits trajectory_curves",
-    "analysis/trajectory/bound.py": "trajectory_answers trajectory_curves trajectory_many",
+    "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",
+    "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
+    "analysis/trajectory/bound.py": "trajectory_answers trajectory_curves trajectory_limits",
     "trainlog/ingest/clock.py": "ingest_recorders ingest_formats golden",
 }
 
