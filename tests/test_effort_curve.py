@@ -36,15 +36,6 @@ def test_the_peak_of_the_power_may_lie_inside_a_piece() -> None:
     assert CURVE.peak_power == pytest.approx(v * (110e3 - 3e3 * v))
 
 
-def test_a_share_of_the_power_is_that_of_a_hyperbola() -> None:
-    v = np.linspace(0.0, 60.0, 200)
-    hyperbola = EffortCurve(v, np.minimum(2e5, 2.6e6 / np.maximum(v, 1.0)))
-    slower = np.linspace(15.0, 50.0, 40)
-    assert hyperbola.stretched(0.9)(slower) == pytest.approx(
-        np.minimum(2e5, 0.9 * 2.6e6 / slower), rel=2e-3
-    )
-
-
 @quick
 @given(effort_curves(1.0))
 def test_its_approximations_bound_it(curve: EffortCurve) -> None:

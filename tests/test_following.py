@@ -101,17 +101,6 @@ def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
     return replace(track, layers={"wet": layer})
 
 
-def driven(scenario: Scenario) -> dict[str, np.ndarray]:
-    run = drive(scenario)
-    found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
-    moving = np.flatnonzero(found["speed"] > 0.0)
-    found["arrival"] = run.seconds[moving[-1]] - DEPARTURE
-    found["over"] = np.max(
-        found["speed"] - hilly_line().speed_limit(np.minimum(found["position"], 11_000.0))
-    )
-    return found
-
-
 def slippery() -> StepProfile:
     """A wet rail with three slippery places: at the start, on a climb, before the stop."""
     return steps(
@@ -120,63 +109,48 @@ def slippery() -> StepProfile:
     )  # fmt: skip
 
 
-def test_it_is_on_time_at_its_place_and_below_the_limits() -> None:
-    train, trajectory = plan()
-    rail = slippery()
-
-    def follows() -> Follower:
-        return Follower(trajectory, hilly_line(), train, condition=map_of(rail), layer="wet")
-
-    (scenario,) = trajectory_scenarios(trajectory, hilly_line(), train, [HEAVY], follows, seed=3)
-    found = driven(replace(scenario, maximum_adhesion=rail))
-    due = trajectory.times[trajectory.latest, -1]
-    assert abs(found["arrival"] - due) < 1.0
-    assert abs(found["position"][-1] - hilly_line().length) < 0.3
-    assert found["speed"][-1] == 0.0
-    assert found["over"] <= 0.0
-    assert found["protected_axles"].max() == 0.0
-    # Comfort: efforts over inertia are within what the train's control allows.
-    assert found["acceleration"].max() < train.max_acceleration
-    inertia = scenario.mass + scenario.rotating_mass
-    braking = found["dynamic_braking_effort"] + found["pneumatic_braking_effort"]
-    assert braking.max() <= train.max_deceleration * inertia * 1.001
+def driven(
+    name: str = "flirt",
+    rail: StepProfile | None = None,
+    locates: Any = None,
+    chosen: str = HEAVY,
+    **options: Any,
+) -> tuple[dict[str, np.ndarray], Scenario]:
+    """What a train of a configuration does that follows its plan, on dry rail or a known one."""
+    train, trajectory = plan(name)
+    if rail is not None:
+        options |= {"condition": map_of(rail), "layer": "wet"}
+    (scenario,) = trajectory_scenarios(
+        trajectory, hilly_line(), train, [chosen],
+        lambda: Follower(trajectory, hilly_line(), train, **options), seed=3,
+    )  # fmt: skip
+    scenario = replace(scenario, maximum_adhesion=rail or steps((0.0, 0.3)))
+    scenario = replace(scenario, locates=locates) if locates else scenario
+    run = drive(scenario)
+    found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
+    moving = np.flatnonzero(found["speed"] > 0.0)
+    found["late"] = run.seconds[moving[-1]] - DEPARTURE - trajectory.times[trajectory.latest, -1]
+    limit = hilly_line().speed_limit(np.minimum(found["position"], 11_000.0))
+    found["over"] = np.max(found["speed"] - limit)
+    found["braking"] = found["dynamic_braking_effort"] + found["pneumatic_braking_effort"]
+    return found, scenario
 
 
 def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time() -> None:
     """Friction brake alone, 2 s of dead time and 1.5 s of lag."""
-    train, trajectory = plan("friction")
-    (scenario,) = trajectory_scenarios(
-        trajectory, hilly_line(), train, [HEAVY],
-        lambda: Follower(trajectory, hilly_line(), train), seed=3,
-    )  # fmt: skip
-    found = driven(replace(scenario, maximum_adhesion=steps((0.0, 0.3))))
+    found, _ = driven("friction")
     assert abs(found["position"][-1] - hilly_line().length) < 0.3
     assert found["over"] <= 0.0
     # What such a brake is not trusted with costs a little time at every lower limit.
-    assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 3.0
+    assert abs(found["late"]) < 3.0
 
 
 def test_efforts_do_not_alternate_where_a_late_train_pulls_at_its_ceiling() -> None:
-    """On little adhesion, by its own instruments: only places with a reason reverse the effort.
-
-    A lower limit ahead, a fall, the departure, the stop; every noise in the measured speed counted
-    before.
-    """
-    train, trajectory = plan()
-    rail = steps((0.0, 0.07))
-
-    def follows() -> Follower:
-        return Follower(
-            trajectory, hilly_line(), train, condition=map_of(rail), margin=MARGIN,
-            departure=DEPARTURE + 60.0,
-        )  # fmt: skip
-
-    (scenario,) = trajectory_scenarios(
-        trajectory, hilly_line(), train, [HEAVY], follows, seed=3, locates=Odometry
+    """On little adhesion, by its own instruments: only places with a reason reverse the effort."""
+    found, _ = driven(
+        rail=steps((0.0, 0.07)), locates=Odometry, margin=MARGIN, departure=DEPARTURE + 60.0
     )
-    found = driven(replace(scenario, maximum_adhesion=rail))
-    braking = found["dynamic_braking_effort"] + found["pneumatic_braking_effort"]
-    assert effort_reversals(found["tractive_effort"], braking) <= 5
+    assert effort_reversals(found["tractive_effort"], found["braking"]) <= 5
     assert found["over"] <= 0.0
     assert found["protected_axles"].max() == 0.0
 
@@ -221,8 +195,8 @@ def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> N
 # ---- by its own instruments -----------------------------------------------------------------
 
 
-def seen_by_itself(scenario: Scenario, observed: list[Observation]) -> Scenario:
-    """The scenario with a driver who sees the train by its instruments; what he saw is kept."""
+def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure() -> None:
+    observed: list[Observation] = []
 
     def locates(sensors: Sensors, start: float) -> Locator:
         odometry = Odometry(sensors, start)
@@ -233,22 +207,14 @@ def seen_by_itself(scenario: Scenario, observed: list[Observation]) -> Scenario:
 
         return locate
 
-    return replace(scenario, locates=locates)
-
-
-def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure() -> None:
-    train, trajectory = plan()
-
-    def follows() -> Follower:
-        return Follower(
-            trajectory, hilly_line(), train, condition=map_of(slippery()), margin=MARGIN
-        )
-
-    (scenario,) = trajectory_scenarios(trajectory, hilly_line(), train, [HEAVY], follows, seed=3)
-    observed: list[Observation] = []
-    found = driven(seen_by_itself(replace(scenario, maximum_adhesion=slippery()), observed))
+    found, scenario = driven(rail=slippery(), locates=locates, margin=MARGIN)
     assert found["over"] <= 0.0
-    assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 1.5
+    assert found["protected_axles"].max() == 0.0
+    # Comfort: efforts over inertia are within what the train's control allows.
+    assert found["acceleration"].max() < scenario.train.max_acceleration
+    inertia = scenario.mass + scenario.rotating_mass
+    assert found["braking"].max() <= scenario.train.max_deceleration * inertia * 1.001
+    assert abs(found["late"]) < 1.5
     assert abs(found["position"][-1] - hilly_line().length) < 1.0
     assert found["speed"][-1] == 0.0
     # And the odometry is as good as it says, which is never the truth.

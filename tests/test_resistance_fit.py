@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from refusals import refused
-from resistance_trips import RESISTANCE, TRAIN, changed, trip, with_exact_efforts
+from resistance_trips import RESISTANCE, changed, trip, with_exact_efforts
 
 import analysis
 from analysis.estimates import with_estimates
@@ -98,27 +98,6 @@ def test_any_trip_is_fitted_or_refused(
     assert np.all(np.linalg.eigvalsh(fit.covariance[:3, :3]) > 0.0)
     # What is still far off was left in because the search was given up, never by chance.
     assert np.max(np.abs(fit.residuals.value)) < 5.0 or fit.windows["outlier"] >= 59
-
-
-def test_a_wrong_wheel_diameter_moves_the_curve_as_the_covariance_states() -> None:
-    """Speeds times s: r1 over s, r2 over s², mass over s, where no satellites calibrate."""
-    train = replace(TRAIN, rotating_mass_factor=0.0, axles=replace(TRAIN.axles, rotating_mass=0.0))
-    made = with_exact_efforts(trip(noise=1e-4, train=train))
-    fit = fit_trip(made)
-    assert fit.scale.source == "nothing"
-    speed = made["/train/state"]["speed"]
-    known = []
-    for wrong in (1.0 + fit.scale.std, 1.0 / (1.0 + fit.scale.std)):
-        moved = fit_trip(changed(made, "/train/state", speed=speed * wrong))
-        known.append(np.append(moved.beta, moved.mass))
-    effect = 0.5 * (known[1] - known[0])
-    relative = effect / np.append(fit.beta, fit.mass) / fit.scale.std
-    np.testing.assert_allclose(relative, [0.0, 1.0, 2.0, 1.0], atol=0.02)
-    # Nothing else is uncertain of r2 and mass on this trip.
-    np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance))[2:], np.abs(effect)[2:], rtol=0.05)
-    rest = fit.covariance - np.outer(effect, effect)
-    scale = np.sqrt(np.diag(fit.covariance))
-    assert np.all(np.linalg.eigvalsh(rest / np.outer(scale, scale)) > -0.02)
 
 
 def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[TripFit]) -> None:

@@ -15,8 +15,6 @@ from analysis.resistance import TripFit, TripRefusedError, fit_trip
 from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.recording import REASONS
 from analysis.resistance.regression import (
-    BRAKE_SCALE_STD,
-    DELAY_STD,
     Residuals,
     condition_number,
     diagnosed,
@@ -26,7 +24,7 @@ from analysis.resistance.windows import Windows, build_windows
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import RunningResistance, StepProfile, Survey
-from trainlog.railway.resistance import OVER_MASS_STD, basis
+from trainlog.railway.resistance import basis
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import GRAVITY
 
@@ -83,34 +81,6 @@ def rough(windows: Windows) -> Windows:
     edges = windows.sections.copy()
     edges.data = np.where(edges.data > 0.0, 0.05 / 25.0, 0.0)
     return replace(windows, edges=edges)
-
-
-def test_covariance_is_that_of_generalised_least_squares() -> None:
-    """Written out: full matrices, and what the parameters do to mass and resistance by steps."""
-    made = recording(noise=0.02, seed=5)
-    found = fit_windows(windows := rough(build_windows(made)), 130e3, 20e3)
-    used = windows.select(found.kept)
-    regressors = np.column_stack([used.x, used.effort_change, used.braking])
-    spread = np.array([20e3 / 130e3**2, *OVER_MASS_STD, DELAY_STD / 130e3, BRAKE_SCALE_STD / 130e3])
-    size = np.where(np.any(regressors != 0.0, axis=0), np.linalg.norm(regressors, axis=0), 1.0)
-    precision = (regressors / size).T @ np.linalg.solve(
-        dense(used, found.noise), regressors / size
-    ) + np.diag(1.0 / (spread * size) ** 2)
-    covariance = np.linalg.inv(precision) / np.outer(size, size)
-    theta = np.array([1.0, *found.beta[:3], 0.0, 0.0]) / found.beta[3]
-
-    def physical(at: FloatArray) -> FloatArray:
-        return np.array([*at[1:4], 1.0]) / at[0]
-
-    steps = 1e-5 * np.diag(np.abs(theta) + 1e-12)
-    slopes = np.column_stack(
-        [(physical(theta + step) - physical(theta - step)) / (2.0 * step.sum()) for step in steps]
-    )
-    expected = found.cluster_factor * slopes @ covariance @ slopes.T
-    scale = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        found.covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-3
-    )
 
 
 @settings(max_examples=8)

@@ -139,40 +139,6 @@ def assert_positive_definite(estimator: RecursiveLeastSquares) -> None:
     assert np.all(np.isfinite(diagonal))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"forgetting": 0.9},
-        pytest.param({"forgetting": 0.999}, marks=pytest.mark.long),
-        pytest.param({"random_walk_std": 1e-3 * PRIOR}, marks=pytest.mark.long),
-        {"random_walk_std": [0.1, 0.0, 0.0]},
-        {"forgetting": 0.95, "random_walk_std": 1e-6 * PRIOR},
-    ],
-)
-def test_no_windup_over_a_million_samples_without_excitation(
-    dtype: type, settings: dict[str, object]
-) -> None:
-    """In no direction less certain than the prior; then 20 samples of varied speed suffice."""
-    rng = np.random.default_rng(12)
-    estimator = RecursiveLeastSquares(PRIOR, dtype=dtype, **settings)  # type: ignore[arg-type]
-    rows = np.tile([1.0, 30.0, 900.0], (1_000_000, 1))
-    estimator.update(rows, rows @ TRUE + 0.05 * rng.standard_normal(len(rows)), 0.05**2)
-    result = estimator.result()
-    assert above_the_prior(estimator) < (1e-9 if dtype is np.float64 else 1e-2)
-    assert np.all(np.isfinite(result.estimate))
-    assert not result.valid
-    assert result.excitation < 0.01
-    # What the data do determine is known, the resistance at this one speed.
-    assert abs(rows[0] @ (result.estimate - TRUE)) < 0.2
-    again, values = davis_samples(20, seed=13)
-    estimator.update(again, values, 0.05**2)
-    speeds = np.linspace(5.0, 75.0, 15)
-    curve = np.column_stack([np.ones(15), speeds, speeds**2])
-    np.testing.assert_allclose(curve @ estimator.result().estimate, curve @ TRUE, atol=0.25)
-    assert estimator.result().valid
-
-
 TWO_SPEEDS = np.repeat([20.0, 40.0], 5_000)
 
 

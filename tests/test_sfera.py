@@ -25,7 +25,6 @@ from trainlog.formats.sfera_messages import (
     with_resistance,
     xml_of,
 )
-from trainlog.formats.tracks import LimitChoice
 from trainlog.ingest import ingest
 from trainlog.railway import Line, RunningResistance, Station, StepProfile
 
@@ -248,23 +247,6 @@ def test_times_that_nobody_can_keep_are_no_timetable(tmp_path: Path) -> None:
     assert journey.train is not None
     said = "it asks the train to be at km 4.400 by 210 s, and not to leave a place before until 240"
     assert any(said in each for each in journey.left_out)
-
-
-def test_limits_of_a_category_are_chosen(tmp_path: Path) -> None:
-    (journey,) = read_sfera(folder_with(tmp_path), LimitChoice("R"))
-    assert (3.6 * journey.line.speed_limit([400.0, 1_200.0])).round().tolist() == [60, 120]
-
-
-def test_an_archive_and_a_message_hold_the_same(tmp_path: Path, found: SferaJourney) -> None:
-    wrapped = "".join(DOCUMENTS.values()).replace('<?xml version="1.0" encoding="UTF-8"?>', "")
-    payload = f"<G2B_ReplyPayload>{wrapped}</G2B_ReplyPayload>"
-    message = f"<SFERA_G2B_ReplyMessage>{payload}</SFERA_G2B_ReplyMessage>"
-    with ZipFile(tmp_path / "all.zip", "w") as archive:
-        archive.writestr("message.xml", message)
-    (again,) = read_sfera(tmp_path / "all.zip")
-    assert again.line == found.line
-    assert again.journey == found.journey
-    assert again.train == found.train
 
 
 def test_too_few_characteristics_are_named(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from simulated_line import flirt, hilly_line, level_line, steps
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
 from trainlog.railway import Axles, Brake, EffortCurve, RunningResistance
-from trainlog.railway.adhesion import WET
 from trainlog.simulation.dynamics import CUT, RECOVERING, protect
 from trainlog.simulation.plant import Drive, Plant, PlantState
 from trainlog.units import GRAVITY
@@ -76,21 +75,6 @@ def test_integration_is_of_fourth_order() -> None:
     assert np.all(order < 4.5)
 
 
-def test_effort_and_power_stay_within_their_limits() -> None:
-    train = flirt()
-    plant = Plant.of(level_line(), train, max_power=2.4e6)
-    state = released(plant)
-    rows = columns(plant, plant.advance(state, 1e6, 0.0, 24_000, 5))
-    power = sum(rows[f"wheel_effort_{axle}"] * rows[f"wheel_speed_{axle}"] for axle in range(1, 5))
-    assert rows["tractive_effort"].max() <= train.max_tractive_effort * (1.0 + 1e-12)
-    assert power.max() <= 2.4e6 * (1.0 + 1e-12)
-    assert power[-1] == pytest.approx(2.4e6)
-    rows = columns(plant, plant.advance(state, 0.0, 1e6, 2_000, 5))
-    assert np.all(
-        rows["dynamic_braking_effort"] * rows["speed"] <= 1.02 * train.max_dynamic_braking_power
-    )
-
-
 CURVE = EffortCurve(np.array([0.0, 5.0, 12.0, 25.0]), np.array([190e3, 170e3, 110e3, 60e3]))
 
 
@@ -123,16 +107,6 @@ def test_friction_brake_has_dead_time_and_lag() -> None:
     np.testing.assert_allclose(effort, expected, atol=1.0)
 
 
-@pytest.mark.parametrize("gradient", [0.04, -0.04])
-def test_a_braked_train_stands_on_gradients(gradient: float) -> None:
-    plant = Plant.of(level_line(gradient=gradient), flirt())
-    state = plant.at(1_000.0)
-    rows = columns(plant, plant.advance(state, 0.0, 90e3, 4_000, 10))
-    assert np.all(rows["position"] == 1_000.0)
-    assert np.all(rows["speed"] == 0.0)
-    assert np.all(rows["acceleration"] == 0.0)
-
-
 def test_a_train_never_rolls_back_and_starts_when_it_can() -> None:
     train = flirt()
     plant = Plant.of(level_line(gradient=0.03), train)
@@ -144,33 +118,6 @@ def test_a_train_never_rolls_back_and_starts_when_it_can() -> None:
     assert 0.0 < state.speed < 0.3
     plant.advance(state, 0.0, 0.0, 4_000, 4_000)
     assert state.speed == 0.0
-
-
-def test_a_stop_is_clean() -> None:
-    plant = Plant.of(level_line(), flirt())
-    state = rolling(plant, 0.0, 10.0)
-    rows = columns(plant, plant.advance(state, 0.0, 100e3, 6_000, 1))
-    stopped = int(np.argmax(rows["speed"] == 0.0))
-    assert stopped > 0
-    assert np.all(rows["speed"][stopped:] == 0.0)
-    assert np.ptp(rows["position"][stopped:]) == 0.0
-    assert np.all(np.diff(rows["position"]) >= 0.0)
-    # The wheels come to rest with the train.
-    assert np.abs(state.wheel_speeds).max() < 1e-12
-
-
-def test_slip_only_where_demand_exceeds_adhesion() -> None:
-    train = flirt(max_traction_power=20e6)
-    rail = steps((0.0, 0.28), (400.0, 0.08), (600.0, 0.28))
-    plant = Plant.of(level_line(), train, maximum_adhesion=rail)
-    weight = GRAVITY * train.axles.adhesive_mass
-    for share, expected in ((0.9, False), (1.5, True)):
-        state = rolling(plant, 300.0, 15.0)
-        rows = plant.advance(state, share * 0.08 * weight, 0.0, 4_000, 5)
-        beyond = np.abs(slips(plant, rows)).max(axis=1) > WET.peak_slip + 0.1
-        assert beyond.any() == expected
-        at = columns(plant, rows)["position"][beyond]
-        assert np.all((at >= 400.0) & (at <= 660.0))
 
 
 @pytest.mark.parametrize("braking", [False, True])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 from refusals import refused
 from simulated_line import level_line, steps
 
@@ -15,7 +16,10 @@ from trainlog.cli.main import run as command
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_consist, write_consist, write_line
 from trainlog.formats.samples import sample
-from trainlog.railway.train import Consist
+from trainlog.railway import CurvatureProfile, RunningResistance, Tunnel
+from trainlog.railway.train import Consist, ConsistBrake, Coupler, Vehicle
+from trainlog.simulation.consist import ConsistPlant, ConsistState, Variation
+from trainlog.units import GRAVITY
 
 SHORT = replace(
     level_line(2_400.0),
@@ -85,3 +89,171 @@ def test_the_command_runs_a_file(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_driven_is_refused(consist: Consist, speed: float, words: str) -> None:
     refused(InputError, words, study.run, consist, SHORT, speed=speed)
+
+
+FRICTIONLESS = RunningResistance(0.0, 0.0, 0.0)
+WAGON = Vehicle(
+    "wagon",
+    mass=43_750.0,
+    length=25.0,
+    resistance=RunningResistance(261.0, 4.9, 0.084),
+    rotating_mass=2_000.0,
+    max_tractive_effort=31_250.0,
+    max_braking_effort=40_000.0,
+)
+COUPLER = Coupler(stiffness=10e6, nonlinearity=200.0, damping=200e3)
+
+
+def train(count: int = 8, coupler: Coupler = COUPLER, **changes: object) -> Consist:
+    wagon = replace(WAGON, **changes)  # type: ignore[arg-type]
+    return Consist("train", (wagon,) * count, (coupler,) * (count - 1))
+
+
+def residual(plant: ConsistPlant, state: ConsistState, before: float) -> float:
+    """Energy that is unaccounted for, over all work done."""
+    works = state.works
+    gained = works["traction"] - sum(value for name, value in works.items() if name != "traction")
+    return abs(plant.energy(state) - before - gained) / sum(abs(v) for v in works.values())
+
+
+@settings(max_examples=8)
+@given(
+    count=st.integers(1, 10),
+    nonlinearity=st.sampled_from([-20.0, 0.0, 200.0]),
+    slack=st.sampled_from([0.0, 0.02]),
+    demands=st.lists(
+        st.tuples(st.floats(0.0, 1.0), st.booleans(), st.integers(1, 20)), min_size=3, max_size=8
+    ),
+)
+def test_energy_is_accounted_for(
+    count: int, nonlinearity: float, slack: float, demands: list[tuple[float, bool, int]]
+) -> None:
+    coupler = replace(COUPLER, nonlinearity=nonlinearity, slack=slack)
+    hilly = replace(
+        level_line(20_000.0), gradients=steps((0.0, 0.01), (400.0, -0.015), (900.0, 0.02))
+    )
+    # Slack makes corners in the force, which take shorter steps.
+    step = 0.0005 if slack else 0.002
+    plant = ConsistPlant(train(count, coupler), hilly, step=step)
+    state = plant.at(300.0, 12.0)
+    before = plant.energy(state)
+    for share, pulls, seconds in demands:
+        effort = share * 40_000.0 * count
+        plant.advance(
+            state,
+            min(effort, 31_250.0 * count) if pulls else 0.0,
+            0.0 if pulls else effort,
+            round(seconds / step),
+        )
+    assert residual(plant, state, before) <= 1e-9
+
+
+def test_momentum_is_kept_without_outer_forces() -> None:
+    plant = ConsistPlant(train(8, resistance=FRICTIONLESS), step=0.002)
+    state = plant.at(0.0, 20.0)
+    state.values[8:16] += np.array([0.5, -0.3, 0.2, 0.0, -0.4, 0.3, 0.1, -0.2])
+    before = plant.momentum(state)
+    plant.advance(state, 0.0, 0.0, 50_000)
+    assert plant.momentum(state) == pytest.approx(before, rel=1e-12)
+    # The damping has brought the vehicles to a common speed.
+    assert np.ptp(state.speeds) < 1e-6
+
+
+def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
+    slope = 0.02
+    climbing = replace(level_line(5_000.0), gradients=steps((0.0, slope)))
+    consist = train(6, resistance=FRICTIONLESS, rotating_mass=0.0, max_tractive_effort=1e6)
+    plant = ConsistPlant(consist, climbing, step=0.002)
+    weight = GRAVITY * WAGON.mass * slope / np.hypot(1.0, slope)
+    state = plant.at(1_000.0, 10.0)
+    plant.advance(state, [6.0 * weight, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0, 60_000)
+    assert plant.coupler_forces(state) == pytest.approx(weight * np.arange(5, 0, -1), rel=1e-6)
+    assert state.speeds == pytest.approx(10.0, abs=1e-3)
+
+
+def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
+    length, radius = 800.0, 400.0
+    bent = replace(
+        level_line(5_000.0),
+        curvatures=CurvatureProfile(
+            np.array([0.0]), np.array([1.0 / radius]), np.array([1.0 / radius])
+        ),
+        tunnels=(Tunnel(1_000.0, length, 40.0),),
+    )
+    plant = ConsistPlant(train(1, resistance=FRICTIONLESS), bent, step=0.001)
+    for position, expected in ((500.0, 0.6 / radius), (1_200.0, 0.6 / radius + 1.3e-7 * length)):
+        state = plant.at(position, 10.0)
+        before = plant.momentum(state)
+        plant.advance(state, 0.0, 0.0, 10)
+        force = (before - plant.momentum(state)) / 0.01
+        assert force == pytest.approx(GRAVITY * WAGON.mass * expected, rel=1e-9)
+
+
+def test_the_brake_answers_after_its_dead_time_with_its_lag() -> None:
+    plant = ConsistPlant(replace(train(1), brake=ConsistBrake(0.6, 0.4)), step=0.01)
+    state = plant.at(0.0, 30.0)
+    efforts = []
+    for _ in range(300):
+        plant.advance(state, 0.0, 40_000.0, 1)
+        efforts.append(float(state.braking_effort[0]))
+    time = 0.01 * np.arange(1, 301)
+    expected = 40_000.0 * (1.0 - np.exp(-np.maximum(time - 0.6, 0.0) / 0.4))
+    np.testing.assert_allclose(efforts, expected, atol=1e-6)
+
+
+def test_the_demand_travels_along_the_train_pipe() -> None:
+    """Each brake begins when the demand has come to the middle of its vehicle."""
+    consist = replace(train(8), brake=ConsistBrake(0.6, 0.4, 250.0))
+    plant = ConsistPlant(consist, step=0.005)
+    state = plant.at(0.0, 30.0)
+    begins = np.full(8, np.nan)
+    for k in range(400):
+        plant.advance(state, 0.0, 320_000.0, 1)
+        begins[np.isnan(begins) & (state.braking_effort > 0.0)] = 0.005 * k
+    np.testing.assert_allclose(begins, 0.6 + consist.middles / 250.0, atol=0.0026)
+    # Meanwhile the rear runs up on the front, which brakes already.
+    plant = ConsistPlant(replace(consist, brake=ConsistBrake(0.6, 0.4, 50.0)), step=0.005)
+    state = plant.at(0.0, 30.0)
+    plant.advance(state, 0.0, 320_000.0, 500)
+    assert np.all(plant.coupler_forces(state) < -1e3)
+
+
+def test_the_resistance_swings_as_named() -> None:
+    vehicle = replace(WAGON, resistance=RunningResistance(10_000.0, 0.0, 0.0))
+    plant = ConsistPlant(
+        Consist("one", (vehicle,)), variation=Variation((0.5, 0.0, 0.0), 0.1), step=0.01
+    )
+    state = plant.at(0.0, 40.0)
+    plant.advance(state, 0.0, 0.0, 3_000)
+    lost = 10_000.0 * (30.0 + 0.5 * (1.0 - np.cos(3.0)) / 0.1) / vehicle.inertia
+    assert state.speeds[0] == pytest.approx(40.0 - lost, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: replace(WAGON, mass=-1.0), "mass: -0.001 t is not positive"),
+        (lambda: Coupler(0.0), "stiffness: 0 MN/m is not positive"),
+        (lambda: replace(COUPLER, slack=-0.1), "slack: -100 mm is negative"),
+        (lambda: Consist("x", (WAGON, WAGON)), "2 vehicles need 1 couplers, given are 0"),
+        (lambda: Consist("x", ()), "at least one vehicle"),
+        (lambda: ConsistPlant(train(), step=0.1), "too coarse for the couplers.*at most"),
+        (lambda: ConsistPlant(train(1), step=0.0), "is not positive"),
+        (lambda: ConsistPlant(train()).at(-1.0), "cannot start at km -0.001"),
+        (
+            lambda: replace(level_line(1_000.0), tunnels=(Tunnel(900.0, 200.0, 40.0),)),
+            "tunnel at km 0.900 leaves the line",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(make: object, words: str) -> None:
+    refused(InputError, words, make)
+
+
+def test_a_softening_coupler_is_refused_beyond_its_validity() -> None:
+    soft = replace(COUPLER, stiffness=1e6, nonlinearity=-200.0)
+    assert soft.largest_stretch == pytest.approx((1.0 / np.sqrt(600.0),) * 2)
+    plant = ConsistPlant(train(3, soft, max_tractive_effort=200e3), step=0.002)
+    state = plant.at()
+    with pytest.raises(InputError, match=r"coupler 1 .* valid to 41 mm"):
+        plant.advance(state, [200e3, 0.0, 0.0], 0.0, 10_000)

@@ -128,16 +128,8 @@ def test_the_page_has_the_tables_that_the_study_prints(
     check_page(name, tmp_path, request)
 
 
-@pytest.mark.parametrize(
-    ("name", "speed"),
-    [
-        pytest.param("freight_24_wagons", 80.0, marks=pytest.mark.long),
-        pytest.param("passenger_8_coaches", 120.0, marks=pytest.mark.long),
-        ("multiple_unit_8_cars", 120.0),
-    ],
-)
-def test_the_page_has_the_forces_of_the_sample_consists(name: str, speed: float) -> None:
-    consist = read_consist(sample(f"{name}.consist.json"))
+def test_the_page_has_the_forces_of_a_sample_consist() -> None:
+    consist, speed = read_consist(sample("multiple_unit_8_cars.consist.json")), 120.0
     found = run(consist, crest_and_sag(), speed=speed / KMH)
     emergency = found.forces[found.phase("emergency braking")]
     forces = (found.forces.max(), -found.forces.min(), max(-emergency.min(), 0.0))

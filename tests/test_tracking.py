@@ -145,17 +145,7 @@ def test_on_time_the_published_controller_stays_within_a_metre(plan: Reference) 
     assert np.abs(errors).max() < 1.0
 
 
-@pytest.mark.parametrize(
-    ("delay", "mass"),
-    [
-        (0.0, HEAVY),
-        (70.0, LIGHT),
-        *(
-            pytest.param(*each, marks=pytest.mark.long)
-            for each in ((0.0, LIGHT), (30.0, LIGHT), (30.0, HEAVY), (70.0, HEAVY))
-        ),
-    ],
-)
+@pytest.mark.parametrize(("delay", "mass"), [(0.0, HEAVY), (70.0, LIGHT)])
 def test_the_products_controller_keeps_every_constraint_on_time_and_late(
     plan: Reference, mass: float, delay: float
 ) -> None:

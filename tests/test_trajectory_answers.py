@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from trajectory_cases import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed, optimised
+from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
 from analysis.trajectory.instructions import Phase, phases_of
 from trainlog.railway import RunningResistance, Train, Trajectory
@@ -83,19 +83,6 @@ def test_phases_come_in_the_order_of_the_textbook(reference: Trajectory) -> None
         Phase.COASTING,
         Phase.MAXIMUM_BRAKING,
     ]
-
-
-def test_steady_running_where_nothing_else_is_possible() -> None:
-    """The limit is the mean speed, so the train has to hold it: resistance times distance."""
-    speed, length = 25.0, 20_000.0
-    found = optimised(
-        level_line(length, (0.0, speed * KMH)), VIRM6, observed(VIRM6, 1.0),
-        running_time=(1.0 + 1e-6) * length / speed, initial_speed=speed, final_speed=speed,
-        cells=200,
-    )  # fmt: skip
-    steady = float(VIRM6.resistance(speed)) * length
-    assert found.certificate["energy"] == pytest.approx(steady, rel=5e-3)
-    assert found.speeds[0] == pytest.approx(speed, rel=2e-3)
 
 
 def test_more_configurations_never_cost_less() -> None:

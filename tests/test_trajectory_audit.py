@@ -6,83 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from trajectory_cases import (
     FLIRT,
     KMH,
-    hilly_line,
     level_line,
-    observed,
-    optimised,
     slippery,
     steps,
 )
 
-from analysis.trajectory.audit import Audit, _in_table, _table, audit
+from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.discretisation import inside
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.arrays import FloatArray
 from trainlog.railway import (
     Configuration,
-    EffortCurve,
     Line,
     RunningResistance,
     TimingPoint,
     Train,
-    Trajectory,
 )
 from trainlog.units import GRAVITY
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
-
-
-@pytest.fixture(scope="module")
-def hilly() -> Trajectory:
-    return optimised(hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), reserve=0.1, cells=200)
-
-
-def test_audit_passes_the_optimiser_s_answer_and_agrees_with_an_integrator_in_time(
-    hilly: Trajectory,
-) -> None:
-    """An adaptive integrator in time, forces from the line itself, cell by cell."""
-    line, row = hilly_line(), 2
-    run = TrajectoryProblem(line, FLIRT, hilly.configurations)
-    own = audit(
-        run, hilly.positions, hilly.tractive_effort, 0.5 * hilly.tractive_effort_fall,
-        hilly.braking_effort,
-    )  # fmt: skip
-    assert own.failures(run, hilly.running_time) == []
-    # Slightly early is allowed, late is not.
-    assert -5e-3 <= own.arrival.max() - hilly.running_time <= 1e-4
-    configuration = hilly.configurations[row]
-
-    def motion(_t: float, state: FloatArray, cell: int, low: float, high: float) -> list[float]:
-        position, speed = state
-        inside = np.array([np.clip(position, low, high)])
-        effort = hilly.tractive_effort_at(inside) - hilly.braking_effort[row, cell]
-        drag = configuration.resistance(speed) + configuration.mass * line.track_acceleration(
-            inside
-        )
-        tunnel = FLIRT.tunnel_coefficient(line.tunnel_cross_section(inside))
-        return [speed, float((effort - drag - tunnel * speed**2)[0] / configuration.inertia)]
-
-    time, speed = 0.0, 0.0
-    for k in range(hilly.positions.size - 5):
-        start, end = hilly.positions[k], hilly.positions[k + 1]
-
-        def at_end(_t: float, state: FloatArray, *_: float, goal: float = end) -> float:
-            return float(state[0] - goal)
-
-        at_end.terminal = True  # type: ignore[attr-defined]
-        found = solve_ivp(
-            motion, (0.0, 200.0), [start, speed], events=at_end, rtol=1e-10, atol=1e-10,
-            args=(k, start + 1e-9, end - 1e-9),
-        )  # fmt: skip
-        time += float(found.t_events[0][0])
-        speed = float(found.y_events[0][0][1])
-        # The square: what braking from 20 m/s adds up does not grow towards the stop.
-        assert speed**2 / 2 == pytest.approx(hilly.speeds[row, k + 1] ** 2 / 2, abs=5e-5)
-    assert time == pytest.approx(hilly.times[row, -5], abs=1e-4)
 
 
 TRACTION, BRAKING = 50_000.0, 25_000.0
@@ -152,15 +96,6 @@ def test_a_train_whose_effort_just_balances_its_resistance_does_not_start() -> N
     found = audit(run, positions, np.full(80, 2_000.0), none, none[None])
     assert found.shortfall[0] == pytest.approx(2_000.0)
     assert any("stops short" in each for each in found.failures(run, 1e6))
-
-
-def test_an_effort_of_a_table_is_that_of_the_curve() -> None:
-    """Between all of its rows, in the first of them as in the last, and beyond."""
-    curve = EffortCurve(np.array([0.0, 4.0, 9.0, 20.0]), np.array([9e4, 8e4, 3e4, 2e4]))
-    for speed in (0.5, 3.9, 4.0, 6.0, 12.0, 20.0, 31.0):
-        known = np.interp(speed, curve.speeds, curve.efforts) * min(1.0, 20.0 / speed)
-        assert _in_table(speed, curve.speeds, curve.efforts) == pytest.approx(known)
-    assert _in_table(0.7, *_table(None)) == np.inf
 
 
 def test_energy_that_the_dynamic_brake_cannot_take_is_not_fed_back() -> None:

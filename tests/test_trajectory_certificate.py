@@ -78,15 +78,15 @@ def solved(case: str) -> tuple[Any, ...]:
     rows = list(answer.active)
     own = closer(run, fastest, tuple(rows))
     fine = optimised(
-        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), cells=600, running_time=time,
+        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), cells=400, running_time=time,
         tolerance=np.inf, **question,
     ).certificate["energy"]  # fmt: skip
     return answer, answer.problem.select(rows), own, time, fine / problem.reference
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(
-    st.sampled_from(("wheel", "line", "expected", "timed wheel", "tight line")),
+    st.sampled_from(("wheel", "line", "timed wheel", "tight line")),
     st.integers(0, 2**31),
     st.sampled_from([1e-4, 1e-2, 0.3, 3.0]),
 )

@@ -113,7 +113,7 @@ ASKED = (hilly_line(), FLIRT, drawn(FLIRT, 2, seed=3))
 
 @cache
 def with_stops(objective: str) -> JourneyPlan:
-    options = {"dwell": 30.0, "reserve": 0.12, "cells": 60, "objective": objective}
+    options = {"dwell": 30.0, "reserve": 0.12, "cells": 40, "objective": objective}
     return optimised_journey(*ASKED, STOPS, **options)  # type: ignore[arg-type]
 
 
@@ -147,7 +147,7 @@ def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_section
     plan = with_stops("line")
     certificate, times = plan.certificate, plan.arrivals - plan.departures
     apart = [
-        optimised(*ASKED, start=start, end=end, running_time=time, cells=60, objective="line")
+        optimised(*ASKED, start=start, end=end, running_time=time, cells=40, objective="line")
         for (start, end), time in zip(((0.0, 5e3), (5e3, 8e3)), times.tolist(), strict=True)
     ]
     together = sum(np.array(each.certificate["line_energy"]) for each in apart)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -125,17 +124,6 @@ def test_seven_hours_are_kept_to_the_millisecond() -> None:
     problem = TrajectoryProblem(line, FLIRT, observed(FLIRT, 1.0), reserve=0.0)
     found = answered(problem)
     assert found.running_time > 24_000.0
-    assert found.certificate["gap"] < 5e-3
-
-
-@pytest.mark.parametrize(("objective", "length"), [("wheel", 1_200.0), ("line", 8_000.0)])
-def test_least_time_runs_are_close_to_their_bound(objective: Any, length: float) -> None:
-    line = replace(level_line(length, (0, 80), (0.7 * length, 50)), gradients=steps((0.0, 0.01)))
-    problem = TrajectoryProblem(line, FLIRT, observed(FLIRT, 1.0), reserve=0.0, objective=objective)
-    found = answered(problem, 250)
-    assert found.running_time == pytest.approx(
-        least_time(problem, problem.configurations[0]), rel=3e-4
-    )
     assert found.certificate["gap"] < 5e-3
 
 

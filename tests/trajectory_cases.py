@@ -1,6 +1,6 @@
-"""Lines and trains for the tests of the trajectories: nothing read from disk.
+"""Lines and trains for the tests of the trajectories.
 
-The VIRM6, the FLIRT and the level line restate facts of TTOBench v1.5 (BSD-2-Clause).
+The VIRM6 and the level line restate facts of TTOBench v1.5 (BSD-2-Clause).
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from analysis.studies.cunillera_2022.model import TRAIN
 from analysis.trajectory.journey import JourneyPlan, optimise_journey
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
+from trainlog.formats.railway import read_train
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.railway import (
     Axles,
     Configuration,
@@ -35,24 +37,7 @@ from trainlog.units import KMH
 
 VIRM6 = replace(TRAIN, efficiency_traction=0.875, efficiency_regeneration=0.7)
 
-FLIRT = Train(
-    name="CH_Stadler_FLIRT_TPF",
-    mass=122_000.0,
-    rotating_mass_factor=0.1,
-    resistance=RunningResistance(2_378.88, 61.13394, 12.0870144),
-    max_tractive_effort=200_000.0,
-    max_traction_power=2_600_000.0,
-    max_dynamic_braking_effort=200_000.0,
-    max_dynamic_braking_power=2_600_000.0,
-    max_pneumatic_braking_effort=1_220_000.0,
-    max_speed=160.0 / KMH,
-    max_acceleration=1.1,
-    max_deceleration=1.1,
-    efficiency_traction=0.9,
-    efficiency_regeneration=0.9,
-    length=58.6,
-    tunnel_resistance=((24.0, 15.160608), (40.0, 7.230384)),
-)
+FLIRT = read_train(sample(DEFAULT_TRAIN))
 
 FREIGHT = replace(
     FLIRT,

@@ -47,8 +47,7 @@ NEAREST = {
     "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_export",
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
-    "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
-    " trajectory_random",
+    "analysis/trajectory/bound.py": "trajectory_answers trajectory_certificate trajectory_random",
     "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest live",
 }
 """Modules, and the tests that a fault in them should fail, the quickest first."""
@@ -62,7 +61,7 @@ WIDER = {
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
     "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",
     "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
-    "analysis/trajectory/bound.py": "trajectory_answers trajectory_curves trajectory_limits",
+    "analysis/trajectory/bound.py": "trajectory_curves trajectory_limits",
     "trainlog/ingest/clock.py": "ingest_recorders ingest_formats golden",
 }
 
