@@ -87,19 +87,6 @@ class TestSlipDetector:
         found = SlipDetector(1, 0.05).update(slip)[:, 0]
         assert found.tolist() == [False] * 4 + [True, True, True, False, False]
 
-    def test_is_valid_while_every_axle_is_seen(self) -> None:
-        detector = SlipDetector(2, 0.1)
-        detector.update([0.0, 0.2])
-        assert not detector.result().valid
-        detector.update([0.1, 0.2])
-        result = detector.result()
-        assert result.valid
-        assert result.estimate.tolist() == [0.1, 0.2]
-        np.testing.assert_allclose(result.covariance, 0.01 * np.eye(2))
-        detector.update([np.nan, 0.2])
-        assert not detector.result().valid
-        assert detector.result().excitation == 0.0
-
     def test_refuses_what_is_no_detector(self) -> None:
         refused(InputError, "needs axles", SlipDetector, 0, 0.1)
         refused(InputError, r"shape \(samples, 2\)", SlipDetector(2, 0.1).update, np.zeros((5, 3)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,14 +89,6 @@ def test_polach_with_the_published_parameters(condition: str, speed: float) -> N
     assert curve.maximum(speed) == pytest.approx(-best.fun, rel=1e-9)
     assert curve.optimal_creepage(speed) == pytest.approx(best.x, rel=1e-3)
     assert curve.optimal_slip_speed(speed) == pytest.approx(best.x * speed, rel=1e-3)
-
-
-def test_polach_is_kalkers_theory_at_little_creepage_and_coulombs_law_at_much() -> None:
-    clean = PolachCurve(stiffness=231.0, adhesion_factor=1.0, slip_factor=1.0, friction=0.33)
-    assert clean.slope(0.0, 10.0) * 10.0 == pytest.approx(231.0, rel=1e-3)
-    assert clean.over_creepage(1.0, 10.0) == pytest.approx(0.33, rel=1e-2)
-    reduced = replace(clean, adhesion_factor=0.3, slip_factor=0.1)
-    assert reduced.slope(0.0, 10.0) * 10.0 == pytest.approx(231.0 * 0.2, rel=1e-3)
 
 
 def test_a_double_exponential_over_creepage_peaks_at_its_slip_speed() -> None:

@@ -16,7 +16,6 @@ from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts,
 from analysis.resistance.recording import REASONS
 from analysis.resistance.regression import (
     Residuals,
-    condition_number,
     diagnosed,
     fit_windows,
 )
@@ -216,16 +215,6 @@ def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name: s
             assert abs(found.tunnels[0] - 1.0) < 0.7
             assert found.tunnels[1] == pytest.approx(std, rel=0.1)
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), z
-
-
-@pytest.mark.parametrize("alike", [0.0, 0.6, -0.8])
-def test_condition_number_of_columns_at_an_angle(alike: float) -> None:
-    across = np.sqrt(1.0 - alike**2)
-    x = np.array([[1.0, alike, 0.0], [0.0, across, 0.0], [0.0, 0.0, 1.0]]) * [2.0, 30.0, 0.1]
-    expected = np.sqrt((1.0 + abs(alike)) / (1.0 - abs(alike)))
-    assert condition_number(x) == pytest.approx(expected)
-    assert condition_number(x[:, [0, 1, 0]]) > 1e12
-    assert condition_number(x * [1.0, 0.0, 1.0]) == np.inf
 
 
 def test_what_the_survey_brings_in_is_what_its_errors_do() -> None:

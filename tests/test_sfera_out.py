@@ -99,8 +99,7 @@ def test_a_line_as_a_journey_comes_back_as_the_line(wil: Path) -> None:
         assert checked(data).tag, name
 
 
-@pytest.mark.parametrize("apart", [0.0, 25.0])
-@pytest.mark.parametrize("number", [3, 8])
+@pytest.mark.parametrize(("number", "apart"), [(3, 25.0), (8, 0.0)])
 def test_advice_keeps_to_limits_and_changes_seldom(
     number: int, apart: float, tmp_path: Path
 ) -> None:

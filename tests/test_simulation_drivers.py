@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 
@@ -14,11 +13,10 @@ from simulated_line import flirt, hilly_line, level_line, steps
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway.motion import timetable_run
-from trainlog.simulation import Run, Scenario, draw_scenarios, drive, sensors as measuring, simulate
+from trainlog.simulation import Run, Scenario, draw_scenarios, drive, sensors as measuring
 from trainlog.simulation.drivers import Habits, Stop, TimetableDriver, plan
 from trainlog.simulation.rail import base_map
 from trainlog.simulation.sensors import Sensors
-from trainlog.trip import Trip
 from trainlog.units import EARTH_RADIUS, NANOSECONDS
 
 
@@ -148,11 +146,6 @@ def drawn() -> tuple[Scenario, ...]:
     return tuple(draw_scenarios(hilly_line(), flirt(), count=12, seed=1))
 
 
-@cache
-def trips() -> tuple[Trip, ...]:
-    return tuple(simulate(scenario) for scenario in drawn()[:4])
-
-
 def test_scenarios_vary_as_they_should() -> None:
     scenarios = drawn()
     assert [s.direction for s in scenarios] == ["forward", "reverse"] * 6
@@ -185,30 +178,6 @@ def test_slippery_places_stay_from_trip_to_trip() -> None:
             assert np.std(np.log(met / layer)) < 0.25
             assert np.mean(met[spots] < 1.2 * low) > 0.95
     assert not np.array_equal(base_map(line, "wet", 1), base_map(line, "wet", 2))
-
-
-def test_truth_is_attached() -> None:
-    for scenario, trip in zip(drawn(), trips(), strict=False):
-        truth = json.loads(trip.attachments["scenario.json"])
-        assert truth["mass"] == scenario.mass
-        assert (truth["r0"], truth["r1"], truth["r2"]) == (
-            scenario.resistance.r0,
-            scenario.resistance.r1,
-            scenario.resistance.r2,
-        )
-        frame = trip["/truth"]
-        profile = truth["maximum_adhesion"]
-        position = frame.position
-        if scenario.direction == "reverse":
-            position = scenario.line.length - position
-        bins = np.searchsorted(profile["positions"], position, side="right") - 1
-        # Bin edges belong to the bin ahead of the train.
-        same = np.array(profile["values"])[bins] == frame.maximum_adhesion
-        assert np.mean(same) > 0.999
-        expected = scenario.resistance(frame.speed)
-        np.testing.assert_allclose(
-            frame.running_resistance, np.where(frame.speed > 0.0, expected, 0.0)
-        )
 
 
 def test_bad_wishes_are_refused() -> None:

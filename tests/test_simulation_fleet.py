@@ -88,19 +88,6 @@ def test_lines_are_plausible_and_their_curves_are_those_of_their_geometry(
         assert np.max(np.abs(turned - points)) < 1.5
 
 
-def test_wheels_wear_between_readings_and_are_set_right_over_the_months() -> None:
-    train = draw_trains(1, seed=2)[0]
-    start = pd.Timestamp("2026-10-01T06:00Z").value
-    factors = np.array([train.at(start + day * DAY).wheel_factors[0] for day in range(400)])
-    steps = np.diff(factors)
-    # It grows by wear, day by day, and is corrected at readings.
-    assert np.mean(steps > 0.0) > 0.97
-    assert np.any(steps < -1e-4)
-    assert np.all(np.abs(factors - 1.0) < 6e-3)
-    drag = np.array([train.at(start + day * DAY).resistance(25.0) for day in range(400)])
-    assert 0.005 < np.ptp(drag) / drag.mean() < 0.08
-
-
 def test_trains_start_where_they_ended_and_run_in_both_directions(fleet: Fleet) -> None:
     last: dict[str, str] = {}
     ended: dict[str, int] = {}

@@ -17,7 +17,7 @@ from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.estimates import estimate_log
 from estimators.slip import SlipDetector
 from trainlog.arrays import FloatArray
-from trainlog.errors import InputError, LogError
+from trainlog.errors import LogError
 from trainlog.formats.railway import train_to_bytes
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Axles, Train
@@ -603,18 +603,3 @@ class TestAnalysis:
         assert np.sqrt(np.mean(error**2)) > 1.2 * np.sqrt(np.mean(best**2))
         assert np.median(np.sqrt(whole**2 - std**2)) > 0.02
         assert np.mean(np.abs(error) < 1.96 * whole) > 0.97
-
-
-class TestFile:
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
-            ({"wheelbase": 0.0}, "wheelbase"),
-            ({"link_height": -0.1}, "link_height"),
-            ({"axles_per_bogie": 1}, "axles_per_bogie: 1 is less than 2"),
-            ({"powered_bogies": 3}, "powered_bogies: 3 is not 1 or 2"),
-            ({"pivot_distance": np.nan}, "pivot_distance"),
-        ],
-    )
-    def test_impossible_geometry_is_refused(self, change: dict[str, float], words: str) -> None:
-        refused(InputError, words, replace, GEOMETRY, **change)

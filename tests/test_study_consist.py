@@ -171,6 +171,17 @@ def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
     assert state.speeds == pytest.approx(10.0, abs=1e-3)
 
 
+def test_the_track_acts_under_each_vehicle() -> None:
+    """Only the vehicles that have passed the edge climb."""
+    edge = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (1_000.0, 0.02)))
+    plant = ConsistPlant(train(8, resistance=FRICTIONLESS), edge, step=0.001)
+    state = plant.at(1_099.95, 10.0)  # four of eight are beyond km 1.0 on average
+    before = plant.momentum(state)
+    plant.advance(state, 0.0, 0.0, 10)
+    pull = (before - plant.momentum(state)) / 0.01
+    assert pull == pytest.approx(4 * GRAVITY * WAGON.mass * 0.02 / np.hypot(1.0, 0.02), rel=1e-6)
+
+
 def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
     length, radius = 800.0, 400.0
     bent = replace(

@@ -76,29 +76,6 @@ def test_in_every_scenario_constraints_and_stops_are_kept_and_only_without_the_m
     assert blind.worst[1] > 0.0
 
 
-def test_on_good_track_the_product_is_half_a_second_off_at_most(
-    outcomes: dict[tuple[str, float], study.Outcome],
-) -> None:
-    """Its controller spreads the time that is left over the way that is left."""
-    for mass in MASSES:
-        found = outcomes["good track", mass].informed
-        assert np.abs(found.position_error / np.maximum(found.speed, 10.0)).max() <= 0.5
-        assert np.abs(found.speed_error).max() < 3.0
-
-
-def test_nobody_could_be_much_nearer_to_the_reference_where_the_rail_forbids_it(
-    outcomes: dict[tuple[str, float], study.Outcome],
-) -> None:
-    for each in outcomes.values():
-        reached = float(np.abs(each.informed.position_error).max())
-        assert each.deviation.max() <= reached
-        if each.scenario.delay > 0.0:
-            assert each.deviation.max() > 0.9 * reached
-        elif each.scenario.weather == "good":
-            # Of the steps by which both runs are integrated: a thousandth of what is reached.
-            assert each.deviation.max() < 1e-2 < 1e-2 * reached
-
-
 def test_the_second_day_beats_the_first_in_slip_and_is_punctual(
     days: list[Day],
 ) -> None:

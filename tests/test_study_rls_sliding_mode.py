@@ -24,11 +24,6 @@ def runs() -> Runs:
     return Runs()
 
 
-@pytest.fixture(scope="module")
-def every_wagon_pulls() -> study.Run:
-    return study.run(BY_NAME["scalar"], train=study.eight_wagons())
-
-
 def test_the_scalar_estimator_reaches_the_published_figures(runs: dict[str, study.Run]) -> None:
     position, speed, stop = runs["scalar"].figures
     assert 0.78 <= position <= 0.84
@@ -44,14 +39,6 @@ def test_additional_resistance_by_hand_and_by_the_product() -> None:
     way = study.line(curved_tunnel=True).gradients
     assert way(31e3) - study.line().gradients(31e3) == pytest.approx(0.00189)
     assert way(34e3) == study.line().gradients(34e3)
-
-
-def test_the_slope_acts_from_the_front_to_the_rear(every_wagon_pulls: study.Run) -> None:
-    run = every_wagon_pulls
-    halfway = int(np.argmin(np.abs(run.position - 42_100.0)))
-    share = (run.position[halfway] - 42_000.0) / 200.0
-    expected = study.MASS * 9.81 * (share * 0.020 - (1.0 - share) * 0.007)
-    assert run.slope_force[halfway] == pytest.approx(expected, rel=2e-3)
 
 
 def test_on_the_sliding_surface_the_error_decays_as_designed() -> None:

@@ -113,17 +113,6 @@ def test_robustness_costs_little_and_saves_the_timetable(answers: dict[str, Traj
     assert robust.speeds[:, -1].max() <= LEVEL.final_speed + 1e-5
 
 
-def test_who_coasts_too_long_comes_to_a_stand_and_is_located() -> None:
-    line = LEVEL.line
-    weak = study.configurations({"easy": ((1.0, 1.0, 1.0), 1.0), "stuck": ((6.0, 1.0, 1.0), 1.0)})
-    found = study.solved(LEVEL, weak[:1], "common", cells=120)
-    driven = study.driven(LEVEL, found, weak)
-    assert driven.stands[0] == np.inf
-    assert 0.0 < driven.stands[1] < line.length
-    assert driven.speeds[1, -1] == 0.0
-    assert driven.times[1, -1] == np.inf
-
-
 @pytest.mark.long
 def test_the_page_has_the_tables_that_the_study_prints(
     ran: Ran, request: pytest.FixtureRequest

@@ -139,12 +139,6 @@ def test_the_solver_finds_what_another_solver_finds(seed: int) -> None:
     np.testing.assert_allclose(change, x.value, atol=5e-3)
 
 
-def test_on_time_the_published_controller_stays_within_a_metre(plan: Reference) -> None:
-    rows = driven(plan, PublishedController(plan), NOMINAL_MASS)
-    errors = rows[:, 1] - [plan.at(float(now))[0] for now in rows[:, 0]]
-    assert np.abs(errors).max() < 1.0
-
-
 @pytest.mark.parametrize(("delay", "mass"), [(0.0, HEAVY), (70.0, LIGHT)])
 def test_the_products_controller_keeps_every_constraint_on_time_and_late(
     plan: Reference, mass: float, delay: float

@@ -174,13 +174,6 @@ def test_no_plan_in_time_is_below_the_least_speeds() -> None:
     assert np.all(speeds >= lowest)
 
 
-def test_long_ways_at_walking_pace_are_bounded() -> None:
-    """Kilometres at 5 km/h, where the train is at its fastest all the time, are no stopping."""
-    line = level_line(5_000.0, (0.0, 60.0), (2_000.0, 5.0))
-    found = optimised(line, FLIRT, observed(FLIRT, 1.0), reserve=0.07, cells=200)
-    assert 0.0 <= found.certificate["gap"] <= 5e-4
-
-
 def test_a_run_in_its_least_time_has_cells_until_it_is_certified() -> None:
     """A second is worth a hundred times what it usually is, and so is a change of control."""
     run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.0)

@@ -51,20 +51,6 @@ def test_cells_of_a_kilometre_do_not_add_up_to_a_train_that_never_stops() -> Non
     answered(replace(problem, configurations=problem.configurations[1:]))
 
 
-@pytest.mark.usefixtures("unrenewed")
-def test_the_judge_sees_what_is_wrong() -> None:
-    """Less traction: late or short; a little more: too fast; another energy: named."""
-    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), end=4_000.0, reserve=0.1)
-    found = answered(problem, 60)
-    for factor, words in ((0.99, "short|late"), (1.01, "over|past")):
-        other = replace(found, tractive_effort=factor * found.tractive_effort)
-        faults = driven(problem, other).faults(problem, other)
-        assert any(word in fault for fault in faults for word in words.split("|"))
-    energy = found.certificate | {"energy": 1.002 * found.certificate["energy"]}
-    wrong = replace(found, certificate=energy)
-    assert driven(problem, wrong).faults(problem, wrong) == ["energy wrong by 0.002"]
-
-
 def test_no_linear_resistance_and_much_time() -> None:
     """Where a train all but stands on the way, no time of its is infinite times no resistance."""
     train = replace(FLIRT, resistance=RunningResistance(9_000.0, 0.0, 12.0))
