@@ -263,7 +263,8 @@ LINE = hilly_line()
 
 
 @cache
-def plan_of(train: Train, reserve: float = 0.1) -> Trajectory:
+def plan_of(name: str, reserve: float = 0.1) -> Trajectory:
+    train = TRAINS[name]
     configurations = [*observed(train, 0.85, 1.15), *drawn(train, 1, seed=3)]
     return optimised(LINE, train, configurations, reserve=reserve, cells=100)
 
@@ -275,11 +276,11 @@ def outcomes(plan: Trajectory, train: Train, attention: Attention, seed: int = 1
     return np.array([outcome(each, drive(each))[:4] for each in scenarios])
 
 
-@pytest.mark.parametrize(("train", "reserve"), [(FLIRT, 0.1), (FREIGHT, 0.3)])
-def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train: Train, reserve: float) -> None:
+@pytest.mark.parametrize(("train", "reserve"), [("flirt", 0.1), ("freight", 0.3)])
+def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train: str, reserve: float) -> None:
     """With brakes that take their time, which the plan does not know."""
     plan = plan_of(train, reserve)
-    late, energy, over, stop = outcomes(plan, train, EXACT).T
+    late, energy, over, stop = outcomes(plan, TRAINS[train], EXACT).T
     assert np.all(over < 2.0 / KMH)
     assert np.all(late < 0.1 * plan.running_time)  # freight slips at its start
     assert np.all(np.abs(stop) < 0.3)
@@ -287,7 +288,7 @@ def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train: Train, reserv
 
 
 def test_a_person_is_further_off_than_who_obeys_to_the_letter() -> None:
-    plan = plan_of(FLIRT)
+    plan = plan_of("flirt")
     exact = outcomes(plan, FLIRT, EXACT)
     persons = [outcomes(plan, FLIRT, Attention(), seed) for seed in range(2)]
     late, _, over, stop = np.concatenate(persons).T
@@ -299,7 +300,7 @@ def test_a_person_is_further_off_than_who_obeys_to_the_letter() -> None:
 
 def test_a_trip_is_compared_with_its_advice() -> None:
     """Energies of the trip, of the plan and of the advice stand in one table."""
-    plan = plan_of(FLIRT)
+    plan = plan_of("flirt")
     trip = obeyed_trip(plan, LINE, FLIRT)
     found = compare(trip, plan)
     (direction,) = found.directions
@@ -313,7 +314,7 @@ def test_a_trip_is_compared_with_its_advice() -> None:
     assert direction.trips[0].within_advice > 0.6
     # A log that holds no advice is compared with the speeds of the plan, here of another one.
     bare = replace(trip, topics={n: f for n, f in trip.topics.items() if n != "/reference"})
-    other = compare(bare, plan_of(FLIRT, 0.5)).directions[0].trips[0]
+    other = compare(bare, plan_of("flirt", 0.5)).directions[0].trips[0]
     assert other.within_advice < 0.5 * direction.trips[0].within_advice
     # Where a plan gives no advice the rest is compared.
     nameless = compare(trip, replace(plan, certificate={}))
