@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from refusals import refused
 from simulated_line import flirt, level_line
 
 from analysis.adhesion.slip import onset
@@ -86,10 +85,6 @@ class TestSlipDetector:
         slip = np.array([0.0, 1.6, 0.2, 1.6, 1.7, 1.2, 0.8, 0.74, 1.4])[:, None]
         found = SlipDetector(1, 0.05).update(slip)[:, 0]
         assert found.tolist() == [False] * 4 + [True, True, True, False, False]
-
-    def test_refuses_what_is_no_detector(self) -> None:
-        refused(InputError, "needs axles", SlipDetector, 0, 0.1)
-        refused(InputError, r"shape \(samples, 2\)", SlipDetector(2, 0.1).update, np.zeros((5, 3)))
 
 
 class TestObserver:

@@ -91,17 +91,6 @@ def test_polach_with_the_published_parameters(condition: str, speed: float) -> N
     assert curve.optimal_slip_speed(speed) == pytest.approx(best.x * speed, rel=1e-3)
 
 
-def test_a_double_exponential_over_creepage_peaks_at_its_slip_speed() -> None:
-    """Peak .304 at 2.2 %: over slip speed at 10 m/s its constants are a tenth."""
-    over_creepage = CreepCurve(2.46, 203.0, 0.325, 0.325, "creepage")
-    over_slip = CreepCurve(0.246, 20.3, 0.325, 0.325)
-    slip = np.linspace(-2.5, 2.5, 101)
-    np.testing.assert_allclose(over_creepage(slip, 10.0), over_slip(slip), atol=1e-12)
-    assert over_slip.optimal_slip_speed() == pytest.approx(0.2201, abs=1e-4)
-    assert over_slip.optimal_creepage(10.0) == pytest.approx(0.02201, abs=1e-5)
-    assert over_creepage(2.5, 10.0) == pytest.approx(0.1757, abs=1e-4)
-
-
 def test_a_table_keeps_the_shape_of_its_points() -> None:
     creepage, adhesion = eurosprinter(2)
     table = AdhesionTable(creepage, adhesion)
@@ -418,6 +407,19 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     assert truth["characteristic"]["polach"] == content["polach"]
     with pytest.raises(InputError, match="'icy' is unknown; give a file, or one of polach-dry"):
         run([*words, "icy", "-o", str(folder)])
+
+
+@pytest.mark.parametrize(
+    ("slips", "words"),
+    [
+        (np.linspace(0.0005, 0.009, 25), "still rises at the largest creepage"),
+        (np.linspace(0.04, 0.1, 15), "below the maximum"),
+        (np.array([0.001, 0.002]), "2 points do not determine"),
+    ],
+)
+def test_points_that_do_not_determine_a_curve_are_refused(slips: np.ndarray, words: str) -> None:
+    points = AdhesionPoints(slips, magic_formula(slips, 0.25, 0.02, 1.6))
+    refused(NotIdentifiableError, words, fit_adhesion_characteristic, points, speed=10.0)
 
 
 def test_slip_speeds_of_a_train_of_known_speed_are_fitted_over_creepage() -> None:

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from analysis.comparison.calculated import Calculation, calculate
+from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
+from trainlog.errors import InputError
 from trainlog.formats.railway import write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
@@ -188,3 +190,14 @@ def test_the_command_names_what_is_wrong(
     (trip,) = json.loads(capsys.readouterr().out)["trips"]
     assert [each["name"] for each in trip["wrong"]] == ["r2"]
     assert len(trip["sections"]) == 4
+
+
+def test_trips_together_contradict_what_one_leaves_open() -> None:
+    logs = [sample("stopping.mcap"), sample("nonstop.mcap")]
+    trips = [calculate(log, wrong_file("r2")) for log in logs]
+    together = judged_together(trips)
+    assert [each.name for each in together.wrong] == ["r2"]
+    assert together.judged_trips == 2
+    stds = [each.diagnosis.wrong[0].factor_std for each in trips]
+    assert together.wrong[0].factor_std < max(stds)
+    refused(InputError, "one train", judged_together, [])

@@ -220,6 +220,8 @@ def test_what_is_missing_is_named() -> None:
     refused(LogError, r"has no line\.json", coast_down, [replace(trip, attachments={})])
     rare = recorded(time, position, speed, line=HILLY, every=50)
     refused(NotIdentifiableError, r"a speed every 5\.0 s only", coast_down, [rare])
+    words = "asked for 18 to 216 km/h"
+    refused(NotIdentifiableError, words, coast_down, [trip], speeds=(5.0, 60.0))
     twice = coast_down([trip, trip])
     assert "'made (2)' is the same drive as 'made', which is used" in twice.refused["made (2)"]
     np.testing.assert_array_equal(twice.curve.covariance, coast_down([trip]).curve.covariance)

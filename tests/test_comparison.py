@@ -109,6 +109,8 @@ def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell() -> None:
     losses = compare([stopping(), late], stopping()).trip("late").lost.losses
     assert losses[["cause", "place"]].values.tolist() == [["dwell", "at Gossau SG"]]
     assert losses["lost"][0] == pytest.approx(30.0, abs=0.11)
+    by_day = compare([stopping(), late], late, by_time_of_day=True).trip("trip-03").lost
+    assert by_day.behind[0] == 0.0
     early = compare([stopping(), late], late).trip("trip-03").lost
     assert early.losses["words"][0] == "shorter dwell"
     assert early.total == pytest.approx(-30.0, abs=0.11)
@@ -510,3 +512,13 @@ def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
         compare_groups([trip("a")], [trip("b"), trip("c")])
     with pytest.raises(LogError, match="no trip that followed a trajectory was given"):
         compare_groups([trip("a")], [])
+
+
+def test_groups_are_compared_by_their_mean_and_spread() -> None:
+    drivers = [trip("a", effort=60_000.0), trip("b", effort=50_000.0)]
+    followed = [trip("c", 40_000.0, configuration="a"), trip("d", 40_000.0, configuration="b")]
+    driver, own, saved = compare_groups(drivers, followed).tables()[0].words[-1][1:4]
+    # 50 kN and 60 kN over 12 km are 167 and 200 kWh, 40 kN are 133 kWh.
+    assert driver.startswith("183.33 kWh ± 23.57 kWh, 600 ± 0 s")
+    assert own.startswith("133.33 kWh ± 0.00 kWh")
+    assert saved == "50.00 kWh ± 23.57 kWh"

@@ -270,17 +270,6 @@ class TestStretchesUnlikeTheRest:
         assert re.search(r"22:23:[12]\d", str(error.value))
         assert "2.5 ± 0." in str(error.value)
 
-    def test_a_section_with_a_wrong_gradient_is_left_to_itself(self) -> None:
-        force = 2e-3 * 9.81 * 130e3
-        plain, fit = fit_trip(trip()), fit_trip(with_more(trip(), force, 500.0, 650.0))
-        speed = np.linspace(12.0, 30.0, 10)
-        np.testing.assert_allclose(fit.resistance(speed), RESISTANCE(speed), rtol=0.03)
-        assert np.all(fit.std(speed) < 2.0 * plain.std(speed))
-        (note,) = (each for each in fit.notes if "elsewhere" in each)
-        assert "2.5 ± 0." in note or "2.6 ± 0." in note
-        assert re.search(r"22:21:[34]\d to 22:24:[01]\d", note)
-        assert not plain.notes
-
 
 def test_without_a_recorded_wind_the_band_of_still_air_holds_the_truth() -> None:
     """A steady head wind of 8 m/s: r2 (v + w)² for r2 v²."""

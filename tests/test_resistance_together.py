@@ -339,6 +339,7 @@ def test_the_set_says_where_each_configuration_comes_from() -> None:
     assert found.cover["trips"] == 60
     assert found.cover["level"] >= found.cover["asked"] == 0.95
     assert sum(detail["stands_for"] for detail in found.details) == 60
+    assert found.weights == tuple(detail["stands_for"] for detail in found.details)
     for configuration, detail in zip(found.configurations, found.details, strict=True):
         assert detail["configuration"] == detail["trip"] == configuration.name
         assert detail["sha256"] == digests[configuration.name]

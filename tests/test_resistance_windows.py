@@ -144,6 +144,12 @@ def test_outliers_are_left_out() -> None:
     assert dirty.kept.sum() >= windows.count - 6
     z = (dirty.beta - clean.beta) / np.sqrt(np.diag(dirty.covariance))
     assert np.all(np.abs(z) < 2.0)
+    # As points of the curve those that were used are joined, outliers stand one by one.
+    points, scale = dirty.points(replace(windows, y=spoilt), dirty.beta[-1]), RESISTANCE(30.0)
+    off = points.value - RESISTANCE(points.speed)
+    assert np.count_nonzero(~points.used) == np.count_nonzero(~dirty.kept)
+    assert np.abs(off[points.used]).max() < 0.1 * scale
+    assert np.ptp(off[~points.used]) > 10.0 * scale
 
 
 @pytest.mark.parametrize(

@@ -273,20 +273,6 @@ def test_gnss_noise_rates_and_outages() -> None:
     assert np.std(np.concatenate((north, east))) == pytest.approx(reported, rel=0.25)
 
 
-def test_environment_is_that_of_the_position() -> None:
-    line = hilly_line()
-    time = ticks(6_000)
-    position = np.linspace(0.0, 11_000.0, 6_000)
-    frame = measuring.environment(line, time, position, 283.0)
-    assert len(frame) == 600
-    assert np.all(np.diff(frame.index.asi8) == NANOSECONDS)
-    at = np.interp((frame.index.asi8 - time[0]).astype(float), (time - time[0]), position)
-    np.testing.assert_array_equal(frame.gradient, line.gradient(at))
-    np.testing.assert_array_equal(frame.speed_limit, line.speed_limit(at))
-    assert frame.air_temperature.iloc[0] == 283.0
-    assert frame.head_wind.isna().all()
-
-
 @pytest.mark.parametrize("rate", [5, 15, 30, 400])
 def test_impossible_rates_are_refused(rate: int) -> None:
     refused(InputError, f"rate {rate} Hz", Sensors, rate=rate)

@@ -179,10 +179,12 @@ def test_effort_comes_back_once_the_wheel_has_come_back() -> None:
         ({"rotating_mass": 7_000.0}, "exceed the train's 7000 kg"),
         ({"maximum_adhesion": steps((0.0, 0.3), (50.0, 0.0))}, "at km 0.050"),
         ({"axle_adhesion": np.ones(3)}, "needs 4 positive values"),
+        ({"train": flirt(axles=Axles(adhesive_mass=2e5))}, "cannot rest on the powered axles"),
     ],
 )
 def test_impossible_trains_are_refused(arguments: dict[str, object], message: str) -> None:
-    refused(InputError, message, Plant.of, level_line(), flirt(), **arguments)
+    train = arguments.pop("train", flirt())
+    refused(InputError, message, Plant.of, level_line(), train, **arguments)
 
 
 @pytest.mark.parametrize("gradient", [-0.04, 0.0, 0.03])

@@ -200,18 +200,6 @@ def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
         assert force == pytest.approx(GRAVITY * WAGON.mass * expected, rel=1e-9)
 
 
-def test_the_brake_answers_after_its_dead_time_with_its_lag() -> None:
-    plant = ConsistPlant(replace(train(1), brake=ConsistBrake(0.6, 0.4)), step=0.01)
-    state = plant.at(0.0, 30.0)
-    efforts = []
-    for _ in range(300):
-        plant.advance(state, 0.0, 40_000.0, 1)
-        efforts.append(float(state.braking_effort[0]))
-    time = 0.01 * np.arange(1, 301)
-    expected = 40_000.0 * (1.0 - np.exp(-np.maximum(time - 0.6, 0.0) / 0.4))
-    np.testing.assert_allclose(efforts, expected, atol=1e-6)
-
-
 def test_the_demand_travels_along_the_train_pipe() -> None:
     """Each brake begins when the demand has come to the middle of its vehicle."""
     consist = replace(train(8), brake=ConsistBrake(0.6, 0.4, 250.0))
@@ -259,6 +247,15 @@ def test_the_resistance_swings_as_named() -> None:
 )
 def test_what_cannot_be_is_refused(make: object, words: str) -> None:
     refused(InputError, words, make)
+
+
+def test_efforts_that_a_vehicle_does_not_have_are_refused() -> None:
+    plant = ConsistPlant(train(2))
+    for efforts, words in (
+        (([0.0, 99e3], 0.0), r"vehicle 2 .* tractive effort of 99\.0 kN.*31\.2 kN"),
+        ((0.0, [1.0, 1.0, 1.0]), "3 braking efforts for 2 vehicles"),
+    ):
+        refused(InputError, words, plant.advance, plant.at(), *efforts, 1)
 
 
 def test_a_softening_coupler_is_refused_beyond_its_validity() -> None:

@@ -20,7 +20,7 @@ from analysis.control.cooperative import (
 from analysis.control.rail_estimate import RailEstimator
 from analysis.studies.report import as_markdown
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.run import published_table, start_table, torque_table
+from analysis.studies.zhao_2025.run import published_table, start_table, torque_table, trip_of
 from analysis.studies.zhao_2025.simulation import coefficients, demand_on, runge_kutta
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import DRY, WET
@@ -127,6 +127,26 @@ def test_steep_creep_curves_are_driven_at_their_peak(peak_slip: float, axles: in
     np.testing.assert_allclose(used, 1.0, atol=0.01)
 
 
+def test_programs_that_no_solver_solves_are_counted_and_the_train_is_still_driven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The plan that only brings each axle to its slip speed drives, and keeps the limits."""
+    monkeypatch.setattr(cooperative, "solve", lambda program: (np.full(20, np.nan), -1))
+    locomotive, rail, state = study.LOCOMOTIVE_85_T, coefficients([DRY] * 4), np.zeros(5)
+    controller = CooperativeController(locomotive, Tuning())
+    for _ in range(50):
+        torques = controller.torques(float(state[0]), state[1:], demand_on(controller, rail))
+        runge_kutta(state, torques, rail, locomotive.loads, locomotive.constants, 0.002, 50)
+    assert controller.unsolved == controller.steps == 50
+    assert torques.sum() == pytest.approx(28_000.0, rel=0.02)
+    assert state[0] > 1.8
+
+
+def test_wheels_race_without_slip_control() -> None:
+    run = study.run(study.CASES[0], strategy="no slip control")
+    assert run.slip.max() > 20.0
+
+
 def steep(peak_slip: float, maximum: float) -> np.ndarray:
     """A creep curve with its maximum at a slip speed [m/s]."""
     a = np.log(4.0) / 3.0 / peak_slip
@@ -159,6 +179,7 @@ def test_the_page_has_what_the_cases_reach(runs: list[list[study.Run]]) -> None:
     assert len(found) == 3
     for title, rows in found.items():
         check(title, listed[title], rows)
+    assert trip_of(every[2]).metadata["traction_decisions"] == "300"
 
 
 def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.studies.amirhosseini_2024 import simulation as study
+from analysis.studies.amirhosseini_2024.run import trip_of
 from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
 
 BY_NAME = {variant.name: variant for variant in study.VARIANTS}
@@ -29,6 +30,7 @@ def test_the_scalar_estimator_reaches_the_published_figures(runs: dict[str, stud
     assert 0.78 <= position <= 0.84
     assert 0.215 <= speed <= 0.23
     assert stop <= 0.005
+    assert trip_of(runs["scalar"], seed=1).provenance[-1]["variant"] == "scalar"
 
 
 def test_additional_resistance_by_hand_and_by_the_product() -> None:

@@ -92,7 +92,7 @@ def test_limits_and_power_are_kept_and_few_configurations_decide() -> None:
     assert len(certificate["audit"]["arrival"]) == len(certificate["phases"]) == 12
     assert {len(letters) for letters in certificate["phases"]} == {found.positions.size - 1}
     assert 1 <= len(certificate["active"]) <= 5
-    assert certificate["gap"] <= 2e-3
+    assert certificate["gap"] <= 5e-3
     alone = optimised(
         line, FLIRT, [c for c in configurations if c.name in certificate["active"]],
         running_time=found.running_time, cells=150,

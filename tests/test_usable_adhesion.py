@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from pandas import Timestamp
+from refusals import refused
 from simulated_line import flirt, level_line
 from trajectory_cases import observed
 
@@ -69,6 +70,17 @@ def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_noth
     assert before <= highest
     demonstrated[5, further] += 1.0
     assert demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5] >= before
+
+
+@pytest.mark.parametrize(
+    ("settings", "assumed", "words"),
+    [(SETTINGS, 0.0, "above 0 and at most 1, not 0"), ({}, 0.05, "lacks the setting 'trip_std'")],
+)
+def test_what_cannot_be_counted_on_is_refused(
+    settings: dict[str, float], assumed: float, words: str
+) -> None:
+    track = replace(made(), settings=settings)
+    refused(InputError, words, usable_adhesion, track, "wet", assumed=assumed)
 
 
 def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place() -> None:
