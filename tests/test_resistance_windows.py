@@ -15,6 +15,7 @@ from analysis.resistance import TripFit, TripRefusedError, fit_trip
 from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.recording import REASONS
 from analysis.resistance.regression import (
+    LEAST_FORCE,
     Residuals,
     diagnosed,
     fit_windows,
@@ -189,6 +190,14 @@ def test_a_stretch_with_a_force_of_its_own_is_found(
     # What is known already is not looked for again, and leads to the same.
     again = fit_windows(dragged, 130e3, 20e3, stretches=found.stretches)
     np.testing.assert_allclose(again.beta, found.beta)
+
+
+def test_a_force_that_surveys_err_by_is_no_stretch() -> None:
+    windows = build_windows(recording(noise=0.005, seed=4))
+    inside = (windows.start >= 300.0) & (windows.end <= 420.0)
+    for force, count in ((0.7 * LEAST_FORCE, 0), (1.6 * LEAST_FORCE, 1)):
+        dragged = replace(windows, y=windows.y - force * windows.duration * inside)
+        assert len(fit_windows(dragged, 130e3, 20e3, search=True).stretches) == count
 
 
 @pytest.mark.parametrize("name", ["effort_change", "braking", "tunnel"])

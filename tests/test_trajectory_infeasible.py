@@ -27,7 +27,6 @@ from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.convex import NoSolutionError, Relaxation
 from analysis.trajectory.feasibility import UnprovenError
 from trainlog.cli.main import run
-from trainlog.display import at_most
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, RunningResistance, TimingPoint
@@ -202,12 +201,6 @@ def test_the_time_that_a_refusal_names_is_accepted() -> None:
     assert time
     found = optimised(*asked, running_time=float(time[1]), cells=40)
     assert found.certificate["audit"]["lateness"] <= 1e-4
-
-
-def test_a_bound_is_rounded_up() -> None:
-    assert at_most(0.000141, 2) == "0.02%"
-    assert at_most(0.0002, 2) == "0.02%"
-    assert at_most(0.0, 2) == "0.00%"
 
 
 def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:
