@@ -30,12 +30,6 @@ quick = settings(max_examples=30)
 # ---- the curve ----------------------------------------------------------------------------------
 
 
-def test_the_peak_of_the_power_may_lie_inside_a_piece() -> None:
-    # 80 kN - 3 kN/(m/s) (v - 10 m/s) times v is largest at (80 + 30) / 6 m/s.
-    v = 110.0 / 6.0
-    assert CURVE.peak_power == pytest.approx(v * (110e3 - 3e3 * v))
-
-
 @quick
 @given(effort_curves(1.0))
 def test_its_approximations_bound_it(curve: EffortCurve) -> None:

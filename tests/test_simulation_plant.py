@@ -75,6 +75,15 @@ def test_integration_is_of_fourth_order() -> None:
     assert np.all(order < 4.5)
 
 
+def test_power_stays_within_its_limit_and_is_used() -> None:
+    plant = Plant.of(level_line(), flirt(), max_power=2.4e6)
+    rows = columns(plant, plant.advance(released(plant), 1e6, 0.0, 24_000, 5))
+    power = sum(rows[f"wheel_effort_{axle}"] * rows[f"wheel_speed_{axle}"] for axle in range(1, 5))
+    assert rows["tractive_effort"].max() <= flirt().max_tractive_effort * (1.0 + 1e-12)
+    assert power.max() <= 2.4e6 * (1.0 + 1e-12)
+    assert power[-1] == pytest.approx(2.4e6)
+
+
 CURVE = EffortCurve(np.array([0.0, 5.0, 12.0, 25.0]), np.array([190e3, 170e3, 110e3, 60e3]))
 
 

@@ -1,4 +1,4 @@
-"""The study of Hauck et al. (2023), on its first section; the whole line is the long test."""
+"""The study of Hauck et al. (2023), on its first section; its tables are of the whole line."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
 
 MASSES = (PUBLISHED_TRAIN.light,)
-"""The heavier ones are driven over the whole line, in the long test."""
+"""The heavier ones are driven where the tables of the study are made."""
 SLIPPERY = StepProfile(np.array([0.0, 60.0, 200.0, 2_700.0]), np.array([0.07, 0.05, 0.09, 0.045]))
 
 
 @pytest.fixture(scope="module", autouse=True)
 def fewer_nodes() -> Iterator[None]:
-    """References of half the nodes, which are solved sooner; the long test has all."""
+    """References of half the nodes, which are solved sooner."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("analysis.studies.hauck_2023.reference.NODE_SPACING", 6.0)
         yield
@@ -117,20 +117,6 @@ def test_a_run_is_logged_with_its_levers_reference_and_truth(
     assert again.metadata["weather"] == "dry"
     write_log(trip_of(found, "dry", 1), tmp_path / "twice.mcap")
     assert (tmp_path / "twice.mcap").read_bytes() == (tmp_path / "trip.mcap").read_bytes()
-
-
-@pytest.mark.long
-def test_over_the_whole_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.studies.hauck_2023.reference.NODE_SPACING", 3.0)
-    whole = study.prepared(seed=1)
-    for scenario in study.SCENARIOS:
-        for mass in (PUBLISHED_TRAIN.light, 78_200.0, PUBLISHED_TRAIN.heavy):
-            each = study.outcome(whole, scenario, mass)
-            assert each.informed.worst.max() <= 1e-6
-            assert each.informed.slip_events == each.informed.protections == 0
-            assert np.all(each.informed.late >= each.bound - 1e-6)
-            if scenario.name == "good track":
-                assert np.abs(each.informed.speed_error).max() < 3.0
 
 
 def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
