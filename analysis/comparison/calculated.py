@@ -48,9 +48,9 @@ from analysis.comparison.energy import (
     FIT,
     RECORDED_WIND,
     STEP,
-    TRIP_SPREAD,
     ForceModel,
     smooth_speed,
+    trip_spread,
 )
 from analysis.resistance.curve import HEAD_WIND
 from analysis.resistance.fit import TripFit, fit_trip
@@ -223,10 +223,8 @@ def _wrong_coefficient(fitted: Sequence[tuple[Inputs, TripFit]], factor: float) 
         rough = _mean(betas, single)[0]
         # Of the coefficients as they may be: those of a wrong file are too large or too small.
         size = np.minimum(own, np.maximum(rough, 0.1 * own))
-        single = single + TRIP_SPREAD**2 * np.outer(size, size)
-        for row, (each, _) in enumerate(fitted):
-            single[row, 1, 1] += (2.0 * size[2] * each.wind_std) ** 2
-            single[row, 0, 0] += 2.0 * (size[2] * each.wind_std**2) ** 2
+        usual = RunningResistance.of(size)
+        single = single + np.array([trip_spread(usual, each.wind_std) for each, _ in fitted])
         common = np.diag((OWN_SPREAD * size) ** 2)
     else:
         common = model.covariance

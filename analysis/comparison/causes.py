@@ -16,7 +16,7 @@ CAUSES = {
 }
 """Each cause in words."""
 
-GAINED = {
+GAINED = CAUSES | {
     "start": "earlier start",
     "dwell": "shorter dwell",
     "stop": "the reference stops here",
@@ -24,9 +24,6 @@ GAINED = {
     "limit": "the reference had a lower limit",
     "slip": "the reference slipped",
     "full effort": "the reference was slower at full effort",
-    "slower": "slower than needed",
-    "faster": "faster",
-    "recording": "position missing or corrected",
 }
 """The same where time was gained."""
 

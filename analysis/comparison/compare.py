@@ -476,6 +476,11 @@ class _Cells:
         """Stands at which the trip itself begins or ends."""
         return [each for each in self.trip.stands if each.duration == 0.0]
 
+    @property
+    def halts(self) -> list[Stand]:
+        """Stands that count, and those at its ends."""
+        return [*self.stands, *self.ends]
+
 
 def lost_time(
     trip: DrivenTrip,
@@ -618,7 +623,7 @@ def _events(kind: str, mine: _Cells, other: _Cells) -> Iterable[tuple[int, int]]
     stations = kind == "stop"
     found = [
         (cell, cell)
-        for stand in (*mine.stands, *(mine.ends if stations else ()))
+        for stand in (mine.halts if stations else mine.stands)
         if bool(stand.station) == stations and not _stands_near(other, stand)
         for cell in [_cell(mine, stand.position)]
         if cell is not None
@@ -632,11 +637,10 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
 
 def _stands_near(cells: _Cells, stand: Stand) -> bool:
     """Whether a trip stands where the other does."""
-    every = (*cells.stands, *cells.ends)
     return any(
         abs(each.position - stand.position) <= STATION_REACH
         or (stand.station and each.station == stand.station)
-        for each in every
+        for each in cells.halts
     )
 
 
@@ -653,7 +657,7 @@ def _crawls(mine: _Cells, other: _Cells) -> list[tuple[int, int]]:
     middle = 0.5 * (mine.nodes[1:] + mine.nodes[:-1])
     allowed = np.minimum(mine.limit, other.speed)
     slow = mine.speed < CRAWL_SHARE * allowed
-    for stand in (*mine.stands, *mine.ends, *other.stands, *other.ends):
+    for stand in (*mine.halts, *other.halts):
         slow &= np.abs(middle - stand.position) > CRAWL_REACH
     for first, last in _events("limit", mine, other):  # it is braked for a limit
         slow[_stretch(first, last, mine, other, back=True)] = False
@@ -1147,18 +1151,19 @@ def compare(
         same = [each for each in of_line if each.direction == direction]
         if not same:
             continue
-        chosen = stated if stated is not None and stated.direction == direction else _fastest(same)
-        if stated is not None and not stated.planned and stated.direction == direction:
+        own = stated if stated is not None and stated.direction == direction else None
+        chosen = own or _fastest(same)
+        if own is not None and not own.planned:
+            chosen = next((each for each in same if each.same_drive(own)), own)
             # A reference that is not among the trips is shown beside them.
-            same = same if any(each.same_drive(stated) for each in same) else [stated, *same]
-            chosen = next((each for each in same if each.same_drive(stated)), stated)
+            same = same if chosen in same else [chosen, *same]
         if both and same == [chosen]:
             alone.append(
                 f"trip '{chosen.name}' is the only one that ran {direction}: there is nothing to"
                 " compare it with"
             )
             continue
-        followed = obeyed if chosen is stated else None
+        followed = None if own is None else obeyed
         directions.append(_direction(direction, same, chosen, model, by_time_of_day, followed))
     if not directions:
         raise InputError(
@@ -1186,14 +1191,12 @@ def _driven(
         except TrainlogError as error:
             where = f"{given}: " if isinstance(given, Path) and error.file is None else ""
             left_out.append(where + str(error))
-    counts = [
-        [other.name for other in found[:row]].count(each.name) for row, each in enumerate(found)
-    ]
-    named = [
-        replace(each, name=f"{each.name} ({count + 1})") if count else each
-        for each, count in zip(found, counts, strict=True)
-    ]
-    return named, left_out
+    names = [each.name for each in found]
+    for row, each in enumerate(found):
+        before = names[:row].count(each.name)
+        if before:
+            found[row] = replace(each, name=f"{each.name} ({before + 1})")
+    return found, left_out
 
 
 def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
@@ -1227,12 +1230,8 @@ def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> Driven
 
 
 def _fastest(trips: Sequence[DrivenTrip]) -> DrivenTrip:
-    lengths = [each.covered[1] - each.covered[0] for each in trips]
-    whole = [
-        each
-        for each, length in zip(trips, lengths, strict=True)
-        if length >= NEARLY_ALL * max(lengths)
-    ]
+    longest = max(float(np.ptp(each.covered)) for each in trips)
+    whole = [each for each in trips if np.ptp(each.covered) >= NEARLY_ALL * longest]
     return min(whole, key=lambda each: each.duration)
 
 
@@ -1251,17 +1250,16 @@ def _direction(
     low = min(each.covered[0] for each in every)
     high = max(each.covered[1] for each in every)
     sections = sections_between(line, low, high)
-    forces = None
-    if reference.train is not None:
-        forces = ForceModel.of(reference.train, reference.line, model)
+    train = reference.train
+    forces = None if train is None else ForceModel.of(train, reference.line, model)
     compared = [
         _compared(trip, reference, sections, forces, by_time_of_day)
         if trip is not reference
         else ComparedTrip(trip, section_table(trip, sections), None, trip.covered)
         for trip in trips
     ]
-    used = forces is not None and any(each.energy is not None for each in compared)
-    name = forces.name if used and forces is not None else ""
+    used = any(each.energy is not None for each in compared)
+    name = forces.name if forces is not None and used else ""
     return ComparedDirection(direction, line, sections, reference, tuple(compared), name, obeyed)
 
 

@@ -115,16 +115,11 @@ def _speeds(found: ComparedDirection, shown: list[ComparedTrip]) -> Panel:
 
 def _causes(shown: list[ComparedTrip]) -> Chart:
     """Seconds lost and gained by each trip, stacked by cause."""
-    compared = [each for each in shown if each.lost is not None]
+    compared = [(each.name, each.lost) for each in shown if each.lost is not None]
     ends = {True: np.zeros(len(compared)), False: np.zeros(len(compared))}
     bars, rows = list[Curve](), np.arange(len(compared))
     for cause in CAUSES:
-        lost = np.array(
-            [
-                0.0 if each.lost is None else each.lost.by_cause().get(cause, 0.0)
-                for each in compared
-            ]
-        )
+        lost = np.array([each.by_cause().get(cause, 0.0) for _, each in compared])
         for positive in (True, False):
             some = (np.abs(lost) >= 0.05) & ((lost > 0.0) == positive)
             if some.any():
@@ -135,16 +130,15 @@ def _causes(shown: list[ComparedTrip]) -> Chart:
                           base[some], width=0.62, across=True)
                 )  # fmt: skip
     labels = [
-        Label(float(end), f"  {each.lost.total:+.0f} s", float(row), side="left", size=8.0)
-        for row, each, end in zip(rows, compared, ends[True], strict=True)
-        if each.lost is not None
+        Label(float(end), f"  {each.total:+.0f} s", float(row), side="left", size=8.0)
+        for row, (_, each), end in zip(rows, compared, ends[True], strict=True)
     ]
     low, high = min(0.0, *ends[False], 0.0), max(0.0, *ends[True], 1.0)
     margin = 0.12 * (high - low)
     return Chart(
         "lost [s] (left of 0: gained)",
         [
-            Panel("", bars, 0.5 + 0.12 * len(compared), rows=[each.name for each in compared],
+            Panel("", bars, 0.5 + 0.12 * len(compared), rows=[name for name, _ in compared],
                   rules=[Rule(0.0, upright=True)], labels=labels)
         ],
         span=(low - margin, high + margin),
