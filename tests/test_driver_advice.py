@@ -130,7 +130,7 @@ def test_the_advice_is_what_the_plan_does(sections: tuple[Trajectory, ...], line
 def test_a_coast_does_not_end_above_the_speed_that_it_allows() -> None:
     ends, allowed = 115.6 / 3.6, 115.0 / 3.6
     coast = Instruction(
-        42_000.0, 44_798.0, 0.0, 34.0, ends, Phase.COASTING, False, ends, ends, 34.0,
+        42_000.0, 44_798.0, 34.0, ends, Phase.COASTING, False, ends, ends, 34.0,
         44_798.0, (34.0, ends), (Cap(allowed, 44_798.0, 44_798.0),),
     )  # fmt: skip
     words = "coast to km 44.798: speed falls to at most 115 km/h"

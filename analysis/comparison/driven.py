@@ -189,10 +189,15 @@ def _position(
     part, moved = slice(begin - 1, end + 1), position[end] - position[begin - 1]
     v, t = speed[part], time[part]
     ran = cumulative_trapezoid(v, t, initial=0.0)
-    if abs(ran[-1] - moved) > SAME_DISTANCE + SAME_DISTANCE_SHARE * moved:
+    if not _same_distance(ran[-1], moved):
         return None
     share = ran / ran[-1] if ran[-1] > 0.0 else (t - t[0]) / (t[-1] - t[0])
     return np.asarray((position[begin - 1] + moved * share)[1:-1])
+
+
+def _same_distance(ran: float, moved: float) -> bool:
+    """Whether a speed covers the distance between two positions [m]."""
+    return abs(ran - moved) <= SAME_DISTANCE + SAME_DISTANCE_SHARE * abs(moved)
 
 
 def _bridge(
@@ -219,13 +224,9 @@ def _bridge(
 
 def _speeds_in(frame: pd.DataFrame, time: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Other speeds of a trip: of wheels, satellites, and the change of its position."""
-    wheels = [name for name in frame.columns if name.startswith("wheel_speed")]
-    if wheels:
-        values = frame[wheels].to_numpy(dtype=np.float64)
-        some = np.isfinite(values).any(axis=1)
-        found = np.full(time.size, np.nan)
-        found[some] = np.nanmedian(values[some], axis=1)
-        yield "wheel speeds", found
+    wheels = frame.filter(regex="^wheel_speed")
+    if wheels.size:
+        yield "wheel speeds", wheels.median(axis=1).to_numpy(dtype=np.float64)
     if "gnss_speed" in frame:
         yield "satellites' speed", frame["gnss_speed"].to_numpy(dtype=np.float64)
     position = frame["position"].to_numpy(dtype=np.float64)
@@ -267,9 +268,7 @@ def _agreeing(
     moved = place[end] - place[begin]
     steps = 0.5 * (values[begin + 1 : end + 1] + values[begin:end])
     ran = float(steps @ np.diff(time[begin : end + 1]))
-    if np.isfinite(moved) and abs(ran - moved) > SAME_DISTANCE + SAME_DISTANCE_SHARE * abs(moved):
-        return None
-    return off, values
+    return None if np.isfinite(moved) and not _same_distance(ran, moved) else (off, values)
 
 
 def _silences(trip: Trip, names: dict[str, str], origin: pd.Timestamp) -> list[Gap]:
@@ -658,12 +657,13 @@ def _driven(view: TripView, line: Line | None = None) -> DrivenTrip:
     train = view.train if TRAIN_ATTACHMENT in trip.attachments else None
     mass, gain = _mass_and_gain(trip, train)
     parts = _Reduction(trip, travelled, train, gain).reduced(samples_of(trip))
-    slips = _onsets(trip, parts)
-    flags = dict(parts.flags)
-    if slips is not None and "slip" not in flags:
+    slips, onsets, flags = None, protection_onsets(trip), dict(parts.flags)
+    if onsets is not None:
+        slips = (np.asarray(onsets, dtype=np.int64) - parts.departure) / NANOSECONDS
+        slips = slips[(slips >= 0.0) & (slips <= parts.duration)]
         since = parts.time - np.append(-np.inf, slips)[np.searchsorted(slips, parts.time, "right")]
-        flags["slip"] = since <= SLIP_LASTS
-    if slips is None and "slip" not in flags:
+        flags.setdefault("slip", since <= SLIP_LASTS)
+    elif "slip" not in flags:
         flags |= _slipping(view, parts)
     return replace(parts, mass=mass, slips=slips, flags=flags)
 
@@ -966,12 +966,3 @@ def _mass_and_gain(bare: Trip, train: Train | None) -> tuple[Quantity, Quantity]
     if load is None or train is None:
         return UNKNOWN, gain
     return Quantity(train.mass + load.value, load.std, load.source), gain
-
-
-def _onsets(trip: Trip, driven: DrivenTrip) -> FloatArray | None:
-    """When slip protection began to act [s since departure]; None where it is not recorded."""
-    onsets = protection_onsets(trip)
-    if onsets is None:
-        return None
-    when = (np.asarray(onsets, dtype=np.int64) - driven.departure) / NANOSECONDS
-    return when[(when >= 0.0) & (when <= driven.duration)]

@@ -32,6 +32,7 @@ from analysis.control.prediction import (
     solve,
 )
 from analysis.control.route import (
+    NO_MARGIN,
     Margin,
     TrainLimits,
     dynamic_braking,
@@ -106,7 +107,7 @@ class Follower:
         Of the run: what the map expects then is counted on.
     departure : float [s]
         When it departs; the timetable is that of a departure at `DEPARTURE`.
-    margin : Margin, optional
+    margin : Margin
         Where position and speed are known less well than that, at `GUARD_SIGMAS`, the
         guard takes the rest off as well.
 
@@ -148,12 +149,12 @@ class Follower:
         risk: float | None = None,
         time: pd.Timestamp | None = None,
         departure: float = DEPARTURE,
-        margin: Margin | None = None,
+        margin: Margin = NO_MARGIN,
     ) -> None:
         run = replace(run_of(trajectory, line, train, condition, layer), risk=risk, time=time)
         self.unsolved = 0
         self._limits = train_limits(run)
-        self._margin = margin or Margin()
+        self._margin = margin
         self._route = route_tables(run, trajectory, self._limits, self._margin)
         self._arrival = DEPARTURE + float(trajectory.times[trajectory.latest, -1])
         self._departure = departure

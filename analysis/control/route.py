@@ -86,6 +86,10 @@ class Margin:
         check(self)
 
 
+NO_MARGIN = Margin()
+"""Of a driver that knows the true motion."""
+
+
 class TrainLimits(NamedTuple):
     """What every train of the set can do, for the compiled code.
 
@@ -234,13 +238,9 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
 
 
 def route_tables(
-    run: TrajectoryProblem,
-    trajectory: Trajectory,
-    limits: TrainLimits,
-    margin: Margin | None = None,
+    run: TrajectoryProblem, trajectory: Trajectory, limits: TrainLimits, margin: Margin = NO_MARGIN
 ) -> RouteTables:
     """Tables of a run from its start to its end."""
-    margin = margin or Margin()
     around, below = margin.position, margin.speed
     count = math.ceil((run.end - run.start) / GRID) + 1
     origin = run.end - GRID * (count - 1)  # the stop is a node

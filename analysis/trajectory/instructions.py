@@ -196,8 +196,6 @@ class Instruction:
     Attributes
     ----------
     position, end : float [m]
-    time : float [s]
-        Since departure.
     speed, until : float [m/s]
         Planned at both ends.
     phase : Phase
@@ -217,7 +215,6 @@ class Instruction:
 
     position: float
     end: float
-    time: float
     speed: float
     until: float
     phase: Phase
@@ -481,7 +478,6 @@ class _Plan:
         found = Instruction(
             float(self.places[start]),
             float(self.places[end]),
-            float(self.times[start]),
             speed,
             until,
             phase,
