@@ -305,18 +305,27 @@ import resource, sys
 import numpy as np
 import trainlog
 from trainlog.errors import InputError
+from trainlog.topics import TRAIN_STATE
 random = np.random.default_rng(1)
-log = trainlog.record(sys.argv[1], flush=0.05)
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
-try:
+trip = trainlog.read(sys.argv[1])
+numbers = {"speed": np.random.default_rng(2).random(60_000)}
+large = trainlog.Trip({"/train/state": trainlog.frame_of(TRAIN_STATE, np.arange(60_000), numbers)})
+log = trainlog.record("log.mcap", flush=0.05)
+def record():
     for number in range(100_000):
         log.write("/train/state", number * 50 + np.arange(50), speed=random.random(50))
-except InputError as error:
-    print(error)
-try:
-    log.close()
-except InputError as error:
-    print(error)
+for limit, call in (
+    (800_000, record),
+    (800_000, log.close),
+    (500_000, lambda: trainlog.write(large, "trip.mcap")),
+    (500_000, lambda: trainlog.write(large, "trip.mcap", sync=True)),
+    (200_000, lambda: trainlog.write_replay([trip], "full.rrd")),
+):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, 800_000))
+    try:
+        call()
+    except InputError as error:
+        print(error)
 account = log.account()
 print(account.written["/train/state"], account.waiting["/train/state"] > 0)
 """
@@ -324,19 +333,29 @@ print(account.written["/train/state"], account.waiting["/train/state"] > 0)
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
 def test_a_full_disk_is_reported_and_what_was_written_stays(tmp_path: Path) -> None:
-    path, size = tmp_path / "log.mcap", 800_000
-    words = [sys.executable, "-c", LIMITED, path, str(size)]
-    run = subprocess.run(words, capture_output=True, text=True, check=True)
-    reported, again, account = run.stdout.splitlines()
-    assert reported == again
-    assert reported.startswith(f"{path}: cannot be written: file too large")
-    written, lost = account.split()
+    """Of a recording; a log and a replay are written whole or leave what there was."""
+    write_log(trip_of(rows=3), tmp_path / "trip.mcap")
+    before = (tmp_path / "trip.mcap").read_bytes()
+    words = [sys.executable, "-c", LIMITED, str(trainlog.sample("nonstop.mcap"))]
+    path = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(Path.cwd())]))
+    run = subprocess.run(
+        words, capture_output=True, text=True, check=True, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    recorded, closed, *written, replayed, account = run.stdout.splitlines()
+    assert recorded == closed
+    assert recorded.startswith("log.mcap: cannot be written: file too large")
+    said = "cannot be written: file too large; write to a file system that holds files of this size"
+    assert written == [f"trip.mcap: {said}"] * 2
+    assert "full.rrd: cannot be written to its end: is the disk full?; free some" in replayed
+    count, lost = account.split()
     assert lost == "True"
-    assert path.stat().st_size <= size
+    assert (tmp_path / "trip.mcap").read_bytes() == before
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["log.mcap", "trip.mcap"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the missing summary, if there was no space for it
-        state = read_log(path)[STATE]
-    assert len(state) == int(written) > 0
+        state = read_log(tmp_path / "log.mcap")[STATE]
+    assert len(state) == int(count) > 0
     np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(len(state)))
 
 

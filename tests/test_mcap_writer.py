@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from io import BytesIO
@@ -116,35 +113,3 @@ def test_a_block_that_fails_leaves_the_older_file(tmp_path: Path) -> None:
         log.add(trip_of(rows=1 // len(list(tmp_path.glob("*.txt")))))
     assert [path.name for path in tmp_path.iterdir()] == ["trip.mcap"]
     assert_same(read_log(tmp_path / "trip.mcap"), older)
-
-
-# A limit on the size of files is to a program what a full disk is: a write that fails half way.
-LIMITED = """
-import resource, sys
-import numpy as np
-from trainlog.mcap import write_log
-from trainlog.errors import InputError
-from trainlog.topics import TRAIN_STATE
-from trainlog.trip import Trip, frame_of
-frame = frame_of(TRAIN_STATE, np.arange(60_000), {"speed": np.random.default_rng(1).random(60_000)})
-resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
-for sync in (False, True):
-    try:
-        write_log(Trip({TRAIN_STATE.name: frame}), sys.argv[1], sync=sync)
-    except InputError as error:
-        print(error)
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
-def test_a_full_disk_is_reported_and_damages_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "trip.mcap"
-    write_log(trip_of(rows=3), path)
-    before = path.read_bytes()
-    run = subprocess.run(
-        [sys.executable, "-c", LIMITED, path], capture_output=True, text=True, check=True
-    )
-    said = "cannot be written: file too large; write to a file system that holds files of this size"
-    assert run.stdout == f"{path}: {said}\n" * 2
-    assert path.read_bytes() == before
-    assert [each.name for each in tmp_path.iterdir()] == ["trip.mcap"]
