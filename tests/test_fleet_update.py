@@ -340,7 +340,7 @@ def places(
     ("server", "kills", "trips"),
     [
         ("sqlite", 2, TRIPS),
-        *(pytest.param(each, 40, 12, marks=pytest.mark.long) for each in ("sqlite", "postgresql")),
+        *(pytest.param(each, 100, 12, marks=pytest.mark.long) for each in ("sqlite", "postgresql")),
     ],
 )
 def test_an_update_killed_at_random_moments_counts_each_trip_once(
