@@ -175,11 +175,7 @@ LINE_CASES = [
         },
         "f.json, geometry: a coordinate is beyond 90° of latitude or 180° of longitude; give degr",
     ),
-    (
-        "survey",
-        {"gradient_std": {"value": -0.1, "unit": "permil"}},
-        "f.json, survey.gradient_std: -0.1 per mille is not positive and finite; give more",
-    ),
+    ("survey", {"gradient_std": {"value": -0.1, "unit": "permil"}}, "f.json, survey.gradient_std"),
 ]
 TRAIN_CASES = [
     ("mass.value", -122, "f.json, mass: -122 t is not positive; give more than 0"),
@@ -188,11 +184,7 @@ TRAIN_CASES = [
     ("running_resistance.r2.value", -9, "f.json, running_resistance: train 'T': running resist"),
     ("axles.count", 0, "f.json, axles.count: 0 is not positive"),
     ("axles.count", 4.5, "f.json, axles.count: must be a valid integer"),
-    (
-        "max_speed",
-        160,
-        'f.json, max_speed: 160 has no unit; give value and unit, for example {"value": 160',
-    ),
+    ("max_speed", 160, "f.json, max_speed: 160 has no unit; give value and unit, for example"),
 ]
 OTHER_CASES = [
     ("journey", "timing_points.values.0.1", -1, "f.json: journey 'J': time window at km 0.000 has"),
@@ -200,19 +192,9 @@ OTHER_CASES = [
     ("journey", "timing_points.values.0.0", 50, "f.json: journey 'J': timing point at km 0.009 co"),
     ("journey", "timing_points.values", [], "f.json: journey 'J': needs at least a departure and"),
     ("parameters", "common_covariance.values.1", [1], "f.json, common_covariance.values: needs 3"),
-    (
-        "parameters",
-        "common_covariance.units.r1",
-        "N",
-        "f.json, common_covariance.units: unit 'N' c",
-    ),
+    ("parameters", "common_covariance.units.r1", "N", "f.json, common_covariance.units: unit 'N'"),
     ("trajectory", "positions.values", [0, 9, 9], "f.json, positions.values[2]: positions must in"),
-    (
-        "trajectory",
-        "positions.values",
-        [0, 9],
-        "f.json: trajectory: speeds has shape (1, 3), needs",
-    ),
+    ("trajectory", "positions.values", [0, 9], "f.json: trajectory: speeds has shape (1, 3)"),
     ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times.values: rows differ in length"),
     ("trajectory", "configurations", [], "f.json, configurations: has too few entries; give at le"),
 ]
@@ -220,11 +202,7 @@ OTHER_CASES = [
 
 CONSIST_CASES = [
     ("vehicles.0.count", 0, "f.json, vehicles[0].count: 0 is not between 1 and 1000"),
-    (
-        "vehicles.0.count",
-        9,
-        "f.json: consist 'train of Amirhosseini et al. (2024), 8 wagons': 9 vehicles need 8",
-    ),
+    ("vehicles.0.count", 9, "f.json: consist 'train of Amirhosseini et al. (2024), 8 wagons': 9"),
     ("vehicles", [], "f.json, vehicles: has too few entries; give at least 1 item"),
     ("couplers.0.slack.value", -3, "f.json, couplers[0].slack: -3 mm is negative"),
 ]
@@ -327,11 +305,7 @@ def test_a_train_that_cannot_be_meant_is_refused(tmp_path: Path, name: str) -> N
         ("axles.wheel_radius", {"value": 430, "unit": "m"}, "430 m is not plausible: wheels have"),
         ("axles.adhesive_mass", {"value": 64, "unit": "kg"}, "were t meant"),
         ("axles.adhesive_mass", {"value": 150, "unit": "t"}, "more than the train's mass of 122 t"),
-        (
-            "axles.count",
-            64,
-            "axles.adhesive_mass: 1.125 t is not plausible: an axle carries 2 to 40 t",
-        ),
+        ("axles.count", 64, "axles.adhesive_mass: 1.125 t is not plausible: an axle carries 2 to"),
         ("brake.lag", {"value": 400, "unit": "s"}, "400 s is not plausible"),
         ("running_resistance.r0", {"value": 2378, "unit": "kN"}, "were N meant"),
         ("running_resistance.r2", {"value": 0.93, "unit": "kN/(km/h)^2"}, "per mille is not"),

@@ -36,10 +36,7 @@ SECTIONS: list[tuple[str, tuple[type, ...]]] = [
     ("## Line", (Line, Survey, Geometry, LineReference)),
     ("## Network", (Network, Edge)),
     ("## Train", (Train, Axles, AxleGeometry, Brake, BrakingCurves)),
-    (
-        "## Consist",
-        (Consist, ConsistBrake, Vehicle, Coupler),
-    ),
+    ("## Consist", (Consist, ConsistBrake, Vehicle, Coupler)),
     ("## Journey", (Journey,)),
     ("## Parameters", (ParameterSet, Configuration, RunningResistance)),
     ("## Trajectory", (Trajectory,)),

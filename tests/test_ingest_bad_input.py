@@ -41,10 +41,7 @@ def refused(path: Path, message: str, **options: object) -> str:
         (b"t,v,s\n", "row 1: has no row of data, only its header"),
         (b"t,v,s", "row 1: has no row of data, only its header"),
         (b"# nothing\n# but comments\n", "has no header"),
-        (
-            bytes(range(256)) * 8,
-            "is of no format that trainlog knows; it begins with 00 01 .*; formats: ",
-        ),
+        (bytes(range(256)) * 8, "is of no format that trainlog knows; it begins with 00 01"),
         (plain_text(plain_rows()).encode("utf-16"), 'UTF-16; set encoding = "utf-16"'),
         (b"t,v,s\n" + b"x" * 70_000 + b"\n\0\n", "row|is not text: it holds zero bytes"),
         (plain_text(plain_rows()).encode().replace(b"\n", b"\xe9\n", 5), r"row 1, byte 5: is not"),
@@ -72,10 +69,7 @@ def refused(path: Path, message: str, **options: object) -> str:
         ),
         (plain_text(plain_rows()[:1]).encode(), "row 2: 1 row is left .* a trip needs 2"),
         (plain_text(plain_rows()[:1] * 50).encode(), "1 row is left after rule 'duplicates'"),
-        (
-            plain_text([",1.0,2.0"] * 5).encode(),
-            "rows 2 to 6: no row has a time that can be read; check the columns, format and unit",
-        ),
+        (plain_text([",1.0,2.0"] * 5).encode(), "rows 2 to 6: no row has a time that can be"),
         (plain_text(["yesterday,1.0,2.0"] * 5).encode(), "no row has a time that can be read"),
         (b'"t","v","s"\n"a,b,c\nd,e,f\n', "cells|time|number"),
     ],

@@ -117,15 +117,9 @@ def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path: Path) -> None:
     ("columns", "message"),
     [
         ({"/train/state.speed": {"column": "V"}}, "no channel 'V'; did you mean 'v'"),
-        (
-            {"/train/state.speed": {"column": "F"}},
-            "channel 'F' has the unit 'kN', which does not convert to m/s",
-        ),
+        ({"/train/state.speed": {"column": "F"}}, "channel 'F' has the unit 'kN', which does not"),
         ({"/train/state.acceleration": {"column": "x"}}, "channel 'x' is in 2 groups; write '2:x'"),
-        (
-            {"/train/state.acceleration": {"column": "2:x"}},
-            "has the unit '', which does not convert to m/s",
-        ),
+        ({"/train/state.acceleration": {"column": "2:x"}}, "has the unit '', which does not"),
         ({}, "channels may mean anything; give a profile"),
     ],
 )

@@ -275,10 +275,7 @@ def read(*columns: list[object], decimal: str = ".", **options: object) -> list[
         ([["2024"], ["5"], ["1"], ["6"], ["7"], ["8.25"]], {"format": "parts"}),
         ([[2024], [5], [1], [6], [7], [8.25]], {"format": "parts"}),
         ([[datetime.datetime(2024, 5, 1, 6, 7, 8, 250_000, datetime.UTC)]], {}),
-        (
-            [[datetime.datetime(2024, 5, 1, 8, 7, 8, 250_000)]],
-            {"timezone": "Europe/Zurich"},
-        ),
+        ([[datetime.datetime(2024, 5, 1, 8, 7, 8, 250_000)]], {"timezone": "Europe/Zurich"}),
     ],
 )
 def test_every_way_of_writing_an_instant(

@@ -220,12 +220,7 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
     for name, given, layers, message in (
         ("map.shp", line, None, r"not exported to files of this kind; end it in \.geojson, \.gpkg"),
         ("map.gpkg", None, None, "needs the coordinates of line 'CH_StGallen_Wil'"),
-        (
-            "map.geojson",
-            without,
-            None,
-            "has no coordinates; add them from fixes with 'trainlog new line",
-        ),
+        ("map.geojson", without, None, "has no coordinates; add them from fixes with 'trainlog"),
         ("map.csv", other, None, "the map is of line 'CH_StGallen_Wil', 29556.1 m, not of 'else"),
         ("map.csv", line, ["leaves"], "has no layer 'leaves'; layers present: dry, wet"),
         ("map.json", line, None, "has the layers dry, wet; choose one"),

@@ -382,14 +382,8 @@ class TestOtherFiles:
         assert "does not exist" in self.refused(path)
         for data, message in (
             (b"", "is empty; build the map anew from the logs: trainlog map update LOGS"),
-            (
-                b'{"format": "trainlog/condition", "version": 1}',
-                "of an earlier version (JSON); buil",
-            ),
-            (
-                b'{"format": "trainlog/line"}',
-                "is not a track-condition map but a trainlog/line file",
-            ),
+            (b'{"format": "trainlog/condition", "version": 1}', "of an earlier version (JSON)"),
+            (b'{"format": "trainlog/line"}', "is not a track-condition map but a trainlog/line"),
             (b"\x89MCAP0\r\n", "is not a track-condition map but a log (MCAP)"),
             (b"PAR1", "but a Parquet file"),
             (b"anything", "is not a track-condition map; name a map that"),

@@ -616,12 +616,7 @@ def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "old", "new", "words"),
     [
-        (
-            RAILML_2,
-            'ref="c2b"',
-            'ref="gone"',
-            r"line \d+, connection 'c1a': refers to the .*'gone'",
-        ),
+        (RAILML_2, 'ref="c2b"', 'ref="gone"', r"line \d+, connection 'c1a': refers to the"),
         (RAILML_2, 'id="c3b" ref="c1e"', 'id="c3b" ref="c1a"', "must refer to each other"),
         (RAILML_2, 'ocpRef="ocpC"', 'ocpRef="x"', "refers to the ocp 'x'"),
         (RAILML_2, 'slope="12.5"', 'slope="steep"', "gradientChange 'g2': slope 'steep' is not"),

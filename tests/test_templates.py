@@ -178,18 +178,12 @@ def test_a_written_table_gives_the_line_again(
     ("text", "message"),
     [
         ("", r"A-B\.csv: is empty"),
-        (
-            "km;limit [km/h]\n0;80\n",
-            r"no column of the gradient; give a header such as 'chainage \[km\];grad",
-        ),
+        ("km;limit [km/h]\n0;80\n", r"no column of the gradient; give a header such as 'chainage"),
         ("km;limit\n0;80\n", "no column of the gradient"),
         ("a;b\n0;80\n", r"3 problems: \(1\) line 1: no column of the position; .*\(3\) line 1: no"),
         ("s;gradient [permil];limit [km/h]\n0;1;80\n9;1;80\n", "line 1: column 's' has no unit"),
         ("km;gradient;limit [km/h]\n0;1;80\n9;1;80\n", "'gradient' has no unit; write 'gradient"),
-        (
-            "km;gradient [km];limit [km/h]\n0;1;80\n9;1;80\n",
-            r"line 1: column 'gradient': unit 'km' can",
-        ),
+        ("km;gradient [km];limit [km/h]\n0;1;80\n9;1;80\n", r"line 1: column 'gradient': unit"),
         ("km;km [m];gradient [permil];limit [km/h]\n0;0;1;80\n", "are both of the position"),
         ("km;gradient [permil];limit [km/h]\n", "has no row"),
         ("km;gradient [permil];limit [km/h]\n0;1;80\n", "has one row; add a last row"),
