@@ -262,7 +262,7 @@ class Field:
     stated : float
         Accuracy stated, over the true one; 0 states 5 m always.
     speed : str
-        "none", "good", "lasting", "late", "replayed", "frozen", "stuck", "wild" or "wrong unit".
+        "none", "good", "lasting", "late", "replayed", "frozen", "wild" or "wrong unit".
     speed_stated : float
         Speed accuracy stated, over 0.2 m/s; 0 states none.
     places : str
@@ -375,14 +375,6 @@ def shown_speed(
             inside = np.flatnonzero((t >= begin) & (t < end))
             if inside.size:
                 seen[inside] = seen[inside[0]]
-        return seen
-    if kind == "stuck":
-        # One value, from when the train begins to brake for a stop until minutes later.
-        seen = np.abs(true + white)
-        slowing = np.flatnonzero((true < 0.7 * true.max()) & (np.gradient(true, step) < -0.2))
-        for begin in generator.choice(t[slowing], 6) if slowing.size else []:
-            inside = np.flatnonzero((t >= begin) & (t < begin + generator.uniform(40.0, 200.0)))
-            seen[inside] = round(float(seen[inside[0]]), 1)
         return seen
     if kind == "wild":
         # Runs of values that have nothing to do with the train, each near the one before.

@@ -11,10 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from refusals import refused
-
 import analysis
-import trainlog
 from trainlog.errors import TrainlogError
 
 CHECKOUT = Path(__file__).parents[1]
@@ -67,14 +64,6 @@ def test_every_error_survives_pickling_and_copying() -> None:
             assert list(vars(again)) == list(vars(error))
             assert again.place == error.place
             assert again.remedy == error.remedy
-
-
-def test_a_refused_trip_is_refused_across_processes() -> None:
-    trip = trainlog.read(trainlog.sample("nonstop.mcap")).within(3_200.0, 3_300.0)
-    met = refused(analysis.TripRefusedError, "", analysis.fit_trip, trip)
-    again = pickle.loads(pickle.dumps(met))
-    assert (again.reason, str(again)) == (met.reason, str(met)) != ("", "")
-    assert again.reason == "too short"
 
 
 def without_remedy() -> list[str]:

@@ -11,14 +11,11 @@ import pytest
 from ingest_logs import SECOND, START, plain_profile, write
 from recorder_files import mtk_frozen
 
-from trainlog import draw_scenarios, read, read_line, read_train, sample, simulate
-from trainlog.formats.ttobench import read_track, read_train as read_published_train
+from trainlog import read
 from trainlog.ingest import Finding, Table, ingest, repairs_of, report_of
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.rules import repaired
 from trainlog.trip import Trip
-
-PUBLISHED = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 
 RULES = ("spikes", "frozen", "counter", "position_steps")
 
@@ -117,34 +114,6 @@ def exact_trip(cruising: float, *, position: bool = True, step: float = 0.0) -> 
 def test_a_constant_speed_is_not_frozen(cruising: float, step: float, position: bool) -> None:
     """Nor are a train at rest, the weather, the lever and a constant effort."""
     assert judged(exact_trip(cruising, position=position, step=step))[1] == []
-
-
-PAIRS = (
-    (None, None),
-    ("CH_Stadelhofen_Altstetten", "CH_Stadler_KISS_SBB"),
-    ("00_reference", "NL_Intercity_VIRM6"),
-)
-
-
-@pytest.mark.long
-@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="TTOBench is not beside the checkout")
-@pytest.mark.parametrize(("track", "train"), PAIRS)
-def test_sound_trips_of_three_trains_on_three_lines(track: str | None, train: str | None) -> None:
-    if track is None or train is None:
-        line = read_line(sample("CH_StGallen_Wil.line.json"))
-        vehicle = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    else:
-        line = read_track(PUBLISHED / "tracks" / f"{track}.json")
-        vehicle = read_published_train(PUBLISHED / "trains" / f"{train}.json")
-    rng = np.random.default_rng(8)
-    for scenario in draw_scenarios(line, vehicle, 3, seed=7):
-        frame = frame_of_trip(simulate(scenario))
-        for name, each in variants(frame).items():
-            if not each.empty:
-                assert judged(each)[1] == [], (scenario.name, name)
-        for column in ("/train/state.speed", "/train/axles.wheel_speed_2", "/train/state.position"):
-            for length in (20.0, 60.0, 120.0):
-                assert found_frozen(frame, column, length, rng)
 
 
 def freeze(

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run
+from command import Shell
 from killed import PATIENCE
 from recorder_files import drive, gpx, gpx_text
 
@@ -223,19 +223,16 @@ def test_what_cannot_be_used_at_all_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_command_lists_all_and_its_status_says_whether_any_failed(
-    campaign: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    campaign: Path, tmp_path: Path, shell: Shell
 ) -> None:
     logs = tmp_path / "logs"
-    status, shown, _ = run(monkeypatch, capsys, "ingest", campaign, "-o", logs)
+    status, shown, _ = shell("ingest", campaign, "-o", logs)
     assert status == 1
     assert "day-2_run.mcap" in shown
     assert shown.count("refused: ") == 3
     assert shown.count("passed over: ") == 3
     assert "3 trips made, 3 of them with repairs; 3 refused; 3 files passed over." in shown
-    status, shown, _ = run(monkeypatch, capsys, "ingest", campaign, "-o", logs, "--json")
+    status, shown, _ = shell("ingest", campaign, "-o", logs, "--json")
     assert status == 1
     found = json.loads(shown)
     assert (found["format"], found["version"]) == ("trainlog/ingest", 1)
@@ -247,7 +244,7 @@ def test_the_command_lists_all_and_its_status_says_whether_any_failed(
     }
     for name in ("cut.gpx", "empty.csv", "noise.csv"):
         (campaign / name).unlink()
-    status, _, _ = run(monkeypatch, capsys, "ingest", campaign, "-o", logs)
+    status, _, _ = shell("ingest", campaign, "-o", logs)
     assert status == 0
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import Shell
 from ingest_logs import plain_profile
 from refusals import refused
 from route_networks import (
@@ -295,21 +295,17 @@ def _of_edges(network: Network, names: set[str]) -> Network:
     )
 
 
-def test_the_command_takes_a_network_as_such_or_as_a_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_takes_a_network_as_such_or_as_a_line(tmp_path: Path, shell: Shell) -> None:
     network = tmp_path / "y.network.json"
     write_network(Y, network)
     fixes = drive(Y.route("A", "C"), GPX, np.random.default_rng(1))
     words = ("ingest", write_gpx(tmp_path / "run.gpx", fixes))
     for option in ("--network", "--line"):
-        code, shown, _ = run(
-            monkeypatch, capsys, *words, option, network, "-o", tmp_path / option[2:]
-        )
+        code, shown, _ = shell(*words, option, network, "-o", tmp_path / option[2:])
         assert code == 0
         assert "route A - C: fixes (" in shown
     both = ("--network", network, "--reverse", "-o", tmp_path / "x")
-    code, _, shown = run(monkeypatch, capsys, *words, *both)
+    code, _, shown = shell(*words, *both)
     assert code == 2
     assert "a network and a direction are given" in shown
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run
+from command import Shell
 from refusals import refused
 
 from analysis.adhesion.slip import SlipAnalysis, slip
@@ -79,13 +79,11 @@ def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 Counted = tuple[Path, Line, Callable[[float], float]]
 
 
-def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(
-    counted: Counted, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(counted: Counted, shell: Shell) -> None:
     folder, _, expected = counted
     log, out = folder / "trip.mcap", folder / "part.mcap"
     part = f"{expected(9_286.1):.3f}:{expected(FLAWIL):.3f}"
-    assert run(monkeypatch, capsys, "convert", log, "-o", out, "--km", part)[0] == 0
+    assert shell("convert", log, "-o", out, "--km", part)[0] == 0
     chosen = read_log(out)["/train/state"]["position"]
     assert (chosen.min(), chosen.max()) == pytest.approx((9_286.1, FLAWIL), abs=10.0)
     replayed = [each["/train/state"]["position"] for each in part_of(log, None, None, part, 10**6)]
@@ -101,7 +99,7 @@ def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(
     )
     reach = f"its kilometres are {expected(0.0):.3f} to {expected(LENGTH):.3f}"
     for words in commands:
-        status, _, problem = run(monkeypatch, capsys, *words)
+        status, _, problem = shell(*words)
         assert status == 2, words
         assert "has no km 3" in problem
         assert reach in problem

@@ -267,19 +267,19 @@ class TestCompaction:
 
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The bytes of a file that processes add to, with the estimate that a reader kept."""
+def without_estimates(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The bytes of a file that processes add to and none has read: most of them are evidence."""
     path = tmp_path_factory.mktemp("good") / "a.map"
     given_to(path, [piece(i, ("dry", "wet")[i % 2]) for i in range(6)] + [part(9, 0, 9)])
-    read_map(path)
     return path.read_bytes()
 
 
 @pytest.fixture(scope="module")
-def without_estimates(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The bytes of such a file that none has read: most of them are evidence."""
+def good(without_estimates: bytes, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The bytes of that file with the estimate that a reader kept."""
     path = tmp_path_factory.mktemp("good") / "a.map"
-    given_to(path, [piece(i, ("dry", "wet")[i % 2]) for i in range(6)] + [part(9, 0, 9)])
+    path.write_bytes(without_estimates)
+    read_map(path)
     return path.read_bytes()
 
 

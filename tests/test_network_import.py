@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import run
+from command import Shell
 from refusals import refused
 
 from analysis.network.edges import export_network
@@ -667,10 +667,10 @@ def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -
 
 @needs_osrd
 def test_a_planner_imports_a_network_shows_routes_and_exports_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shell: Shell
 ) -> None:
     def command(*words: object) -> str:
-        status, printed, problems = run(monkeypatch, capsys, *words)
+        status, printed, problems = shell(*words)
         assert status == 0, problems
         return printed
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,11 @@ UNIT = RollingVehicle(
     air_resistance=0.004,
     effort=EFFORT,
 )
+
+WAGON = RollingVehicle(
+    name="wagon", vehicle_type="freight", length=19.0, mass=25e3, load_limit=59e3,
+    base_resistance=0.0014, air_resistance=0.0039,
+)  # fmt: skip
 
 
 def train_of(file: str, loaded: float = 1.0) -> Train:
@@ -129,17 +135,8 @@ def test_every_valid_case_is_read() -> None:
 
 def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
     speed = np.linspace(0.0, 50.0, 11)
-    wagon = RollingVehicle(
-        name="wagon",
-        vehicle_type="freight",
-        length=19.0,
-        mass=25e3,
-        load_limit=59e3,
-        base_resistance=0.0014,
-        air_resistance=0.0039,
-    )
     strahl = GRAVITY * 84e3 * (1.4 + 3.9 * (3.6 * speed / 100.0) ** 2) / 1e3
-    assert wagon.resistance(59e3)(speed) == pytest.approx(strahl)
+    assert WAGON.resistance(59e3)(speed) == pytest.approx(strahl)
     coach = RollingVehicle(
         name="coach",
         vehicle_type="passenger",
@@ -158,14 +155,7 @@ def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
 
 
 def test_a_formation_adds_its_vehicles_up() -> None:
-    wagon = RollingVehicle(
-        name="wagon",
-        vehicle_type="freight",
-        length=19.0,
-        mass=25e3,
-        load_limit=59e3,
-        speed_limit=27.0,
-    )
+    wagon = replace(WAGON, speed_limit=27.0)
     empty, half = (coupled("train", (UNIT, wagon, wagon), share) for share in (0.0, 0.5))
     assert empty.length == 78.0
     assert empty.mass == 110e3
