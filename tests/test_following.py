@@ -174,6 +174,8 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None
     assert 0.0 < abs(error) < 4.0 * float(trip.metadata["load_std"])
     (chart,) = following_charts([trip])
     assert [len(panel.curves) for panel in chart.panels] == [4, 1, 1, 1]
+    (back,) = following_charts([replace(trip, metadata=trip.metadata | {"direction": "reverse"})])
+    assert back.line.stations[0].name == chart.line.stations[-1].name
     with pytest.raises(LogError, match=r"'driven-.*' followed no trajectory"):
         following_charts([replace(trip, topics={"/events": trip["/events"]})])
     refused(LogError, "no trip to draw", following_charts, [])

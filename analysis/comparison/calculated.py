@@ -488,13 +488,8 @@ class Cells:
 
     def _with_unrecorded_braking(self, inputs: Inputs) -> Cells:
         """With the braking that the motion shows where none of the recorded efforts explains it."""
-        train = inputs.model.train
-        needed = (
-            0.5 * inputs.inertia * np.diff(self.speed**2)
-            + self.resisting(inputs.model.resistance) * self.step
-            + inputs.mass.value * self.track
-            + self.braking
-        )
+        train, own = inputs.model.train, inputs.model.resistance
+        needed = self.needed(own, inputs.mass.value, inputs.inertia) + self.braking
         idle = self.work <= LEAST_EFFORT * train.max_tractive_effort * self.step
         braked = idle & ~self.unknown & (needed < -BRAKED * inputs.inertia * self.step)
         braking = np.where(braked, self.braking - needed, self.braking)
@@ -526,6 +521,11 @@ class Cells:
         speed = np.sqrt(self.squared)
         through_wind = resistance.r2 * self.wind * (2.0 * speed + self.wind)
         return np.asarray(resistance(speed) + self.tunnels * self.squared + through_wind)
+
+    def needed(self, resistance: RunningResistance, mass: float, inertia: float) -> FloatArray:
+        """Work [J] that the motion needs of a train without and with rotating masses [kg]."""
+        kinetic = 0.5 * inertia * np.diff(self.speed**2)
+        return np.asarray(kinetic + self.resisting(resistance) * self.step + mass * self.track)
 
     def runs(self) -> list[tuple[int, int]]:
         """First cell and one past the last of each run above `SLOWEST` within a section.
@@ -625,9 +625,7 @@ def _work(inputs: Inputs, cells: Cells, at: FloatArray) -> FloatArray:
     """Tractive work [J] that the recorded motion of each section needs; `at` as of `steps_of`."""
     mass, gain, slope, start = at[-4:].tolist()
     inertia = mass + inputs.model.train.rotating_mass
-    kinetic = 0.5 * inertia * np.diff(cells.speed**2)
-    resisting = cells.resisting(RunningResistance.of(at[:-4])) * cells.step
-    needed = kinetic + resisting + mass * cells.track
+    needed = cells.needed(RunningResistance.of(at[:-4]), mass, inertia)
     if inputs.efforts:
         # What is not known of the gain is not known of the measured work, too.
         needed = needed + cells.braking * (2.0 - gain) - cells.work * (gain - 1.0)
@@ -701,8 +699,7 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
 
     kinetic = 0.5 * np.diff(cells.speed**2)
     net = cells.work - cells.braking
-    resisting = cells.resisting(model.resistance) * step
-    expected = inputs.inertia * kinetic + resisting + inputs.mass.value * cells.track
+    expected = cells.needed(model.resistance, inputs.mass.value, inputs.inertia)
     residual = summed(net - expected)
     mass_std = inputs.mass.std
     root = model.principal_axes.T
