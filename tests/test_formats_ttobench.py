@@ -51,6 +51,7 @@ TRAIN: dict[str, Any] = {
     "rolling resistance r0": {"unit": "N", "value": 2000},
     "rolling resistance r1": {"unit": "N/(m/s)", "value": 60},
     "rolling resistance r2": {"unit": "kN/(m/s)^2", "value": 0.012},
+    "num seats": {"unit": "-", "value": 1},
 }
 
 
@@ -117,6 +118,7 @@ def test_declared_units_are_honoured(tmp_path: Path) -> None:
     assert (train.mass, train.max_traction_power, train.max_speed) == (100e3, 2e6, 40.0)
     assert train.resistance.r2 == 12.0
     assert train.rotating_mass_factor == 0.0
+    assert train.seats == 1
     assert "rotating_mass_factor" in train.assumed
 
 
