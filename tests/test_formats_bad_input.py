@@ -222,7 +222,10 @@ def test_nonsense_is_refused_at_its_place(kind: str, path: str, value: Any, mess
     assert complaint.startswith(message), complaint
 
 
-def test_a_number_too_large_for_a_double_is_refused() -> None:
+def test_numbers_that_json_has_not_are_refused() -> None:
+    data = GOOD["train"][0].replace(b"122", b"NaN")
+    with pytest.raises(InputError, match=r"^f\.json, line 6, column 21: NaN is not"):
+        train_from_bytes(data, file="f.json")
     data = GOOD["train"][0].replace(b"122", b"1e999")
     with pytest.raises(InputError, match=r"^f\.json, mass\.value: is not a finite number"):
         train_from_bytes(data, file="f.json")
