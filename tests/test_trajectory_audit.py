@@ -14,11 +14,12 @@ from trajectory_cases import (
     steps,
 )
 
-from analysis.trajectory.audit import Audit, audit
+from analysis.trajectory.audit import Audit, _in_table, _table, audit
 from analysis.trajectory.discretisation import inside
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.railway import (
     Configuration,
+    EffortCurve,
     Line,
     RunningResistance,
     TimingPoint,
@@ -96,6 +97,15 @@ def test_a_train_whose_effort_just_balances_its_resistance_does_not_start() -> N
     found = audit(run, positions, np.full(80, 2_000.0), none, none[None])
     assert found.shortfall[0] == pytest.approx(2_000.0)
     assert any("stops short" in each for each in found.failures(run, 1e6))
+
+
+def test_an_effort_of_a_table_is_that_of_the_curve() -> None:
+    """Between all of its rows, in the first of them as in the last, and beyond."""
+    curve = EffortCurve(np.array([0.0, 4.0, 9.0, 20.0]), np.array([9e4, 8e4, 3e4, 2e4]))
+    for speed in (0.5, 3.9, 4.0, 6.0, 12.0, 20.0, 31.0):
+        known = np.interp(speed, curve.speeds, curve.efforts) * min(1.0, 20.0 / speed)
+        assert _in_table(speed, curve.speeds, curve.efforts) == pytest.approx(known)
+    assert _in_table(0.7, *_table(None)) == np.inf
 
 
 def test_energy_that_the_dynamic_brake_cannot_take_is_not_fed_back() -> None:
