@@ -323,6 +323,27 @@ def test_a_route_over_given_edges() -> None:
         network.along([("trunk", True)], start=2_000.0, end=1_000.0)
 
 
+def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
+    from analysis.fleet.analyses import adhesion
+    from analysis.view import TripView
+
+    network = Network("cut", (Node("East"), Node("Mid", "junction"), Node("West")), (
+        Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
+        Edge("west", WHOLE.section(10_000.0, WHOLE.length), "Mid", "West"),
+    ))  # fmt: skip
+    trip = trainlog.read(sample("stopping.mcap"))
+    line = line_to_bytes(network.route("East", "West").line)
+    trip = replace(trip, attachments={**trip.attachments, "line.json": line})
+    metadata = trip.metadata | {"weather": "dry", "weather_by_edge": '{"east": "wet"}'}
+    trainlog.write(replace(trip, metadata=metadata), tmp_path / "trip.mcap")
+    rows = adhesion(TripView(trainlog.read(tmp_path / "trip.mcap")))
+    assert dict(zip(rows["edge"], rows["layer"], strict=True)) == {"east": "wet", "west": "dry"}
+    metadata["weather_by_edge"] = "wet"
+    trainlog.write(replace(trip, metadata=metadata), tmp_path / "trip.mcap")
+    with pytest.raises(InputError, match="is not a JSON object of rail conditions"):
+        adhesion(TripView(trainlog.read(tmp_path / "trip.mcap")))
+
+
 def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
     from analysis.network.edges import edge_line, trips_on_edges
     from trainlog.formats.railway import line_of
