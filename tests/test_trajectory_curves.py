@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
 
-from analysis.trajectory.audit import audit
+from analysis.trajectory import active_set
+from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.problem import TrajectoryProblem
@@ -73,6 +74,22 @@ def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str)
     excess = certificate["energy"] - certificate["lower_bound"]
     assert certificate["certified"] == (excess <= certificate["tolerance"])
     assert np.all(within(TRAINS[train], trajectory) <= 1.0 + 1e-6)
+
+
+def test_what_an_audit_finds_beyond_a_curve_is_taken_off_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As for a train that gives a ten-thousandth less than its curve states."""
+
+    def less(answer: active_set.Answer) -> Audit:
+        found = driven(answer)
+        return replace(found, effort=1.0001 * found.effort)
+
+    driven = active_set.driven
+    monkeypatch.setattr(active_set, "driven", less)
+    train = TRAINS["linear"]
+    trajectory = optimised(LINES["level"], train, drawn(train, 2, seed=3), reserve=0.1, cells=80)
+    assert 0.999 < within(train, trajectory).max() <= 1.0 / 1.0001 + 1e-6
 
 
 def test_a_common_brake_stops_a_train_whose_dynamic_brake_fades() -> None:

@@ -683,6 +683,7 @@ def _stricter(problem: DiscreteProblem, found: Audit) -> DiscreteProblem:
     pull, brake = min(effort, adhesion), min(braking, adhesion)
     return replace(
         problem,
+        curves=None if problem.curves is None else problem.curves.kept_to(effort),
         power=power * problem.power,
         traction=pull * problem.traction,
         braking=brake * problem.braking,

@@ -275,12 +275,13 @@ def _roll(
                 z = (half[a] + change if half[a] + change > 0.0 else 0.0) * moving[a]
                 moving[a] = 1.0 if part[a] >= 1.0 else 0.0
                 x = np.sqrt(2.0 * z)
-                whole = 2.0 * h / (w + x)
-                inside = 0.25 * (y + 2.0 * z) + 0.125 * h * (c1 - c4)
+                way = part[a] * h
+                whole = 2.0 * way / (w + x)
+                inside = 0.25 * (y + 2.0 * z) + 0.125 * way * (c1 - c4)
                 between = np.sqrt(2.0 * max(inside, 0.0))
-                halves = h / (w + between) + h / (between + x)
-                halves = halves if inside > 0.0 and part[a] == 1.0 else whole
-                whole = part[a] * whole + 4.0 / 3.0 * (halves - whole)
+                halves = way / (w + between) + way / (between + x)
+                halves = halves if inside > 0.0 else whole
+                whole += 4.0 / 3.0 * (halves - whole)
                 time[a] += whole if w + x > 0.0 else 0.0
                 half[a] = z
                 v[a], after[a], k1[a] = w, x, c1

@@ -708,6 +708,10 @@ class Curves:
         """Those of some of the configurations."""
         return replace(self, share=self.share[list(rows)])
 
+    def kept_to(self, part: float) -> Curves:
+        """With plans that keep to this part of the efforts."""
+        return replace(self, kept=EffortCurve(self.kept.speeds, part * self.kept.efforts))
+
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray]:
         """Speeds of each configuration's curve that plans keep to, (q, m), and efforts, (m,)."""

@@ -326,8 +326,10 @@ def _renewed(
     active = len(found.answer.active)
     finest = max(2 * cells, options.cells, _FINE // active) if active > 1 else MOST_CELLS
     taken = 0.5 * (worked() - begun)
-    # New cells lower the energy, too: a cone program that takes longer waits for them.
-    bound = best_bound(found.answer, fastest, running_time, taken)
+    # New cells lower the energy, too: a cone program that takes longer waits for them. For a common
+    # brake its multipliers have to show where cells are too long.
+    first = _LONGEST - (worked() - begun) if found.problem.common else taken
+    bound = best_bound(found.answer, fastest, running_time, first)
     last, excess = found, bound.excess
     lower = False
     for number in itertools.count():

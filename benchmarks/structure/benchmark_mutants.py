@@ -47,7 +47,8 @@ NEAREST = {
     "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_export",
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
-    "analysis/trajectory/bound.py": "trajectory_answers trajectory_certificate trajectory_random",
+    "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
+    " trajectory_answers",
     "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest live",
 }
 """Modules, and the tests that a fault in them should fail, the quickest first."""

@@ -1,0 +1,317 @@
+"""The Hamiltonian of the bound of all trajectories, beside all speeds and controls tried out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from trajectory_cases import FLIRT, drawn, hilly_line, slippery
+
+from analysis.trajectory import bound
+from analysis.trajectory.bound import Costate, Hamiltonian, Prices, Segments, _Piece, reached
+from analysis.trajectory.convex import Multipliers
+from analysis.trajectory.discretisation import Curves, Plan, Taper, discretise, effort_limits
+from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
+from trainlog.railway import EffortCurve
+
+POINTS = 3
+TRACTION = EffortCurve(
+    np.array([0.0, 10.0, 16.0, 25.0, 60.0]), 1e3 * np.array([200, 180, 90, 80, 30.0])
+)
+BRAKE = EffortCurve(np.array([0.0, 3.0, 12.0, 60.0]), 1e3 * np.array([0, 150, 120, 40.0]))
+CROSSED = replace(FLIRT, traction_curve=TRACTION, dynamic_braking_curve=BRAKE)
+CURVED = replace(
+    CROSSED, max_traction_power=2e7, max_dynamic_braking_power=2e7, max_acceleration=2.0,
+    max_deceleration=2.0,
+)  # fmt: skip
+"""No other limit is below the curves at some speeds only."""
+
+WEAK = replace(FLIRT, max_dynamic_braking_power=9e5, max_pneumatic_braking_effort=6e4)
+STRONG = replace(FLIRT, max_dynamic_braking_power=9e5)
+SHORT = replace(STRONG, max_dynamic_braking_effort=6e4)
+"""Friction alone does more than the dynamic brake."""
+
+SLIPPERY = slippery(hilly_line(), (900.0, 2_600.0, 0.06))
+
+CASES: dict[str, tuple[Any, dict[str, Any]]] = {
+    "line": (WEAK, {"objective": "line"}),
+    "wheel": (FLIRT, {"objective": "wheel"}),
+    "friction": (WEAK, {"objective": "wheel"}),
+    "curves": (CURVED, {"objective": "line"}),
+    "crossed curves": (CROSSED, {"objective": "line"}),
+    "strong friction": (STRONG, {"objective": "line"}),
+    "slippery": (FLIRT, {"objective": "line", "condition_map": SLIPPERY}),
+    "common": (SHORT, {"objective": "line", "braking": "common"}),
+}
+
+
+@cache
+def of(case: str) -> tuple[Hamiltonian, FloatArray, FloatArray]:
+    """A plan of two configurations, any prices, and any costate with any slopes."""
+    train, asked = CASES[case]
+    run = TrajectoryProblem(hilly_line(), train, drawn(train, 2, seed=2, spread=0.3), **asked)
+    fastest, rng = fastest_run(run), np.random.default_rng(1)
+    problem = discretise(run, np.unique([*run.breakpoints, 40.0, 300.0]))
+    q, n = problem.shape
+    problem = problem.tapered(Taper(rng.uniform(0.0, 0.05, n), np.zeros(n)))
+    z = rng.uniform(0.2, 0.8, (q, n + 1)) * 0.5 * fastest.at(problem.positions) ** 2
+    braking = rng.uniform(0.0, 0.5, (q, n)) * problem.braking
+    traction = rng.uniform(0.1, 0.8, n) * problem.traction
+    plan = Plan(z, traction, braking, np.minimum(0.5 * braking, problem.dynamic))
+    time, share = rng.uniform(0.5, 6.0, (q, n)), rng.dirichlet(np.ones(q + 1), n).T[:q]
+    regained = rng.uniform(0.2, 0.5, q) * run.at_line
+    dynamic = rng.uniform(0.0, 1.0, (q, n)) * regained[:, None]
+    prices = Prices(1.1, regained, time, share, dynamic, None)  # type: ignore[arg-type]
+    segments = Segments.of(problem, POINTS)
+    shape = (q, n, POINTS)
+    costate, slope = rng.uniform(-0.6, 1.6, shape), rng.uniform(-1e-2, 1e-2, shape)
+    return Hamiltonian(problem, plan, prices, fastest, run, segments), costate, slope
+
+
+def alone(made: Hamiltonian, costate: FloatArray, speed: FloatArray) -> FloatArray:
+    """The least over its controls of each configuration at speeds (m, q, n, p), but for slopes."""
+    run, reference, prices = made.problem.run, made.problem.reference, made.prices
+    train, s = run.train, made.segments.positions
+    limits = effort_limits(run, s.reshape(-1, 1), run.adhesion_at(s.ravel()))
+    most_pull, most, friction, most_dynamic = (
+        (each / reference).reshape(-1, *s.shape)
+        for each in (limits.traction, limits.braking, limits.friction, limits.dynamic)
+    )
+    tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(s))
+    found = prices.time[:, :, None] / speed
+    worth = sum(
+        costate[row] * reference / each.inertia for row, each in enumerate(run.configurations)
+    )
+    for row, each in enumerate(run.configurations):
+        v, gain, own = speed[:, row], reference / each.inertia, costate[row]
+        drag = each.resistance(v) + each.mass * run.track_acceleration(s) + tunnel * v**2
+        found[:, row] += own * drag / each.inertia
+        pull = np.minimum(most_pull.min(axis=0), each.max_power / reference / v)
+        brake = np.minimum(most_dynamic[row], train.max_dynamic_braking_power / reference / v)
+        if train.traction_curve is not None:
+            part = each.max_power / train.max_traction_power
+            pull = np.minimum(pull, train.traction_curve(v / part) / reference)
+            brake = np.minimum(brake, train.dynamic_braking_curve(v) / reference)
+        surplus = np.maximum(worth - prices.traction, 0.0)
+        found[:, row] -= prices.share[row][:, None] * surplus * pull
+        if run.braking == "common":
+            found[:, row] -= prices.dynamic[row][:, None] * brake
+            continue
+        # In a corner of what is fed back, and of how much all brakes do besides.
+        least = np.full(v.shape, np.inf)
+        for dynamic in (0.0 * brake, brake, np.clip(most[row] - friction[row], 0.0, brake)):
+            fed_back = np.minimum(dynamic, most[row])
+            for total in (fed_back, np.minimum(most[row], friction[row] + fed_back)):
+                value = own * gain * total - prices.regained[row] * fed_back
+                least = np.minimum(least, value)
+        found[:, row] += least
+    return found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_least_is_that_of_all_speeds_and_controls(case: str) -> None:
+    made, costate, slope = of(case)
+    problem, prices = made.problem, made.prices
+    parts = np.concatenate(
+        (np.geomspace(1e-3, 1.0, 300)[:-1], np.linspace(1.0, 60.0, 3_000) / 60.0)
+    )
+    speed = np.maximum(parts[:, None, None, None] * made.highest, bound.LEAST_SPEED)
+    each = alone(made, costate, speed) - 0.5 * slope * speed**2
+    least = each.min(axis=0).sum(axis=0)
+    worth = (costate * problem.gain[:, None, None]).sum(axis=0)
+    train, run, s = problem.run.train, problem.run, made.segments.positions
+    limits = effort_limits(run, s.reshape(-1, 1), run.adhesion_at(s.ravel()))
+    pull, brake, dynamic = (
+        (value / problem.reference).reshape(-1, *s.shape)
+        for value in (limits.traction, limits.braking, limits.dynamic)
+    )
+    rest = 1.0 - prices.share.sum(axis=0)
+    least = least - rest[:, None] * np.maximum(worth - prices.traction, 0.0) * pull.min(axis=0)
+    if run.braking == "common":
+        efforts = np.linspace(0.0, 1.0, 2_001)[:, None, None] * brake.min(axis=0)
+        left = prices.regained[:, None] - prices.dynamic
+        fed_back = np.minimum(efforts[:, None], dynamic)
+        least = least + (worth * efforts - (left[:, :, None] * fed_back).sum(axis=1)).min(axis=0)
+    found = made.least(costate, slope)
+    assert np.all(found <= least + 1e-9)
+    # Less than the least where limits cross between the speeds at which one of them bends.
+    assert np.all(found >= least - 0.3)
+    crossed = case == "crossed curves" or (costate.min(axis=0) < 0.0) & (train is WEAK)
+    error = (least - found) / (1.0 + np.abs(least))
+    assert np.quantile(error, 0.5 if case == "crossed curves" else 0.8) < 1e-3
+    assert np.all((error < 1e-3) | crossed)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_costate_changes_as_the_least_does_with_the_speed(case: str) -> None:
+    """The adjoint equation: with its slopes the Hamiltonian is level about the plan's speeds."""
+    made, costate, _ = of(case)
+    step = 1e-4
+    rise = alone(made, costate, np.stack([made.speed - step, made.speed + step]))
+    expected = (rise[1] - rise[0]) / (2.0 * step) / made.speed
+    np.testing.assert_allclose(made.slopes(costate), expected, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_plan_costs_what_its_efforts_and_its_time_are_worth(case: str) -> None:
+    made, costate, slope = of(case)
+    problem, plan, run = made.problem, made.plan, made.problem.run
+    place = made.segments.place
+    fall, step = problem.taper.fall[:, None], problem.step[:, None]
+    pulled = plan.traction[:, None] + fall - 2.0 * fall * place
+    total = made.prices.traction * pulled
+    for row, each in enumerate(run.configurations):
+        # Traction falls steadily, so that the mean from the beginning is above that of the cell.
+        ends, gain = plan.z[row], problem.reference / each.inertia
+        z = ends[:-1, None] * (1.0 - place) + ends[1:, None] * place
+        v = np.sqrt(2.0 * (z + gain * step * place * (1.0 - place) * fall))
+        np.testing.assert_allclose(made.speed[row], v, rtol=1e-12)
+        s, own = made.segments.positions, costate[row]
+        tunnel = run.train.tunnel_coefficient(run.line.tunnel_cross_section(s))
+        drag = each.resistance(v) + each.mass * run.track_acceleration(s) + tunnel * v**2
+        net = gain * (pulled - plan.braking[row][:, None]) - drag / each.inertia
+        total = total + made.prices.time[row][:, None] / v - own * net - 0.5 * slope[row] * v**2
+        total = total - made.prices.regained[row] * plan.dynamic[row][:, None]
+    np.testing.assert_allclose(made.of_plan(costate, slope), total, rtol=1e-10)
+
+
+def test_what_traction_is_worth_at_its_limit_is_shared_by_whose_power_limits_it() -> None:
+    """By all where the effort limits it less; a third of it where the effort has the rest."""
+    problem = of("line")[0].problem
+    q, n = problem.shape
+    traction = 1.0 / problem.run.train.efficiency_traction
+    worth = np.linspace(0.5, 2.0, n)
+    none, power = np.zeros((q, n)), np.array([[0.75], [0.25]]) * worth
+    power[:, : n // 2] /= 3.0
+    pull = np.full((q, n), 0.5) * (traction * problem.step + worth)
+    of_times = np.zeros((q, 0))
+    made = Multipliers(pull, np.ones(q), of_times, of_times, power, none, np.array([3.0, 1.0]))
+    prices = Prices.of(problem, made)
+    whole = np.where(np.arange(n) < n // 2, 1.0 / 3.0, 1.0)
+    np.testing.assert_allclose(prices.share, np.array([[0.75], [0.25]]) * whole)
+    regained = problem.run.train.efficiency_regeneration * np.array([0.75, 0.25])
+    np.testing.assert_allclose(prices.regained, regained)
+    assert prices.traction == traction
+
+
+def test_quadrature_is_exact_for_what_time_and_costate_are_made_of() -> None:
+    """Polynomials; and the root of the way from a standstill and to one."""
+    made, _, _ = of("line")
+    segments, length = made.segments, made.problem.step
+    inner = slice(1, -1)
+    for power in range(2 * POINTS):
+        whole = (segments.weights * segments.place**power).sum(axis=1)[inner]
+        np.testing.assert_allclose(whole, length[inner] / (power + 1.0))
+    for power in range(POINTS):
+        so_far = (segments.place**power) @ segments.gathering.T
+        np.testing.assert_allclose(
+            so_far[inner], segments.place[inner] ** (power + 1) / (power + 1)
+        )
+    start, end = segments.place[0], 1.0 - segments.place[-1]
+    for weights, way, whole in (
+        (segments.weights[0], start, length[0]),
+        (segments.weights[-1], end, length[-1]),
+    ):
+        np.testing.assert_allclose(weights @ way**-0.5, 2.0 * whole)
+    np.testing.assert_allclose(
+        segments.positions, made.problem.positions[:-1, None] + length[:, None] * segments.place
+    )
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_a_costate_joins_its_ends(even: bool) -> None:
+    made, costate, _ = of("line")
+    begin, end = costate[:, :, 0], costate[:, :, -1]
+    line = Costate(made.segments, begin, end, np.full(begin.shape, even), 0.0)
+    values, slopes = line.along(made)
+    segments, inner = made.segments, slice(1, -1)
+    np.testing.assert_allclose(
+        (slopes * segments.weights).sum(axis=2), end - begin, rtol=1e-9, atol=1e-9
+    )
+    # The slopes of its values, and where it is not even those of the adjoint equation but for one
+    # constant in each cell.
+    powers = np.arange(POINTS)
+    fit = np.linalg.inv(segments.place[:, :, None] ** powers)
+    own = np.einsum("nkp,qnp->qnk", fit, slopes)[:, inner, None, :]
+    place = segments.place[inner][:, :, None] ** (powers + 1) / (powers + 1)
+    rise = (own * place).sum(axis=3) * segments.length[inner][:, None]
+    np.testing.assert_allclose(values[:, inner], begin[:, inner, None] + rise, rtol=1e-9, atol=1e-9)
+    straight = begin[:, :, None] + (end - begin)[:, :, None] * segments.place
+    if even:
+        np.testing.assert_allclose(values, straight)
+    else:
+        apart = slopes - made.slopes(straight)
+        assert np.ptp(apart, axis=2).max() < 1e-9 * np.abs(slopes).max()
+
+
+def test_no_finer_run_is_faster_than_what_is_reached() -> None:
+    """The envelope on its own cells, thinned out, bounds those between; and not by much."""
+    run = TrajectoryProblem(hilly_line(), FLIRT, drawn(FLIRT, 2, seed=2))
+    fine = fastest_run(run)
+    kept = np.unique(
+        [
+            *range(0, fine.positions.size, 2),
+            *np.flatnonzero(np.isin(fine.positions, run.breakpoints)),
+        ]
+    )
+    coarse = replace(
+        fine, positions=fine.positions[kept], speeds=fine.speeds[:, kept],
+        elapsed=fine.elapsed[:, kept], pulling=fine.pulling[:, kept[:-1]],
+    )  # fmt: skip
+    found = reached(coarse, fine.positions)
+    assert np.all(found >= fine.speeds)
+    assert np.median(found - fine.speeds) < 0.02
+    any_run = replace(
+        coarse, positions=np.arange(5.0), speeds=np.array([[0.0, 3.0, 3.5, 2.0, 1.0]])
+    )
+    at_nodes = reached(any_run, any_run.positions)
+    np.testing.assert_allclose(at_nodes, any_run.speeds, rtol=3e-4, atol=2e-6)
+
+
+@pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0)])
+def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(
+    signs: tuple[int, int],
+) -> None:
+    rng = np.random.default_rng(5)
+    a, b, c = 10.0 ** rng.uniform(-2.0, 1.5, (3, 400)) * [[signs[0]], [1.0], [signs[1] * 0.01]]
+    b *= rng.choice([-1.0, 1.0], 400)
+    low = rng.uniform(0.3, 10.0, 400)
+    high = low + rng.uniform(0.1, 30.0, 400)
+    v = low + (high - low) * np.linspace(0.0, 1.0, 4_001)[:, None]
+    least = (a / v + b * v + c * v**2).min(axis=0)
+    found = bound._least(a, b, c, (low, high), rng.uniform(low, high))
+    assert np.all(found <= least + 1e-9 * np.maximum(np.abs(least), 1.0))
+    assert np.max(least - found) < 1e-4
+
+
+@pytest.mark.parametrize("curve", [TRACTION, BRAKE], ids=["traction", "brake"])
+def test_an_effort_is_the_lowest_of_its_limits_at_each_speed(curve: EffortCurve) -> None:
+    """Beyond the curve's last point, too, where it goes on at the power of that."""
+    share = np.array([1.0, 0.8])
+    own = EffortCurve(curve.speeds, curve.efforts / 1e5)
+    curves = Curves.of(own, share, 100.0)
+    speed = np.tile(np.linspace(0.3, 1.6 * own.speeds[-1], 400)[:, None], (2, 1, 1))
+    speed = speed.reshape(2, 400, 1)
+    for effort, power in ((1.3, 18.0), (5.0, 1e3), (0.4, 1e3), (5.0, 12.0)):
+        limits = np.full(speed.shape, effort), np.full(speed.shape, power)
+        plain = _Piece.of(*limits, None, speed).at(speed)
+        np.testing.assert_allclose(plain, np.minimum(effort, power / speed))
+        expected = np.minimum(plain, own(speed / share[:, None, None]))
+        np.testing.assert_allclose(_Piece.of(*limits, curves, speed).at(speed), expected)
+
+
+def test_between_two_nodes_a_run_may_turn_from_one_slope_to_the_other() -> None:
+    """By hand: slopes of 6, 4, 1, -2 and -5 of half the square of the speed, over 1 m each."""
+    z = np.array([1.0, 7.0, 11.0, 12.0, 10.0, 5.0])
+    run = replace(
+        fastest_run(of("line")[0].problem.run),
+        positions=np.arange(6.0),
+        speeds=np.sqrt(2.0 * z)[None],
+    )
+    found = reached(run, np.arange(5) + 0.5)[0]
+    np.testing.assert_allclose(0.5 * found**2, [4.5, 10.25, 13.0, 12.5, 8.25], rtol=1e-3)
