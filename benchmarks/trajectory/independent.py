@@ -21,7 +21,7 @@ from trainlog.railway import Configuration, Trajectory
 
 _G = 9.81
 _CURVE = 0.6  # [m]: curve resistance over weight, times the radius
-_ACCURACY = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-11}
+_ACCURACY = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13}
 _SLOW = 1.0
 """Speed below which a cell is integrated in time, not in position [m/s]."""
 
