@@ -325,10 +325,14 @@ def _renewed(
     cells = found.problem.shape[1]
     active = len(found.answer.active)
     finest = max(2 * cells, options.cells, _FINE // active) if active > 1 else MOST_CELLS
+
+    def for_bound() -> float:
+        return _LONGEST - (worked() - begun)
+
     taken = 0.5 * (worked() - begun)
     # New cells lower the energy, too: a cone program that takes longer waits for them. For a common
     # brake its multipliers have to show where cells are too long.
-    first = _LONGEST - (worked() - begun) if found.problem.common else taken
+    first = for_bound() if found.problem.common else taken
     bound = best_bound(found.answer, fastest, running_time, first)
     last, excess = found, bound.excess
     lower = False
@@ -354,7 +358,7 @@ def _renewed(
             continue
         lower = again.energy < (1.0 - _LOWER) * found.energy
         # While the energy falls the bound only guides the cells; its cone program can wait.
-        left = 0.0 if lower else _LONGEST - (worked() - begun)
+        left = 0.0 if lower else for_bound()
         taken = worked() - now
         other = best_bound(again.answer, fastest, running_time, left)
         last, excess = again, other.excess
@@ -374,9 +378,10 @@ def _renewed(
             continue
         cells, taken = 2 * cells, _LONGER * taken
     missing = found.energy - bound.value
-    waits = number == 0 and missing > enough
+    asked = found.problem.common or bound.source != MULTIPLIERS
+    waits = number == 0 and missing > enough and not asked
     if waits or (lower and missing > tolerated(bound.value, fastest)):
-        other = best_bound(found.answer, fastest, running_time, _LONGEST - (worked() - begun))
+        other = best_bound(found.answer, fastest, running_time, for_bound())
         bound = max(bound, other, key=lambda each: each.value)
     return found, bound
 

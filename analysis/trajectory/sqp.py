@@ -538,8 +538,8 @@ def minimise(
     while True:
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
         program = QPSubproblem(tapered, plan, price, given=given, spare=spare)
+        settled = changed < _SETTLED * energy
         try:
-            settled = changed < _SETTLED * energy
             solution = program.solve(
                 running_time, radius, lateness_price, tolerances.smoothing, settled
             )
