@@ -8,10 +8,7 @@ Everything is simulated: the scenarios are those of ``trainlog simulate drive --
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from foreign_recorders import write_recorder_csv, write_ublox_csv
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from foreign_recorders import write_recorder_csv, write_ublox_csv
 from simulated_line import flirt, hilly_line, level_line
 
 from trainlog import __version__
@@ -21,7 +21,10 @@ from trainlog.mcap import read_log, write_log
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 
-PROFILE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"
+sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
+from foreign_recorders import write_recorder_csv, write_ublox_csv
+
+PROFILE = sample("recorder.profile.toml")
 
 LINE, TRAIN = hilly_line(), flirt()
 
@@ -134,4 +137,4 @@ def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path: Path, dr
 def test_a_line_that_the_train_runs_out_of_is_refused() -> None:
     short = replace(level_line(5_000.0, limit=30.0), name="short")
     with pytest.raises(InputError, match=r"recorder\.csv: positions reach km 29\..*line 'short'"):
-        ingest(sample("recorder.csv"), profile=sample("recorder.profile.toml"), line=short)
+        ingest(sample("recorder.csv"), profile=PROFILE, line=short)

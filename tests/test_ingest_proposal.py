@@ -13,127 +13,65 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from simulated_line import KMH, flirt, hilly_line
 from typer.testing import CliRunner
 
-from analysis import fit_trip
 from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.ingest import NO_TIME, Proposal, ingest, propose_profile
-from trainlog.ingest.tabular import read_delimited, read_parquet
-from trainlog.railway import Axles, Line, RunningResistance, Train
+from trainlog.ingest.tabular import read_delimited
+from trainlog.railway import Axles, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
-NAMES: dict[str, dict[str, list[str]]] = {
-    "en": {
-        "time": ["Time", "Timestamp", "Recorded at (time)", "Date/Time", "time"],
-        "date": ["Date"],
-        "clock": ["Time", "Time of day"],
-        "elapsed": ["t", "Elapsed", "Time"],
-        "speed": ["Speed", "v", "Train speed", "Velocity", "v_act", "Actual speed"],
-        "position": ["Distance", "Position", "Odometer", "Chainage", "s", "Mileage"],
-        "traction": ["Tractive effort", "F_traction", "TE", "Traction force", "Traction"],
-        "signed": ["Traction/braking effort", "Effort", "F", "Tractive-braking force"],
-        "dynamic": ["Electric brake effort", "Dynamic brake", "F_ebrake", "ED brake force"],
-        "pneumatic": ["Air brake effort", "Friction brake force", "F_airbrake", "Pneumatic brake"],
-        "lever": ["Lever", "Master controller", "Throttle handle"],
-        "wheel": ["Axle {} speed", "v_axle{}", "Wheel speed {}", "WheelSpeed{}"],
-        "turns": ["n{}", "Axle {} revs", "Wheelset {} rotation", "RPM_{}"],
-        "wheel_effort": ["Axle {} effort", "F_axle{}"],
-        "latitude": ["lat", "Latitude", "GPS latitude", "gps_lat"],
-        "longitude": ["lon", "Longitude", "GPS longitude", "gps_lon"],
-        "altitude": ["alt", "Altitude", "Elevation", "Height"],
-        "gnss_speed": ["GPS speed", "gps_v", "Speed (GNSS)"],
-        "limit": ["Speed limit", "v_max", "Permitted speed"],
-        "set": ["Set speed", "v_target"],
-        "temperature": ["Motor temperature", "Temp transformer"],
-        "door_state": ["DoorsOpen", "Door_state"],
-        "voltage": ["Line voltage", "Catenary voltage", "U_line"],
-        "number": ["Train number", "Record id"],
-        "pressure": ["Brake pipe pressure", "BP"],
-        "current": ["Motor current 1", "Line current"],
-        "demand": ["Traction demand", "Requested effort", "F_setpoint"],
-        "remaining": ["Remaining way (distance)", "Remaining distance"],
-        "mean": ["Average speed", "Mean speed"],
-        "rate": ["Acceleration", "a"],
-    },
-    "de": {
-        "time": ["Zeit", "Zeitstempel", "Datum/Zeit", "Datum Uhrzeit"],
-        "date": ["Datum"],
-        "clock": ["Uhrzeit", "Zeit"],
-        "elapsed": ["t", "Laufzeit", "Zeit"],
-        "speed": ["Geschwindigkeit", "v", "V_Ist", "Istgeschwindigkeit", "Geschw.", "v Zug"],
-        "position": ["Weg", "km", "Wegstrecke", "Strecke", "Kilometrierung", "Position", "s"],
-        "traction": ["Zugkraft", "F_Zug", "Z", "Antriebskraft"],
-        "signed": ["Zug-/Bremskraft", "F", "Kraft", "Zug- und Bremskraft"],
-        "dynamic": ["Bremskraft elektrisch", "E-Bremskraft", "F_ED", "Elektr. Bremskraft"],
-        "pneumatic": ["Bremskraft mechanisch", "Druckluftbremskraft", "F_pn", "Reibungsbremskraft"],
-        "lever": ["Fahrhebel", "Fahrschalter", "Fahrbremshebel"],
-        "wheel": ["v Achse {}", "Radsatz {} Geschwindigkeit", "v_Rad{}"],
-        "turns": ["Drehzahl {}", "n{}", "Drehzahl Achse {}", "Radsatzdrehzahl {}"],
-        "wheel_effort": ["F Achse {}", "Zugkraft Achse {}"],
-        "latitude": ["Breite", "lat", "Breitengrad"],
-        "longitude": ["Länge", "lon", "Längengrad"],
-        "altitude": ["Höhe", "Hoehe", "Höhe ü. M."],
-        "gnss_speed": ["GPS-Geschwindigkeit", "v_GPS"],
-        "limit": ["Vmax", "Höchstgeschwindigkeit", "v zulässig"],
-        "set": ["V_Soll", "Sollgeschwindigkeit"],
-        "temperature": ["Temperatur Motor 1", "Trafotemperatur"],
-        "door_state": ["Türen", "Türzustand"],
-        "voltage": ["Fahrdrahtspannung", "U_FD"],
-        "number": ["Zugnummer", "Zähler"],
-        "pressure": ["Druck HLL", "Hauptluftleitung"],
-        "current": ["Strom FM1", "Oberstrom"],
-        "demand": ["Sollzugkraft", "Zugkraft Sollwert"],
-        "remaining": ["Restweg", "Restdistanz"],
-        "mean": ["Durchschnittsgeschwindigkeit", "v mittel"],
-        "rate": ["Beschleunigung", "a"],
-    },
-    "fr": {
-        "time": ["Horodatage", "Temps", "Date et heure"],
-        "date": ["Date"],
-        "clock": ["Heure"],
-        "elapsed": ["t", "Temps"],
-        "speed": ["Vitesse", "v", "Vitesse réelle", "Vitesse train", "Vit."],
-        "position": ["Distance", "PK", "Distance parcourue", "Abscisse", "Point kilométrique"],
-        "traction": ["Effort de traction", "Effort traction", "F_traction"],
-        "signed": ["Effort", "Effort traction/freinage", "F", "Effort à la jante"],
-        "dynamic": ["Freinage électrique", "Effort de freinage dynamique", "Frein élec."],
-        "pneumatic": ["Frein pneumatique", "Effort de freinage mécanique"],
-        "lever": ["Manipulateur", "Manip. traction"],
-        "wheel": ["Vitesse essieu {}", "v_essieu{}", "Vitesse roue {}"],
-        "turns": ["Rotation essieu {}", "n{}", "Régime essieu {}"],
-        "wheel_effort": ["Effort essieu {}"],
-        "latitude": ["lat", "Latitude"],
-        "longitude": ["lon", "Longitude"],
-        "altitude": ["Altitude", "alt"],
-        "gnss_speed": ["Vitesse GPS"],
-        "limit": ["Vitesse limite", "V max"],
-        "set": ["Vitesse de consigne", "Consigne vitesse"],
-        "temperature": ["Température moteur", "Temp. transfo"],
-        "door_state": ["Portes", "État portes"],
-        "voltage": ["Tension caténaire", "Tension ligne"],
-        "number": ["Numéro de train", "Compteur"],
-        "pressure": ["Pression CG", "Pression conduite"],
-        "current": ["Courant moteur 1", "Courant ligne"],
-        "demand": ["Consigne d'effort", "Effort demandé"],
-        "remaining": ["Distance restante"],
-        "mean": ["Vitesse moyenne"],
-        "rate": ["Accélération", "a"],
-    },
-}  # fmt: skip
+NAMES = """
+time: Time, Timestamp, Date/Time, time | Zeit, Zeitstempel, Datum/Zeit | Horodatage, Date et heure
+date: Date | Datum | Date
+clock: Time, Time of day | Uhrzeit, Zeit | Heure
+elapsed: t, Elapsed, Time | t, Laufzeit, Zeit | t, Temps
+parts: Year, Month, Day, Hour, Minute, Second | Jahr, Monat, Tag, Stunde, Minute, Sekunde | \
+Année, Mois, Jour, Heure, Minute, Seconde
+speed: Speed, v, Velocity, v_act | Geschwindigkeit, V_Ist, Geschw., v Zug | Vitesse, v, Vit.
+position: Distance, Odometer, Chainage, s | Weg, km, Kilometrierung | PK, Distance parcourue
+traction: Tractive effort, F_traction, TE | Zugkraft, F_Zug, Z | Effort de traction, F_traction
+signed: Traction/braking effort, Effort, F | Zug-/Bremskraft, F, Kraft | Effort, Effort à la jante
+dynamic: Electric brake effort, F_ebrake | E-Bremskraft, F_ED | Freinage électrique, Frein élec.
+pneumatic: Air brake effort, F_airbrake | Druckluftbremskraft, F_pn | Frein pneumatique
+lever: Lever, Throttle handle | Fahrhebel, Fahrschalter | Manipulateur, Manip. traction
+wheel: Axle {} speed, v_axle{} | v Achse {}, v_Rad{} | Vitesse essieu {}, v_essieu{}
+turns: n{}, RPM_{} | Drehzahl {}, Radsatzdrehzahl {} | Rotation essieu {}, Régime essieu {}
+latitude: lat, GPS latitude | Breite, lat | Latitude, lat
+longitude: lon, GPS longitude | Länge, lon | Longitude, lon
+altitude: alt, Elevation | Höhe, Höhe ü. M. | Altitude, alt
+gnss_speed: GPS speed, Speed (GNSS) | GPS-Geschwindigkeit, v_GPS | Vitesse GPS
+limit: Speed limit, v_max | Vmax, v zulässig | Vitesse limite, V max
+set: Set speed, v_target | V_Soll, Sollgeschwindigkeit | Vitesse de consigne
+temperature: Motor temperature | Trafotemperatur | Température moteur
+door_state: DoorsOpen, Door_state | Türzustand | État portes
+voltage: Line voltage, U_line | Fahrdrahtspannung, U_FD | Tension caténaire
+number: Train number, Record id | Zugnummer, Zähler | Compteur
+pressure: Brake pipe pressure, BP | Druck HLL | Pression CG
+current: Motor current 1 | Strom FM1, Oberstrom | Courant moteur 1
+demand: Traction demand, F_setpoint | Sollzugkraft | Consigne d'effort
+remaining: Remaining way (distance) | Restweg, Restdistanz | Distance restante
+mean: Average speed | Durchschnittsgeschwindigkeit | Vitesse moyenne
+rate: Acceleration, a | Beschleunigung, a | Accélération
+"""
+"""What recorders call a quantity, in English, German and French."""
 
-UNITS = {
-    "speed": {"km/h": 3.6, "m/s": 1.0, "mph": 3.6 / 1.609344, "kn": 3.6 / 1.852},
-    "length": {"m": 1.0, "km": 1e-3, "mi": 1.0 / 1609.344},
-    "force": {"kN": 1e-3, "N": 1.0, "daN": 0.1},
+WORDS = {
+    (language, key): each.split(", ")
+    for key, _, names in (row.partition(": ") for row in NAMES.strip().splitlines())
+    for language, each in zip(("en", "de", "fr"), names.split(" | "), strict=True)
 }
-"""Of one SI unit, in the units that recorders write."""
-
 TURNS = {"en": "rpm", "de": "1/min", "fr": "tr/min"}
+SIZES = {"km/h": 3.6, "m/s": 1.0, "mph": 3.6 / 1.609344, "kn": 3.6 / 1.852} | {
+    "m": 1.0, "km": 1e-3, "mi": 1.0 / 1609.344, "kN": 1e-3, "N": 1.0, "daN": 0.1,
+}  # fmt: skip
+"""Of one SI unit, in the units that recorders write."""
 
 JUDGED = {
     "speed": "/train/state.speed",
@@ -149,8 +87,8 @@ JUDGED = {
 
 
 @cache
-def trips() -> tuple[tuple[Line, Train, Trip], ...]:
-    """Three trains on three lines: a railcar, a double-decker of 400 t, a freight train."""
+def trips() -> tuple[tuple[Train, Trip], ...]:
+    """Three trains on two lines: a railcar, a double-decker of 400 t, a freight train."""
     short = read_line(sample(DEFAULT_LINE))
     heavy = flirt(
         name="double-decker", mass=400e3, resistance=RunningResistance(5e3, 90.0, 14.0),
@@ -165,357 +103,259 @@ def trips() -> tuple[tuple[Line, Train, Trip], ...]:
         axles=Axles(count=4, adhesive_mass=84e3, wheel_radius=0.625), max_acceleration=0.3,
         max_deceleration=0.5, max_load=100e3,
     )  # fmt: skip
-    made = []
-    for line, train, number in ((short, flirt(), 3), (hilly_line(), heavy, 1), (short, freight, 0)):
-        if train.name == "freight":
-            line = line.part(4_000.0, 20_000.0) if hasattr(line, "part") else line
-        scenario = draw_scenarios(line, train, count=4, seed=5)[number]
-        made.append((line, train, simulate(scenario)))
-    return tuple(made)
-
-
-@dataclass
-class Layout:
-    """A drawn layout and what a right reading of it gives.
-
-    Attributes
-    ----------
-    features : dict
-        What was drawn, for messages.
-    truth : dict of str to (n,) array
-        By key of `JUDGED`, SI, row by row; NaN where the file has no value.
-    time : (n,) int64 array [ns]
-        UTC.
-    zone_known, day_known : bool
-        Whether the file states its zone and its day.
-    """
-
-    path: Path
-    features: dict[str, Any]
-    truth: dict[str, np.ndarray]
-    time: np.ndarray
-    zone_known: bool
-    day_known: bool
-    train: Train
+    return tuple(
+        (train, simulate(draw_scenarios(line, train, count=4, seed=5)[number]))
+        for line, train, number in (
+            (short, flirt(), 3),
+            (hilly_line(), heavy, 1),
+            (short, freight, 0),
+        )
+    )
 
 
 def sampled(trip: Trip, step: float) -> dict[str, np.ndarray]:
     """What a recorder with one clock sees of a trip, SI."""
-    state, controls, axles = (trip[f"/train/{name}"] for name in ("state", "controls", "axles"))
-    fix, motion = trip["/gnss/fix"], trip["/gnss/motion"]
-    every = max(1, round(step / 0.1))
-    rows = np.arange(0, len(state), every)
-    at = state.index.as_unit("ns").asi8[rows]
-    found = {"time": at}
-    for key, frame, column in (
-        ("position", state, "position"), ("speed", state, "speed"),
-        ("traction", controls, "tractive_effort"), ("dynamic", controls, "dynamic_braking_effort"),
-        ("pneumatic", controls, "pneumatic_braking_effort"), ("lever", controls, "lever"),
-    ):  # fmt: skip
-        found[key] = frame[column].to_numpy()[rows]
-    for name in axles.columns:
-        found[name] = axles[name].to_numpy()[rows]
-    seconds, fixes = at.astype(float), fix.index.as_unit("ns").asi8.astype(float)
-    for key in ("latitude", "longitude", "altitude"):
-        found[key] = np.interp(seconds, fixes, fix[key].to_numpy())
-    moving = motion.index.as_unit("ns").asi8.astype(float)
-    found["gnss_speed"] = np.interp(seconds, moving, motion["speed"].to_numpy())
+    frames = [trip[f"/train/{name}"] for name in ("state", "controls", "axles")]
+    seen = pd.concat(frames, axis=1).iloc[:: max(1, round(step / 0.1))]
+    names = {"tractive": "traction", "dynamic_braking": "dynamic", "pneumatic_braking": "pneumatic"}
+    seen = seen.rename(columns={f"{long}_effort": key for long, key in names.items()})
+    found = {name: seen[name].to_numpy() for name in seen}
+    found["time"] = seen.index.as_unit("ns").asi8
+    for topic in ("/gnss/fix", "/gnss/motion"):
+        known = trip[topic].index.as_unit("ns").asi8.astype(float)
+        for name in {"latitude", "longitude", "altitude", "speed"} & set(trip[topic]):
+            key = "gnss_speed" if name == "speed" else name
+            found[key] = np.interp(found["time"].astype(float), known, trip[topic][name])
     return found
 
 
-class _Writer:
-    """Draws a layout and writes the table."""
+class Layout:
+    """A recorder's table of a layout that the seed draws, and what a right reading of it gives.
 
-    def __init__(self, seed: int) -> None:
+    Attributes
+    ----------
+    features : dict
+        What was drawn.
+    truth : dict of str to (n,) array
+        By key of `JUDGED`, SI, row by row.
+    time : (n,) int64 array [ns]
+        UTC.
+    """
+
+    def __init__(self, folder: Path, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
         self.features: dict[str, Any] = {"seed": seed}
         self.columns: list[tuple[str, str, list[str]]] = []
         self.truth: dict[str, np.ndarray] = {}
+        self.train, trip = trips()[self.pick("trip", 0, 1, 2)]
+        self.language = self.pick("language", "en", "de", "fr")
+        mark = self.pick("delimiter", ";", ",", "\t", "|")
+        self.decimal = self.pick("decimal", ".", "." if mark == "," else ",")
+        units = self.pick("units", "brackets", "round brackets", "suffix", "line", "slash", "none")
+        seen = self.seen = sampled(trip, self.pick("step", 0.5, 1.0, 2.0))
+        # The recorder's odometer begins anywhere.
+        seen["position"] = seen["position"] + self.pick("begin", 0.0, 0.0, 12_345.0, 250_000.0)
+        self.time = seen["time"]
+        self.add_time()
+        clocks = len(self.columns)
+        for add in (self.add_motion, self.add_efforts, self.add_wheels, self.add_fixes):
+            add()
+        self.add_others()
+        if self.pick("shuffled", False, True):
+            order = self.rng.permutation(len(self.columns) - clocks) + clocks
+            self.columns[clocks:] = [self.columns[i] for i in order]
+        lines, first = self.lines(mark, units)
+        rows = np.arange(self.time.size)
+        middle, last = (first + len(lines)) // 2 - first, rows.size - 1
+        damage = self.pick("damage", "none", "none", "gap", "cut off", "out of order")
+        if damage == "gap":
+            rows = np.delete(rows, np.arange(middle, middle + 20))
+        elif damage == "cut off":
+            lines[-1] = lines[-1][: len(lines[-1]) // 2]
+        elif damage == "out of order":
+            rows[[middle, middle + 1]] = rows[[middle + 1, middle]]
+        lines = [*lines[:first], *(lines[first + row] for row in rows)]
+        rows = rows[:last] if damage == "cut off" else rows
+        self.truth = {key: values[rows] for key, values in self.truth.items()}
+        self.time = self.time[rows]
+        self.path = folder / f"run-{seed}.csv"
+        end = "\r\n" if self.pick("crlf", False, True) else "\n"
+        encoding = self.pick("encoding", "utf-8", "utf-8-sig", "cp1252", "utf-16")
+        self.path.write_bytes(end.join(lines).encode(encoding))
 
-    def pick(self, what: str, choices: list[Any]) -> Any:
-        chosen = choices[int(self.rng.integers(len(choices)))]
-        self.features[what] = chosen
-        return chosen
+    def pick(self, what: str, *choices: Any) -> Any:
+        self.features[what] = choices[int(self.rng.integers(len(choices)))]
+        return self.features[what]
 
-    def name(self, key: str) -> str:
-        words = NAMES[self.features["language"]][key]
-        return str(words[int(self.rng.integers(len(words)))])
+    def add(self, key: str, unit: str, cells: list[str], axle: int = 0) -> None:
+        words = WORDS[self.language, key]
+        # All axles have one word.
+        word = words[self.features["seed"] % len(words) if axle else self.rng.integers(len(words))]
+        self.columns.append((word.format(axle), unit, cells))
 
     def text(self, values: np.ndarray, digits: int) -> list[str]:
-        cells = [f"{value:.{digits}f}" if np.isfinite(value) else "" for value in values]
-        if self.features["decimal"] == ",":
-            cells = [cell.replace(".", ",") for cell in cells]
-        return cells
+        return [f"{value:.{digits}f}".replace(".", self.decimal) for value in values]
 
-    def add(self, label: str, unit: str, cells: list[str]) -> None:
-        self.columns.append((label, unit, cells))
+    def shown(
+        self, key: str, unit: str, values: np.ndarray, digits: int = 2, axle: int = 0
+    ) -> None:
+        self.add(key, unit, self.text(values * SIZES[unit], digits), axle)
 
-
-def draw(folder: Path, seed: int) -> Layout:
-    """A recorder's table of a layout that the seed draws."""
-    writer = _Writer(seed)
-    pick = writer.pick
-    _, train, trip = trips()[pick("trip", [0, 1, 2])]
-    pick("language", ["en", "de", "fr"])
-    pick("delimiter", [";", ",", "\t", "|"])
-    decimals = ["."] if writer.features["delimiter"] == "," else [".", ","]
-    pick("decimal", decimals)
-    units = pick("units", ["brackets", "round brackets", "suffix", "line", "slash", "none"])
-    seen = sampled(trip, pick("step", [0.5, 1.0, 2.0]))
-    # The recorder's odometer begins anywhere.
-    seen["position"] = seen["position"] + pick("begin", [0.0, 0.0, 12_345.0, 250_000.0])
-    _add_time(writer, seen["time"])
-    clocks = len(writer.columns)
-    _add_motion(writer, seen)
-    _add_efforts(writer, seen)
-    _add_wheels(writer, seen, train)
-    _add_fixes(writer, seen)
-    _add_others(writer, seen)
-    columns = writer.columns
-    if pick("shuffled", [False, True]):
-        order = writer.rng.permutation(len(columns) - clocks) + clocks
-        columns = columns[:clocks] + [columns[i] for i in order]
-    path = _written(writer, folder, columns, units)
-    rows = np.arange(seen["time"].size)
-    if "removed" in writer.features:
-        begin, end = writer.features["removed"]
-        rows = np.delete(rows, np.arange(begin, end))
-    if "swapped rows" in writer.features:
-        at = writer.features["swapped rows"]
-        rows[at], rows[at + 1] = rows[at + 1], rows[at]
-    writer.truth = {key: values[rows] for key, values in writer.truth.items()}
-    seen["time"] = seen["time"][rows]
-    return Layout(
-        path, writer.features, writer.truth, seen["time"], writer.features["zone known"],
-        writer.features["day known"], train,
-    )  # fmt: skip
-
-
-def _add_time(writer: _Writer, time: np.ndarray) -> None:
-    kind = writer.pick(
-        "time",
-        ["iso z", "iso", "offset", "local", "date and clock", "epoch s", "epoch ms", "elapsed",
-         "elapsed ms", "parts", "month first", "clock alone"],
-    )  # fmt: skip
-    stamps = pd.DatetimeIndex(time, tz="UTC")
-    features = writer.features
-    features["zone known"] = kind in ("iso z", "offset", "epoch s", "epoch ms")
-    features["day known"] = kind not in ("elapsed", "elapsed ms", "clock alone")
-    comma, language = features["decimal"], features["language"]
-    day = "%d.%m.%Y" if language == "de" else "%d/%m/%Y"
-    millis = stamps.strftime("%f").str[:3]
-    local = stamps.tz_convert("Europe/Zurich")
-    if kind == "month first":
+    def add_time(self) -> None:
+        kind = self.pick(
+            "time", "iso z", "iso", "offset", "local", "date and clock", "epoch s", "epoch ms",
+            "elapsed", "elapsed ms", "parts", "month first", "clock alone",
+        )  # fmt: skip
+        stamps = pd.DatetimeIndex(self.time, tz="UTC")
+        day = "%d.%m.%Y" if self.language == "de" else "%d/%m/%Y"
+        millis = stamps.strftime("%f").str[:3]
+        local = stamps.tz_convert("Europe/Zurich")
+        comma = f" %H:%M:%S{self.decimal}"
         # The thirteenth or later decides.
-        features["moved days"] = 10
-        local = local + pd.Timedelta(days=10)
-    written = {
-        "iso z": lambda: stamps.strftime("%Y-%m-%dT%H:%M:%S.") + millis + "Z",
-        "iso": lambda: stamps.strftime("%Y-%m-%d %H:%M:%S.") + millis,
-        "offset": lambda: local.strftime("%Y-%m-%dT%H:%M:%S.") + millis + "+02:00",
-        "local": lambda: local.strftime(f"{day} %H:%M:%S{comma}") + millis,
-        "month first": lambda: local.strftime(f"%m/%d/%Y %H:%M:%S{comma}") + millis,
-        "date and clock": lambda: stamps.strftime("%H:%M:%S.") + millis,
-        "clock alone": lambda: stamps.strftime("%H:%M:%S.") + millis,
-        "epoch s": lambda: writer.text(time / 1e9, 3),
-        "epoch ms": lambda: [str(t) for t in time // 1_000_000],
-        "elapsed": lambda: writer.text((time - time[0]) / 1e9, 1),
-        "elapsed ms": lambda: [str(t) for t in (time - time[0]) // 1_000_000],
-    }
-    if kind == "parts":
-        names = {
-            "en": ["Year", "Month", "Day", "Hour", "Minute", "Second"],
-            "de": ["Jahr", "Monat", "Tag", "Stunde", "Minute", "Sekunde"],
-            "fr": ["Année", "Mois", "Jour", "Heure", "Minute", "Seconde"],
-        }[language]
-        for name, code in zip(names, ["%Y", "%m", "%d", "%H", "%M"], strict=False):
-            writer.add(name, "", list(stamps.strftime(code)))
-        seconds = stamps.second + stamps.microsecond / 1e6
-        writer.add(names[5], "", writer.text(np.asarray(seconds), 1))
-        return
-    if kind == "date and clock":
-        writer.add(writer.name("date"), "", list(stamps.strftime(day)))
-    label = "elapsed" if "elapsed" in kind else "clock" if "clock" in kind else "time"
-    unit = {"elapsed": "s", "elapsed ms": "ms"}.get(kind, "")
-    writer.add(writer.name(label), unit, list(written[kind]()))
+        later = local + pd.Timedelta(days=10)
+        since = self.time - self.time[0]
+        if kind == "parts":
+            seconds = np.asarray(stamps.second + stamps.microsecond / 1e6)
+            cells = [list(stamps.strftime(code)) for code in ("%Y", "%m", "%d", "%H", "%M")]
+            cells.append(self.text(seconds, 1))
+            names = WORDS[self.language, "parts"]
+            self.columns += [(name, "", each) for name, each in zip(names, cells, strict=True)]
+            return
+        if kind == "date and clock":
+            self.add("date", "", list(stamps.strftime(day)))
+        written: dict[str, tuple[str, str, Any]] = {
+            "iso z": ("time", "", stamps.strftime("%Y-%m-%dT%H:%M:%S.") + millis + "Z"),
+            "iso": ("time", "", stamps.strftime("%Y-%m-%d %H:%M:%S.") + millis),
+            "offset": ("time", "", local.strftime("%Y-%m-%dT%H:%M:%S.") + millis + "+02:00"),
+            "local": ("time", "", local.strftime(day + comma) + millis),
+            "month first": ("time", "", later.strftime("%m/%d/%Y" + comma) + millis),
+            "date and clock": ("clock", "", stamps.strftime("%H:%M:%S.") + millis),
+            "clock alone": ("clock", "", stamps.strftime("%H:%M:%S.") + millis),
+            "epoch s": ("time", "", self.text(self.time / 1e9, 3)),
+            "epoch ms": ("time", "", map(str, self.time // 1_000_000)),
+            "elapsed": ("elapsed", "s", self.text(since / 1e9, 1)),
+            "elapsed ms": ("elapsed", "ms", map(str, since // 1_000_000)),
+        }
+        key, unit, cells = written[kind]
+        self.add(key, unit, list(cells))
 
-
-def _add_motion(writer: _Writer, seen: dict[str, np.ndarray]) -> None:
-    unit = writer.pick("speed", ["km/h", "km/h", "m/s", "mph", "kn"])
-    size = UNITS["speed"][unit]
-    writer.add(writer.name("speed"), unit, writer.text(seen["speed"] * size, 2))
-    writer.truth["speed"] = seen["speed"]
-    if writer.pick("odometer", [True, True, True, False]):
-        unit = writer.pick("length", ["m", "km", "mi"])
-        size = UNITS["length"][unit]
-        falling = writer.pick("falling", [False, False, True])
-        position = seen["position"]
-        shown = 300_000.0 - position if falling else position
-        writer.add(
-            writer.name("position"), unit, writer.text(shown * size, 1 if unit == "m" else 4)
+    def add_motion(self) -> None:
+        self.truth["speed"] = self.seen["speed"]
+        self.shown(
+            "speed", self.pick("speed", "km/h", "km/h", "m/s", "mph", "kn"), self.seen["speed"]
         )
-        writer.truth["position"] = position
+        if self.pick("odometer", True, True, True, False):
+            unit, position = self.pick("length", "m", "km", "mi"), self.seen["position"]
+            self.truth["position"] = position
+            way = 300_000.0 - position if self.pick("falling", False, False, True) else position
+            self.shown("position", unit, way, 1 if unit == "m" else 4)
 
+    def add_efforts(self) -> None:
+        kind = self.pick("efforts", "three", "three", "signed", "signed and air", "none")
+        unit = self.pick("force", "kN", "kN", "N", "daN")
+        if kind == "none":
+            return
+        efforts = {key: self.seen[key] for key in ("traction", "dynamic", "pneumatic")}
+        braking = -1.0 if self.pick("braking negative", False, True) else 1.0
+        if kind == "three":
+            self.shown("traction", unit, efforts["traction"])
+            self.shown("dynamic", unit, braking * efforts["dynamic"])
+        else:
+            turned = -1.0 if self.pick("traction negative", False, False, True) else 1.0
+            noise = self.rng.normal(0.0, 300.0, self.time.size)
+            net = efforts["traction"] - efforts["dynamic"] + noise
+            self.shown("signed", unit, turned * net)
+        if kind != "signed":
+            self.shown("pneumatic", unit, braking * efforts["pneumatic"])
+        else:
+            del efforts["pneumatic"]
+        self.truth |= efforts
+        if self.pick("lever", False, True):
+            scale = self.pick("lever scale", 1.0, 100.0)
+            cells = self.text(self.seen["lever"] * scale, 3)
+            self.add("lever", "%" if scale > 1.0 else "", cells)
 
-def _add_efforts(writer: _Writer, seen: dict[str, np.ndarray]) -> None:
-    kind = writer.pick("efforts", ["three", "three", "signed", "signed and air", "none"])
-    unit = writer.pick("force", ["kN", "kN", "N", "daN"])
-    if kind == "none":
-        return
-    size = UNITS["force"][unit]
-    noise = writer.rng.normal(0.0, 300.0, seen["traction"].size)
-    braking = -1.0 if writer.pick("braking negative", [False, True]) else 1.0
-    if kind == "three":
-        writer.add(writer.name("traction"), unit, writer.text(seen["traction"] * size, 2))
-        writer.add(writer.name("dynamic"), unit, writer.text(braking * seen["dynamic"] * size, 2))
-    else:
-        turned = -1.0 if writer.pick("traction negative", [False, False, True]) else 1.0
-        net = (seen["traction"] - seen["dynamic"] + noise) * turned
-        writer.add(writer.name("signed"), unit, writer.text(net * size, 2))
-    if kind != "signed":
-        writer.add(
-            writer.name("pneumatic"), unit, writer.text(braking * seen["pneumatic"] * size, 2)
-        )
-        writer.truth["pneumatic"] = seen["pneumatic"]
-    writer.truth["traction"] = seen["traction"]
-    writer.truth["dynamic"] = seen["dynamic"]
-    if writer.pick("lever", [False, True]):
-        scale = writer.pick("lever scale", [1.0, 100.0])
-        writer.add(
-            writer.name("lever"), "%" if scale > 1.0 else "", writer.text(seen["lever"] * scale, 3)
-        )
-
-
-def _add_wheels(writer: _Writer, seen: dict[str, np.ndarray], train: Train) -> None:
-    kind = writer.pick("wheels", ["none", "speeds", "turns", "motor turns"])
-    if kind == "none":
-        return
-    key = "wheel" if kind == "speeds" else "turns"
-    label = writer.name(key)
-    if kind == "speeds":
-        unit = writer.features["speed"]
-        size = UNITS["speed"][unit]
-    else:
-        unit = TURNS[writer.features["language"]]
-        size = 60.0 / (2.0 * np.pi * train.axles.wheel_radius)
+    def add_wheels(self) -> None:
+        kind = self.pick("wheels", "none", "speeds", "turns", "motor turns")
+        if kind == "none":
+            return
+        size = 60.0 / (2.0 * np.pi * self.train.axles.wheel_radius)
         size *= 4.37 if kind == "motor turns" else 1.0
-    for axle in range(1, train.axles.count + 1):
-        writer.add(label.format(axle), unit, writer.text(seen[f"wheel_speed_{axle}"] * size, 2))
-    writer.truth["wheel"] = seen["wheel_speed_1"]
+        for axle in range(1, self.train.axles.count + 1):
+            speed = self.seen[f"wheel_speed_{axle}"]
+            if kind == "speeds":
+                self.shown("wheel", self.features["speed"], speed, axle=axle)
+            else:
+                self.add("turns", TURNS[self.language], self.text(speed * size, 2), axle)
+        self.truth["wheel"] = self.seen["wheel_speed_1"]
 
+    def add_fixes(self) -> None:
+        kind = self.pick("fixes", "none", "degrees", "integers", "minutes", "swapped")
+        if kind == "none":
+            return
+        self.truth |= {key: self.seen[key] for key in ("latitude", "longitude")}
+        cells = []
+        for values in (self.seen["latitude"], self.seen["longitude"]):
+            if kind == "integers":
+                cells.append([str(round(v * 1e7)) for v in values])
+            elif kind == "minutes":
+                cells.append(self.text(np.floor(values) * 100.0 + 60.0 * (values % 1.0), 5))
+            else:
+                cells.append(self.text(values, 7))
+        self.add("latitude", "", cells[kind == "swapped"])
+        self.add("longitude", "", cells[kind != "swapped"])
+        if self.pick("altitude", False, True):
+            self.shown("altitude", "m", self.seen["altitude"], 1)
+        if self.pick("gnss speed", False, True):
+            unit = self.pick("gnss unit", "km/h", "m/s", "kn")
+            self.shown("gnss_speed", unit, self.seen["gnss_speed"])
 
-def _add_fixes(writer: _Writer, seen: dict[str, np.ndarray]) -> None:
-    kind = writer.pick("fixes", ["none", "degrees", "integers", "minutes", "swapped"])
-    if kind == "none":
-        return
-    north, east = seen["latitude"], seen["longitude"]
-    if kind == "integers":
-        cells = [[str(round(v * 1e7)) for v in values] for values in (north, east)]
-    elif kind == "minutes":
-        whole = [np.floor(values) * 100.0 + 60.0 * (values % 1.0) for values in (north, east)]
-        cells = [writer.text(values, 5) for values in whole]
-    else:
-        cells = [writer.text(values, 7) for values in (north, east)]
-    if kind == "swapped":
-        cells.reverse()
-    writer.add(writer.name("latitude"), "", cells[0])
-    writer.add(writer.name("longitude"), "", cells[1])
-    writer.truth["latitude"], writer.truth["longitude"] = north, east
-    if writer.pick("altitude", [False, True]):
-        writer.add(writer.name("altitude"), "m", writer.text(seen["altitude"], 1))
-    if writer.pick("gnss speed", [False, True]):
-        unit = writer.pick("gnss unit", ["km/h", "m/s", "kn"])
-        size = UNITS["speed"][unit]
-        writer.add(writer.name("gnss_speed"), unit, writer.text(seen["gnss_speed"] * size, 2))
+    def add_others(self) -> None:
+        rng, seen, count = self.rng, self.seen, self.time.size
+        limit = np.repeat([22.2, 33.3, 25.0, 40.0], count // 4 + 1)[:count]
+        others: dict[str, tuple[str, Any, int]] = {
+            "temperature": ("°C", 60.0 + np.cumsum(rng.normal(0.0, 0.05, count)), 1),
+            "door_state": ("", ["open" if each < 0.3 else "closed" for each in seen["speed"]], 0),
+            "voltage": ("kV", 15.0 + rng.normal(0.0, 0.2, count), 2),
+            "number": ("", ["4711"] * count, 0),
+            "pressure": ("bar", 5.0 - 1.2 * (seen["pneumatic"] > 1e3), 2),
+            "current": ("A", np.abs(seen["traction"] - seen["dynamic"]) / 400.0, 1),
+            "set": ("km/h", 0.9 * limit * KMH, 0),
+            "limit": ("km/h", limit * KMH, 0),
+            "mean": ("km/h", np.cumsum(seen["speed"]) / np.arange(1, count + 1) * KMH, 1),
+            "remaining": ("m", seen["position"].max() - seen["position"], 0),
+            "demand": ("kN", np.roll(seen["traction"], -1) / 1e3, 1),
+            "rate": ("m/s²", np.gradient(seen["speed"], self.time / 1e9), 3),
+        }
+        for key, (unit, values, digits) in others.items():
+            if rng.random() < 0.35:
+                cells = values if isinstance(values, list) else self.text(values, digits)
+                self.add(key, unit, cells)
 
-
-def _add_others(writer: _Writer, seen: dict[str, np.ndarray]) -> None:
-    rng, count = writer.rng, seen["time"].size
-    warm = 60.0 + np.cumsum(rng.normal(0.0, 0.05, count))
-    stands = seen["speed"] < 0.3
-    limit = np.repeat([22.2, 33.3, 25.0, 40.0], count // 4 + 1)[:count]
-    mean = np.cumsum(seen["speed"]) / np.arange(1, count + 1)
-    others = {
-        "temperature": ("°C", writer.text(warm, 1)),
-        "door_state": ("", ["open" if still else "closed" for still in stands]),
-        "voltage": ("kV", writer.text(15.0 + rng.normal(0.0, 0.2, count), 2)),
-        "number": ("", ["4711"] * count),
-        "pressure": ("bar", writer.text(5.0 - 1.2 * (seen["pneumatic"] > 1e3), 2)),
-        "current": ("A", writer.text(np.abs(seen["traction"] - seen["dynamic"]) / 400.0, 1)),
-        "set": ("km/h", writer.text(0.9 * limit * KMH, 0)),
-        "limit": ("km/h", writer.text(limit * KMH, 0)),
-        "mean": ("km/h", writer.text(mean * KMH, 1)),
-        "remaining": ("m", writer.text(seen["position"].max() - seen["position"], 0)),
-        "demand": ("kN", writer.text(np.roll(seen["traction"], -1) / 1e3, 1)),
-        "rate": ("m/s²", writer.text(np.gradient(seen["speed"], seen["time"] / 1e9), 3)),
-    }
-    for key in others:
-        if rng.random() < 0.35:
-            unit, cells = others[key]
-            writer.add(writer.name(key), unit, cells)
-
-
-def _written(
-    writer: _Writer, folder: Path, columns: list[tuple[str, str, list[str]]], units: str
-) -> Path:
-    features = writer.features
-    mark = features["delimiter"]
-    labels, spelt = [], []
-    for label, unit, _ in columns:
-        shown = {
-            "brackets": f"{label} [{unit}]", "round brackets": f"{label} ({unit})",
-            "suffix": f"{label}_{unit.replace('/', '')}", "slash": f"{label} / {unit}",
-        }.get(units, label)  # fmt: skip
-        # A lonely "%" or "tr/min" is no suffix.
-        plain = units == "suffix" and not unit.replace("/", "").isalpha()
-        labels.append(label if not unit or plain else shown)
-        spelt.append(f"[{unit}]" if unit and units == "line" else "")
-    seen: dict[str, int] = {}
-    for place, label in enumerate(labels):
-        seen[label] = seen.get(label, 0) + 1
-        if seen[label] > 1:
-            labels[place] = f"{label} {seen[label]}"
-    preamble = writer.pick("preamble", [0, 0, 1, 3])
-    lines = [f"Recorder {number + 7}, software 4.{number}" for number in range(preamble)]
-    lines.append(mark.join(labels))
-    if units == "line":
-        lines.append(mark.join(spelt))
-    cells = [list(each) for _, _, each in columns]
-    _spoil(writer, cells)
-    lines += [mark.join(row) for row in zip(*cells, strict=True)]
-    lines = _damage(writer, lines, len(lines) - len(cells[0]))
-    encoding = writer.pick("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
-    path = folder / f"run-{features['seed']}.csv"
-    path.write_bytes(
-        ("\r\n" if writer.pick("crlf", [False, True]) else "\n").join(lines).encode(encoding)
-    )
-    return path
-
-
-def _damage(writer: _Writer, lines: list[str], first: int) -> list[str]:
-    """What happens to recordings: a gap, a row that was cut off, rows out of order."""
-    kind = writer.pick("damage", ["none", "none", "gap", "cut off", "out of order"])
-    middle = (first + len(lines)) // 2
-    if kind == "gap":
-        writer.features["removed"] = (middle - first, middle - first + 20)
-        return lines[:middle] + lines[middle + 20 :]
-    if kind == "cut off":
-        writer.features["removed"] = (len(lines) - first - 1, len(lines) - first)
-        return [*lines[:-1], lines[-1][: len(lines[-1]) // 2]]
-    if kind == "out of order":
-        lines[middle], lines[middle + 1] = lines[middle + 1], lines[middle]
-        writer.features["swapped rows"] = middle - first
-    return lines
-
-
-def _spoil(writer: _Writer, cells: list[list[str]]) -> None:
-    """Leave out some cells, by the recorder's word for it."""
-    word = writer.pick("missing", ["", "NaN", "---", "n/a", "ungültig"])
-    for column in cells:
-        if len(set(column[:50])) > 2 and writer.rng.random() < 0.3 and ":" not in column[0]:
-            for row in writer.rng.choice(len(column) - 1, 5, replace=False) + 1:
-                if "-" not in column[0][1:] and "/" not in column[0]:
+    def lines(self, mark: str, units: str) -> tuple[list[str], int]:
+        """The lines of the file, and at which its rows begin."""
+        forms = {"brackets": "{} [{}]", "round brackets": "{} ({})", "slash": "{} / {}"}
+        shown, labels = list[str](), list[str]()
+        for label, unit, _ in self.columns:
+            form, bare = forms.get(units, "{}") if unit else "{}", unit.replace("/", "")
+            if units == "suffix" and bare.isalpha():  # a lonely "%" or "tr/min" is no suffix
+                form = f"{{}}_{bare}"
+            shown.append(form.format(label, unit))
+            again = shown.count(shown[-1])
+            labels.append(shown[-1] if again == 1 else f"{shown[-1]} {again}")
+        preamble = self.pick("preamble", 0, 0, 1, 3)
+        lines = [f"Recorder {number + 7}, software 4.{number}" for number in range(preamble)]
+        lines.append(mark.join(labels))
+        if units == "line":
+            lines.append(mark.join(f"[{unit}]" if unit else "" for _, unit, _ in self.columns))
+        cells = [list(each) for *_, each in self.columns]
+        word = self.pick("missing", "", "NaN", "---", "n/a", "ungültig")
+        for column in cells:
+            spared = any(sign in column[0] for sign in ":/") or "-" in column[0][1:]
+            if len(set(column[:50])) > 2 and self.rng.random() < 0.3 and not spared:
+                for row in self.rng.choice(len(column) - 1, 5, replace=False) + 1:
                     column[row] = word
+        return lines + [mark.join(row) for row in zip(*cells, strict=True)], len(lines)
 
 
 @dataclass
@@ -525,76 +365,63 @@ class Verdict:
     Attributes
     ----------
     fields : dict of str to str
-        ``"right"``, ``"missing"``, ``"stated"`` (wrong, but stated as open) or ``"wrong"``.
-    open : bool
-        Whether a right reading of a judged field was stated as open.
-    refused : str
-        Why there is no proposal.
+        "right", "missing", "stated" (wrong, but stated as open), "wrong" or why there is none.
     """
 
     layout: Layout
     fields: dict[str, str]
-    open: bool = False
-    refused: str = ""
     proposal: Proposal | None = None
 
     @property
     def all_right(self) -> bool:
-        return not self.refused and set(self.fields.values()) == {"right"}
-
-    @property
-    def silently_wrong(self) -> list[str]:
-        return [name for name, how in self.fields.items() if how == "wrong"]
+        return set(self.fields.values()) == {"right"}
 
     def __str__(self) -> str:
         bad = {name: how for name, how in self.fields.items() if how != "right"}
-        return f"{self.layout.features}: {self.refused or bad}"
+        return f"{self.layout.features}: {bad}"
 
 
-def judged(layout: Layout, *, with_train: bool = False) -> Verdict:
+def judged(layout: Layout) -> Verdict:
     """Propose a profile for a layout and compare what it reads with what happened."""
     try:
-        proposal = propose_profile(layout.path, layout.train if with_train else None)
+        proposal = propose_profile(layout.path)
     except InputError as error:
-        return Verdict(layout, {}, refused=str(error))
-    read = read_parquet if layout.path.suffix == ".parquet" else read_delimited
-    table = read(layout.path, proposal.profile).tables[0]
-    fields = {"time": _time(layout, table.time, proposal)}
-    opened = False
-    for key, target in JUDGED.items():
-        name = target.removesuffix("_1")
+        return Verdict(layout, {"refused": str(error)})
+    table = read_delimited(layout.path, proposal.profile).tables[0]
+    fields = {"time": of_time(layout, table.time, proposal)}
+    for key, truth in layout.truth.items():
+        target = JUDGED[key]
         values = table.signals.get(target)
-        if key not in layout.truth:
-            continue
-        row = proposal.evidence[proposal.evidence["field"] == name]
+        row = proposal.evidence[proposal.evidence["field"] == target.removesuffix("_1")]
         stated = bool(len(row)) and bool(row["alternative"].iloc[0])
         if values is None:
+            still = float(np.nanmax(np.abs(truth))) < 2e3
             effort = key in ("traction", "dynamic", "pneumatic")
-            still = float(np.nanmax(np.abs(layout.truth[key]))) < 2e3
             fields[key] = "right" if effort and still else "missing"
-            continue
-        good = _same(layout.truth[key], values, key)
-        fields[key] = "right" if good else "stated" if stated else "wrong"
-        opened |= good and stated
-    return Verdict(layout, fields, opened, "", proposal)
+        elif same(truth, values, key):
+            fields[key] = "right"
+        else:
+            fields[key] = "stated" if stated else "wrong"
+    return Verdict(layout, fields, proposal)
 
 
-def _same(truth: np.ndarray, values: np.ndarray, key: str) -> bool:
+def same(truth: np.ndarray, values: np.ndarray, key: str) -> bool:
     known = np.isfinite(values) & np.isfinite(truth)
     if key == "position":
         # From which zero the recorder counts is its own affair.
         values = values - np.nanmedian(values[known] - truth[known])
     scale = 1e-2 if key in ("latitude", "longitude") else float(np.percentile(np.abs(truth), 95))
-    error = np.abs(values[known] - truth[known])
-    return bool(known.sum() > 0.8 * truth.size and np.median(error) <= 0.01 * scale) and bool(
-        np.percentile(error, 95) <= 0.05 * scale
+    error = np.abs(values[known] - truth[known]) / scale
+    return known.sum() > 0.8 * truth.size and bool(
+        np.median(error) <= 0.01 and np.percentile(error, 95) <= 0.05
     )
 
 
-def _time(layout: Layout, time: np.ndarray, proposal: Proposal) -> str:
+def of_time(layout: Layout, time: np.ndarray, proposal: Proposal) -> str:
     """Times must be right but for what the file does not state, and that must be stated."""
+    kind = layout.features["time"]
     known = time != NO_TIME
-    moved = layout.features.get("moved days", 0) * 86_400_000_000_000
+    moved = 10 * 86_400_000_000_000 * (kind == "month first")
     off = time[known] - layout.time[known] - moved
     opened = {reading.what for reading in proposal.readings if reading.alternative}
     if known.mean() < 0.95 or float(np.ptp(off)) > 2e6:
@@ -602,28 +429,13 @@ def _time(layout: Layout, time: np.ndarray, proposal: Proposal) -> str:
     shift = float(np.median(off)) / 1e9
     if abs(shift) < 0.01:
         return "right"
-    if not layout.day_known:
+    if kind in ("elapsed", "elapsed ms", "clock alone"):
         return "right" if "day" in opened else "wrong"
-    if not layout.zone_known and abs(shift) == 7200.0:
+    if kind not in ("iso z", "offset", "epoch s", "epoch ms") and abs(shift) == 7200.0:
         return "right" if "time zone" in opened else "wrong"
     return "stated" if {"date", "time"} & opened else "wrong"
 
 
-def table(verdicts: list[Verdict]) -> str:
-    """How many of the layouts are read how."""
-    return "\n".join(
-        f"{what}: {sum(bool(how) for how in found) / len(verdicts):.1%}"
-        for what, found in {
-            "all right": [v.all_right for v in verdicts],
-            "of them with a field stated as open": [v.all_right and v.open for v in verdicts],
-            "a field not found": ["missing" in v.fields.values() for v in verdicts],
-            "refused": [v.refused for v in verdicts],
-            "silently wrong": [v.silently_wrong for v in verdicts],
-        }.items()
-    )
-
-
-SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
 RECORDER = Path("sample_logs/recorder.csv")
 LAYOUTS = range(500, 510)
 
@@ -631,21 +443,11 @@ LAYOUTS = range(500, 510)
 def drive(count: int = 600, step: float = 1.0) -> pd.DataFrame:
     """A trip of a train of 200 t over level track: speeds up, runs, brakes, three times."""
     seconds = np.arange(count) * step
-    rate = (
-        0.6
-        * np.sign(np.sin(2.0 * np.pi * seconds / 200.0))
-        * (np.abs(np.sin(2.0 * np.pi * seconds / 200.0)) > 0.6)
-    )
+    swing = np.sin(2.0 * np.pi * seconds / 200.0)
+    rate = 0.6 * np.sign(swing) * (np.abs(swing) > 0.6)
     speed = np.maximum(np.cumsum(rate) * step, 0.0)
-    resistance = (3e3 + 60.0 * speed + 8.0 * speed**2) * (speed > 0)
-    return pd.DataFrame(
-        {
-            "t": seconds,
-            "v": speed,
-            "s": np.cumsum(speed) * step,
-            "F": 200e3 * rate + resistance,
-        }
-    )
+    effort = 200e3 * rate + (3e3 + 60.0 * speed + 8.0 * speed**2) * (speed > 0)
+    return pd.DataFrame({"t": seconds, "v": speed, "s": np.cumsum(speed) * step, "F": effort})
 
 
 def written(folder: Path, columns: dict[str, object], name: str = "run.csv") -> Path:
@@ -661,33 +463,30 @@ def field(proposal: Proposal, name: str) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def verdicts(tmp_path_factory: pytest.TempPathFactory) -> list[Verdict]:
     folder = tmp_path_factory.mktemp("layouts")
-    return [judged(draw(folder, seed)) for seed in LAYOUTS]
+    return [judged(Layout(folder, seed)) for seed in LAYOUTS]
 
 
-def test_no_layout_is_read_wrongly_without_a_word(verdicts: list[Verdict]) -> None:
-    wrong = [str(verdict) for verdict in verdicts if verdict.silently_wrong]
-    assert not wrong, table(verdicts) + "\n".join(wrong)
+def assert_right(verdicts: list[Verdict], share: float, wrong: int) -> None:
+    """At least a share of the layouts is read rightly, and no more are wrong without a word."""
+    others = [each for each in verdicts if not each.all_right]
+    said = "\n".join(map(str, others))
+    assert len(others) <= (1.0 - share) * len(verdicts), said
+    assert sum("wrong" in each.fields.values() for each in others) <= wrong, said
 
 
-def test_nine_of_ten_layouts_are_read_rightly(verdicts: list[Verdict]) -> None:
-    right = sum(verdict.all_right for verdict in verdicts)
-    others = [str(verdict) for verdict in verdicts if not verdict.all_right]
-    assert right >= 0.9 * len(verdicts), table(verdicts) + "\n".join(others)
+def test_nine_of_ten_layouts_are_read_rightly_and_none_wrongly(verdicts: list[Verdict]) -> None:
+    assert_right(verdicts, 0.9, 0)
 
 
 @pytest.mark.long
 def test_three_hundred_layouts(tmp_path: Path) -> None:
-    verdicts = [judged(draw(tmp_path, seed)) for seed in range(3_000, 3_300)]
-    wrong = [str(verdict) for verdict in verdicts if verdict.silently_wrong]
-    print(table(verdicts))
-    assert len(wrong) <= 3, "\n".join(wrong)
-    assert sum(verdict.all_right for verdict in verdicts) >= 0.95 * len(verdicts)
+    assert_right([judged(Layout(tmp_path, seed)) for seed in range(3_000, 3_300)], 0.95, 3)
 
 
 def test_every_column_is_used_or_listed(verdicts: list[Verdict]) -> None:
     for verdict in verdicts:
         proposal = verdict.proposal
-        assert proposal is not None, verdict.refused
+        assert proposal is not None, str(verdict)
         assert proposal.profile.time is not None
         used = {n for c in proposal.profile.columns.values() for n in c.names}
         used |= set(proposal.profile.time.names)
@@ -697,6 +496,8 @@ def test_every_column_is_used_or_listed(verdicts: list[Verdict]) -> None:
 
 def test_the_sample_recorder_is_ingested_as_with_its_own_profile() -> None:
     proposal = propose_profile(RECORDER)
+    assert [question.split(":")[0] for question in proposal.open] == ["time zone"]
+    assert "# open: or local time" in proposal.text
     assert proposal.profile.time is not None
     zoned = proposal.profile.model_copy(
         update={"time": proposal.profile.time.model_copy(update={"timezone": "Europe/Zurich"})}
@@ -709,17 +510,6 @@ def test_the_sample_recorder_is_ingested_as_with_its_own_profile() -> None:
     assert list(proposed.topics) == list(true.topics)
     for name, frame in true.topics.items():
         pd.testing.assert_frame_equal(proposed[name], frame)
-    assert curve(proposed) == curve(true)
-
-
-def curve(trip: Trip) -> RunningResistance:
-    return fit_trip(trip).resistance
-
-
-def test_what_the_file_does_not_state_is_open() -> None:
-    proposal = propose_profile(RECORDER)
-    assert [question.split(":")[0] for question in proposal.open] == ["time zone"]
-    assert "# open: or local time" in proposal.text
 
 
 def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> None:
@@ -749,23 +539,6 @@ def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) ->
     trip = ingest(path, propose_profile(path).profile)
     np.testing.assert_allclose(trip["/train/state"]["speed"], run.v, atol=1e-3)
     np.testing.assert_allclose(trip["/train/state"]["position"], run.s, atol=0.1)
-
-
-@pytest.mark.parametrize(
-    ("columns", "remedy"),
-    [
-        ({"t": "1,0", "v": "2,5"}, "write it with semicolons"),
-        ({"t [min]": "1.0", "v [km/h]": "2.5"}, "which a profile cannot read"),
-    ],
-)
-def test_what_no_profile_can_read_is_refused(
-    tmp_path: Path, columns: dict[str, str], remedy: str
-) -> None:
-    rows = [",".join(f'"{number}{cell[1:]}"' for cell in columns.values()) for number in range(50)]
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join([",".join(columns), *rows]) + "\n")
-    with pytest.raises(InputError, match=remedy):
-        propose_profile(path)
 
 
 def test_south_west_in_degrees_and_minutes(tmp_path: Path) -> None:
@@ -884,22 +657,6 @@ def test_parquet_with_typed_times(tmp_path: Path) -> None:
     np.testing.assert_allclose(trip["/train/state"]["speed"], run.v, atol=1e-9)
 
 
-def test_a_timetable_is_no_trip(tmp_path: Path) -> None:
-    rows = 40
-    path = written(
-        tmp_path,
-        {
-            "Station": [f"S{number}" for number in range(rows)],
-            "Arrival": [
-                f"{6 + number // 12:02d}:{5 * (number % 12):02d}" for number in range(rows)
-            ],
-            "km": np.arange(rows) * 4.2,
-        },
-    )
-    with pytest.raises(InputError, match="lie 300 s apart, as in a timetable"):
-        propose_profile(path)
-
-
 @pytest.mark.parametrize("beside", ["fixes", "distance"])
 @pytest.mark.parametrize(("unit", "size"), [("km/h", 3.6), ("rpm", 60.0 / (2.0 * np.pi * 0.43))])
 def test_wheel_speeds_are_kept_where_no_speed_is_recorded(
@@ -949,15 +706,25 @@ def test_a_unit_that_no_other_column_shows_is_unproven(tmp_path: Path) -> None:
         assert trip.metadata.get("unproven_units", "") == unproven
 
 
-def test_text_and_tables_without_motion_are_refused(tmp_path: Path) -> None:
-    run = drive()
-    path = written(tmp_path, {"t [s]": run.t, "Temperature [°C]": 20.0 + run.v})
-    with pytest.raises(InputError, match="no column is a speed, a distance or a satellite"):
-        propose_profile(path)
-    words = tmp_path / "words.txt"
-    words.write_text("Dear all,\nthe train was late again.\nRegards\n")
-    with pytest.raises(InputError, match="is not a table"):
-        propose_profile(words)
+CELLS = [(str(row), f"{20.0 + row % 7}", f"S{row}", f"6:{row:02d}") for row in range(50)]
+NO_TRIP = {
+    "t,v\n" + "".join(f'"{t},0","{v[:-2]},5"\n' for t, v, *_ in CELLS): "write it with semicolons",
+    "t [min],v [km/h]\n" + "".join(f"{t},{v}\n" for t, v, *_ in CELLS): "which a profile cannot",
+    "t [s],Temperature [°C]\n" + "".join(f"{t},{v}\n" for t, v, *_ in CELLS): (
+        "no column is a speed, a distance or a satellite"
+    ),
+    "Dear all,\nthe train was late again.\nRegards\n": "is not a table",
+    "Station,Arrival,km\n" + "".join(f"{s},{at},{t}\n" for t, _, s, at in CELLS): (
+        "lie 60 s apart, as in a timetable"
+    ),
+}
+
+
+@pytest.mark.parametrize("text", NO_TRIP, ids=range(len(NO_TRIP)))
+def test_what_no_profile_can_read_or_is_no_trip_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(text, "utf-8")
+    refused(InputError, NO_TRIP[text], propose_profile, path)
 
 
 def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path: Path) -> None:
@@ -990,18 +757,15 @@ def test_a_user_at_a_terminal_is_asked(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "out" / "run.mcap").is_file()
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the public data")
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("creep/eurosprinter_creep_curves.csv", "no column is a time that goes forward"),
-        ("aalto/device_data.csv", "does it hold several devices"),
-        ("aalto/device_models.csv", "no column is a time that goes forward"),
-    ],
-)
-def test_public_tables_that_are_no_trip(name: str, reason: str) -> None:
-    with pytest.raises(InputError, match=reason):
-        propose_profile(SHARED / name)
+def test_public_tables_that_are_no_trip() -> None:
+    folder = Path(__file__).parents[1] / ".." / "shared" / "data" / "aalto"
+    if not folder.is_dir():
+        pytest.skip("needs the public data")
+    for name, reason in (
+        ("device_data.csv", "does it hold several devices"),
+        ("device_models.csv", "no column is a time that goes forward"),
+    ):
+        refused(InputError, reason, propose_profile, folder / name)
 
 
 def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:

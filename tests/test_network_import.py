@@ -24,168 +24,16 @@ from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.network import Network, network_of_lines
 
-"""Small infrastructure in the structures that the documentation of railML describes.
+RAILML = Path(__file__).parent / "data" / "railml"
+"""Small infrastructure written after https://wiki2.railml.org and https://wiki3.railml.org.
 
-Written for these tests after https://wiki2.railml.org (2.x: tracks, their topology and elements) and
-https://wiki3.railml.org (3.x: net elements and relations, locations); not made by this project.
+Version 2.4: a line with a loop, mileage with a gap, limits by direction, two ways to end a track.
+Version 3.2: a switch, locations by share, position and measure, one against its net element.
 """
-
-# ruff: noqa: E501
-
-RAILML_2 = """<?xml version="1.0" encoding="UTF-8"?>
-<railml version="2.4" xmlns="https://www.railml.org/schemas/2018" xmlns:dc="http://purl.org/dc/elements/1.1/">
-  <metadata><dc:title>valley</dc:title></metadata>
-  <infrastructure id="inf1" name="valley">
-    <tracks>
-      <track id="t1" name="main" mainDir="up">
-        <trackTopology>
-          <trackBegin id="tb1" pos="0.0" absPos="12000.0"><bufferStop id="bs1" name="end of track A"/>
-            <geoCoord coord="47.000 9.000" epsgCode="urn:ogc:def:crs:EPSG::4326"/></trackBegin>
-          <trackEnd id="te1" pos="4000.0" absPos="16200.0"><connection id="c1e" ref="c3b"/>
-            <geoCoord coord="47.0359708 9.000"/></trackEnd>
-          <mileageChanges><mileageChange id="mc1" pos="1500.0" absPosIn="13500.0" absPos="13700.0" type="missing"/></mileageChanges>
-          <connections>
-            <switch id="sw1" name="W1" pos="1000.0"><connection id="c1a" ref="c2b" orientation="outgoing" course="left"/></switch>
-            <switch id="sw2" name="W2" pos="3000.0"><connection id="c1b" ref="c2e" orientation="incoming" course="right"/></switch>
-          </connections>
-          <crossSections>
-            <crossSection id="cs1" pos="500.0" ocpRef="ocpA"/>
-            <crossSection id="cs2" pos="2000.0" ocpRef="ocpB"/>
-          </crossSections>
-        </trackTopology>
-        <trackElements>
-          <speedChanges>
-            <speedChange id="v1" pos="0.0" dir="up" vMax="80"/>
-            <speedChange id="v2" pos="2500.0" dir="up" vMax="120"/>
-            <speedChange id="v3" pos="2600.0" dir="down" vMax="60"/>
-            <speedChange id="v4" pos="4000.0" dir="down" vMax="100"/>
-            <speedChange id="v5" pos="0.0" dir="up" vMax="40" trainCategory="freight"/>
-          </speedChanges>
-          <gradientChanges>
-            <gradientChange id="g1" pos="0.0" slope="0.0"/>
-            <gradientChange id="g2" pos="800.0" slope="12.5"/>
-            <gradientChange id="g3" pos="2200.0" slope="-4"/>
-          </gradientChanges>
-          <radiusChanges>
-            <radiusChange id="r1" pos="0.0" radius="0"/>
-            <radiusChange id="r2" pos="1200.0" radius="0" geometryElementDescription="clothoid"/>
-            <radiusChange id="r3" pos="1300.0" radius="500"/>
-            <radiusChange id="r4" pos="1600.0" radius="-400"/>
-            <radiusChange id="r5" pos="1900.0" radius="0"/>
-          </radiusChanges>
-          <geoMappings><geoMapping id="gm1" pos="2000.0"><geoCoord coord="47.0179854 9.000"/></geoMapping></geoMappings>
-          <levelCrossings><levelCrossing id="lc1" pos="100"/></levelCrossings>
-        </trackElements>
-        <ocsElements><signals><signal id="s1" pos="450" dir="up"/><signal id="s2" pos="600" dir="down"/></signals></ocsElements>
-      </track>
-      <track id="t2" name="loop">
-        <trackTopology>
-          <trackBegin id="tb2" pos="0"><connection id="c2b" ref="c1a"/></trackBegin>
-          <trackEnd id="te2" pos="2050"><connection id="c2e" ref="c1b"/></trackEnd>
-          <crossSections><crossSection id="cs3" pos="1000" ocpRef="ocpB"/></crossSections>
-        </trackTopology>
-        <trackElements><speedChanges><speedChange id="v6" pos="0" vMax="40"/></speedChanges></trackElements>
-      </track>
-      <track id="t3" name="onward">
-        <trackTopology>
-          <trackBegin id="tb3" pos="100" absPos="16200"><connection id="c3b" ref="c1e"/></trackBegin>
-          <trackEnd id="te3" pos="1600" absPos="17700"><macroscopicNode id="mn1" ocpRef="ocpC"/></trackEnd>
-        </trackTopology>
-        <trackElements>
-          <speedChanges><speedChange id="v7" pos="100" vMax="100"/></speedChanges>
-          <gradientChanges><gradientChange id="g4" pos="100" slope="3"/></gradientChanges>
-        </trackElements>
-      </track>
-    </tracks>
-    <trackGroups><line id="l1" name="valley line"><trackRef ref="t1" sequence="1"/><trackRef ref="t3" sequence="2"/></line></trackGroups>
-    <operationControlPoints>
-      <ocp id="ocpA" name="Anfang"/><ocp id="ocpB" name="Brugg"/><ocp id="ocpC" name="Cham"/><ocp id="ocpD" name="nowhere"/>
-    </operationControlPoints>
-  </infrastructure>
-</railml>
-"""
-"""Version 2.4: a line with a loop, mileage with a gap, limits by direction, two ways to end a track."""
-
-RAILML_3 = """<?xml version="1.0" encoding="UTF-8"?>
-<railML version="3.2" xmlns="https://www.railml.org/schemas/3.2" xmlns:gml="http://www.opengis.net/gml/3.2/">
-  <common id="co1">
-    <positioning>
-      <geometricPositioningSystems><geometricPositioningSystem id="gps1" crsDefinition="EPSG:4326"/></geometricPositioningSystems>
-      <linearPositioningSystems><linearPositioningSystem id="lps1" units="km" startMeasure="10000" endMeasure="15000" linearReferencingMethod="absolute"><name name="line 77" language="en"/></linearPositioningSystem></linearPositioningSystems>
-    </positioning>
-  </common>
-  <infrastructure id="is1">
-    <topology>
-      <netElements>
-        <netElement id="ne_a" length="2000.0">
-          <relation ref="nr_ab"/>
-          <associatedPositioningSystem id="aps1">
-            <intrinsicCoordinate id="ic1" intrinsicCoord="0"><geometricCoordinate positioningSystemRef="gps1" x="9.0" y="47.0"/><linearCoordinate positioningSystemRef="lps1" measure="10000"/></intrinsicCoordinate>
-            <intrinsicCoordinate id="ic2" intrinsicCoord="1"><geometricCoordinate positioningSystemRef="gps1" x="9.0" y="47.0179854"/><linearCoordinate positioningSystemRef="lps1" measure="12000"/></intrinsicCoordinate>
-          </associatedPositioningSystem>
-        </netElement>
-        <netElement id="ne_b" length="1500.0"/>
-        <netElement id="ne_c" length="1550.0"/>
-        <netElement id="ne_station"><elementCollectionUnordered id="ecu1"><elementPart ref="ne_b"/><elementPart ref="ne_c"/></elementCollectionUnordered></netElement>
-      </netElements>
-      <netRelations>
-        <netRelation id="nr_ab" positionOnA="1" positionOnB="1" navigability="Both"><elementA ref="ne_a"/><elementB ref="ne_b"/></netRelation>
-        <netRelation id="nr_ac" positionOnA="1" positionOnB="0" navigability="Both"><elementA ref="ne_a"/><elementB ref="ne_c"/></netRelation>
-        <netRelation id="nr_bc" positionOnA="1" positionOnB="0" navigability="None"><elementA ref="ne_b"/><elementB ref="ne_c"/></netRelation>
-      </netRelations>
-      <networks><network id="nw1"><level id="lv0" descriptionLevel="Micro"><networkResource ref="ne_a"/><networkResource ref="ne_b"/><networkResource ref="ne_c"/></level><level id="lv1" descriptionLevel="Meso"><networkResource ref="ne_station"/></level></network></networks>
-    </topology>
-    <geometry>
-      <horizontalCurves>
-        <horizontalCurve id="hc1" curveType="straight" radius="0" length="1000"><linearLocation id="ll1" applicationDirection="both"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" intrinsicCoordBegin="0" intrinsicCoordEnd="0.5"/></linearLocation></horizontalCurve>
-        <horizontalCurve id="hc2" curveType="clothoide" length="200"><linearLocation id="ll2"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" posBegin="1000" posEnd="1200"/></linearLocation></horizontalCurve>
-        <horizontalCurve id="hc3" curveType="arc" radius="-600" length="800"><linearLocation id="ll3"><associatedNetElement netElementRef="ne_a" keepsOrientation="true"><linearCoordinateBegin positioningSystemRef="lps1" measure="11200"/><linearCoordinateEnd positioningSystemRef="lps1" measure="12000"/></associatedNetElement></linearLocation></horizontalCurve>
-      </horizontalCurves>
-      <gradientCurves>
-        <gradientCurve id="gc1" curveType="straight" gradient="10"><linearLocation id="ll4"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" intrinsicCoordBegin="0" intrinsicCoordEnd="0.9"/></linearLocation></gradientCurve>
-        <gradientCurve id="gc2" curveType="arc" radius="5000" deltaGradient="-14"><linearLocation id="ll5"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" intrinsicCoordBegin="0.9" intrinsicCoordEnd="0.95"/></linearLocation></gradientCurve>
-        <gradientCurve id="gc3" curveType="straight" gradient="-4"><linearLocation id="ll6"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" intrinsicCoordBegin="0.95" intrinsicCoordEnd="1"/><associatedNetElement netElementRef="ne_b" keepsOrientation="false" intrinsicCoordBegin="1" intrinsicCoordEnd="0"/></linearLocation></gradientCurve>
-      </gradientCurves>
-    </geometry>
-    <functionalInfrastructure>
-      <bufferStops><bufferStop id="bus1"><name name="stop b" language="en"/><spotLocation id="sl1" netElementRef="ne_b" applicationDirection="normal" intrinsicCoord="0"/></bufferStop></bufferStops>
-      <operationalPoints>
-        <operationalPoint id="op1"><name name="Alt" language="de"/><spotLocation id="sl2" netElementRef="ne_a" intrinsicCoord="0.1"/></operationalPoint>
-        <operationalPoint id="op2"><name name="Neu" language="de"/><spotLocation id="sl3" netElementRef="ne_b" intrinsicCoord="0.2"/><spotLocation id="sl4" netElementRef="ne_c" pos="1200"/></operationalPoint>
-      </operationalPoints>
-      <signalsIS><signalIS id="si1"><spotLocation id="sl5" netElementRef="ne_a" intrinsicCoord="0.5"/></signalIS></signalsIS>
-      <speeds>
-        <speedSection id="sp1" maxSpeed="100"><linearLocation id="ll7" applicationDirection="both"><associatedNetElement netElementRef="ne_a" keepsOrientation="true"/></linearLocation></speedSection>
-        <speedSection id="sp2" maxSpeed="40"><linearLocation id="ll8" applicationDirection="normal"><associatedNetElement netElementRef="ne_c" keepsOrientation="true" intrinsicCoordBegin="0" intrinsicCoordEnd="1"/></linearLocation></speedSection>
-        <speedSection id="sp3" maxSpeed="30" isTemporary="true"><linearLocation id="ll9"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" intrinsicCoordBegin="0" intrinsicCoordEnd="1"/></linearLocation></speedSection>
-        <speedSection id="sp4" maxSpeed="60"><linearLocation id="ll10"><associatedNetElement netElementRef="ne_b" keepsOrientation="true"/></linearLocation><validForSpeedProfile ref="pr1"/></speedSection>
-      </speeds>
-      <switchesIS><switchIS id="swi1" type="ordinarySwitch"><name name="77W1" language="en"/><spotLocation id="sl6" netElementRef="ne_a" applicationDirection="normal" intrinsicCoord="1"/><leftBranch netRelationRef="nr_ab"/><rightBranch netRelationRef="nr_ac"/></switchIS></switchesIS>
-    </functionalInfrastructure>
-  </infrastructure>
-</railML>
-"""
-"""Version 3.2: a switch, locations by share, position and measure, one against its net element."""
-
-TUNNELS_2 = """<tunnels>
-            <tunnel id="tu1" pos="900.0" length="450.0" crossSection="46" kind="concrete"/>
-            <tunnel id="tu2" pos="3800.0" length="400.0"/>
-            <tunnel id="tu3" pos="2000.0"/>
-          </tunnels>
-          <bridges><bridge id="br1" pos="1500.0" length="80.0"/></bridges>
-          """
-"""Tunnels of track 'main': one over a switch, one that reaches beyond the track, one of no length."""
-
-TUNNELS_3 = """<overCrossings>
-        <overCrossing id="oc1" constructionType="tunnel"><linearLocation id="ll11"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" posBegin="1500" posEnd="2000"/><associatedNetElement netElementRef="ne_b" keepsOrientation="false" intrinsicCoordBegin="1" intrinsicCoordEnd="0.8"/></linearLocation><tunnelResistance crossSection="72.5" wallConstructionType="rock"/></overCrossing>
-        <overCrossing id="oc2" constructionType="tunnel"><linearLocation id="ll12"><associatedNetElement netElementRef="ne_c" keepsOrientation="true" posBegin="100" posEnd="300"/></linearLocation></overCrossing>
-        <overCrossing id="oc3" constructionType="bridge"><spotLocation id="sl7" netElementRef="ne_c" pos="900"/></overCrossing>
-        <overCrossing id="oc4" constructionType="tunnel"><spotLocation id="sl8" netElementRef="ne_c" pos="900"/></overCrossing>
-      </overCrossings>
-      <underCrossings><underCrossing id="uc1" constructionType="bridge"><spotLocation id="sl9" netElementRef="ne_a" pos="100"/></underCrossing></underCrossings>
-      """
-"""A tunnel over a joint of net elements, one without a cross-section, bridges."""
-
+RAILML_2, RAILML_3, TUNNELS_2, TUNNELS_3 = (
+    (RAILML / f"{name}.xml").read_text("utf-8")
+    for name in ("valley-2.4", "switch-3.2", "tunnels-2.4", "tunnels-3.2")
+)
 
 OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd"
 INFRAS = ("tiny_infra", "one_line", "nested_switches", "overlapping_routes", "small_infra")
@@ -392,52 +240,42 @@ def test_limits_are_those_of_the_direction_and_of_the_category_of_the_train(
     assert (differ > 40) is (name == "nested_switches")
 
 
-def small(**changes: Any) -> dict[str, Any]:
-    """Two sections and a branch, as railjson."""
-    infra: dict[str, Any] = {
-        "version": "3.4.12",
-        "track_sections": [
-            {"id": "a", "length": 1000.0, "slopes": [], "curves": []},
-            {"id": "b", "length": 500.0, "slopes": [], "curves": []},
-            {"id": "c", "length": 700.0, "slopes": [], "curves": []},
-        ],
-        "switches": [
-            {
-                "id": "s",
-                "switch_type": "point_switch",
-                "ports": {
-                    "A": {"track": "a", "endpoint": "END"},
-                    "B1": {"track": "b", "endpoint": "BEGIN"},
-                    "B2": {"track": "c", "endpoint": "BEGIN"},
-                },
-            }
-        ],
+def switch(name: str, kind: str, **ports: str) -> dict[str, Any]:
+    """A switch whose ports are at ends of tracks, as in ``"a END"``."""
+    ends = {
+        port: dict(zip(("track", "endpoint"), at.split(), strict=True))
+        for port, at in ports.items()
     }
-    return infra | changes
+    return {"id": name, "switch_type": kind, "ports": ends}
+
+
+BRANCH = switch("s", "point_switch", A="a END", B1="b BEGIN", B2="c BEGIN")
+LINK = switch("t", "link", A="a END", B="gone BEGIN")
+TRACKS = [
+    {"id": name, "length": length, "slopes": [], "curves": []}
+    for name, length in (("a", 1000.0), ("b", 500.0), ("c", 700.0))
+]
+
+
+def point(name: str, track: str, position: float) -> dict[str, Any]:
+    return {"id": name, "parts": [{"track": track, "position": position}]}
 
 
 def read_small(tmp_path: Path, **changes: Any) -> Infrastructure:
+    """Two sections and a branch, as railjson, but for the changes."""
     path = tmp_path / "small.json"
-    path.write_text(json.dumps(small(**changes)))
+    infra = {"version": "3.4.12", "track_sections": TRACKS, "switches": [BRANCH]}
+    path.write_text(json.dumps(infra | changes))
     found = networks_in(path)
     assert found is not None
     return found
 
 
 def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None:
-    ports = {
-        "A": {"track": "a", "endpoint": "END"},
-        "B1": {"track": "b", "endpoint": "BEGIN"},
-        "B2": {"track": "b", "endpoint": "END"},
-    }
-    switch = {"id": "s", "switch_type": "point_switch", "ports": ports}
-    tracks = small()["track_sections"][:2]
-    points = [
-        {"id": "p", "parts": [{"track": "a", "position": 400.0}]},
-        {"id": "q", "parts": [{"track": "b", "position": 100.0}]},
-    ]
+    loop = switch("s", "point_switch", A="a END", B1="b BEGIN", B2="b END")
+    points = [point("p", "a", 400.0), point("q", "b", 100.0)]
     (network,), *_ = read_small(
-        tmp_path, switches=[switch], track_sections=tracks, operational_points=points
+        tmp_path, switches=[loop], track_sections=TRACKS[:2], operational_points=points
     )
     # It turns back at station q; sent through a place that is none, it goes round the loop.
     assert network.route("p", "q", "p").length == pytest.approx(2 * 700.0)
@@ -448,32 +286,17 @@ def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"switches": [small()["switches"][0] | {"switch_type": "magic"}]}, "type 'magic'"),
+        ({"switches": [BRANCH | {"switch_type": "magic"}]}, "type 'magic'"),
         (
-            {
-                "switches": [
-                    small()["switches"][0],
-                    {
-                        "id": "t",
-                        "switch_type": "link",
-                        "ports": {
-                            "A": {"track": "a", "endpoint": "END"},
-                            "B": {"track": "gone", "endpoint": "BEGIN"},
-                        },
-                    },
-                ]
-            },
+            {"switches": [BRANCH, LINK]},
             r"switches\[1\].ports.A: the END of track section 'a' is at switch 't'",
         ),
         (
-            {"operational_points": [{"id": "x", "parts": [{"track": "gone", "position": 1.0}]}]},
+            {"operational_points": [point("x", "gone", 1.0)]},
             r"operational_points\[0\].parts\[0\]: refers to the track section 'gone'",
         ),
-        (
-            {"operational_points": [{"id": "x", "parts": [{"track": "a", "position": 1200.0}]}]},
-            "1000 m long",
-        ),
-        ({"track_sections": [small()["track_sections"][0]] * 2}, "comes twice"),
+        ({"operational_points": [point("x", "a", 1200.0)]}, "1000 m long"),
+        ({"track_sections": [TRACKS[0]] * 2}, "comes twice"),
         ({"track_sections": []}, "track_sections: has too few entries"),
     ],
 )
@@ -640,14 +463,9 @@ def test_railml_that_is_damaged_or_dangling_is_refused_with_its_place(
 
 
 def plain(name: str, *stations: tuple[str, float], gradient: float = 0.0) -> Line:
-    length = stations[-1][1]
-    return Line(
-        name,
-        length,
-        tuple(Station(*each) for each in stations),
-        StepProfile([0.0], [30.0]),
-        StepProfile([0.0], [gradient]),
-    )
+    places = tuple(Station(*each) for each in stations)
+    limits, gradients = StepProfile([0.0], [30.0]), StepProfile([0.0], [gradient])
+    return Line(name, stations[-1][1], places, limits, gradients)
 
 
 def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -> None:
@@ -751,10 +569,7 @@ def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_pat
     before, after = read_network(assumed.path), read_network(known.path)
     assert "gradients" in before.assumed
     assert "gradients" not in after.assumed
-    route = (
-        after.route(*list(after.places)[:2]).line if len(after.places) > 1 else after.edges[0].line
-    )
-    assert not route.gradient(np.linspace(0.0, route.length, 50)).any()
+    assert not any(each.line.gradients.values.any() for each in after.edges)
 
 
 def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) -> None:
@@ -763,8 +578,8 @@ def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) ->
         "ports": ["A", "B1", "B2"],
         "groups": {"one": [{"src": "B1", "dst": "B2"}], "two": [{"src": "A", "dst": "B1"}]},
     }
-    switch = small()["switches"][0] | {"switch_type": "odd"}
-    (network,), *_ = read_small(tmp_path, switches=[switch], extended_switch_types=[kind])
+    odd = BRANCH | {"switch_type": "odd"}
+    (network,), *_ = read_small(tmp_path, switches=[odd], extended_switch_types=[kind])
     assert network.route("b@0.4", "c@0.5").length == pytest.approx(900.0)
     refused(InputError, "no route", network.route, "a@0.4", "c@0.5")
 
@@ -776,10 +591,8 @@ def test_gradients_that_contradict_each_other_are_counted_and_the_later_holds(
         {"gradient": 5.0, "begin": 0.0, "end": 600.0},
         {"gradient": -2.0, "begin": 500.0, "end": 1200.0},
     ]
-    track = small()["track_sections"][0] | {"slopes": slopes}
-    (network,), left_out, assumed = read_small(
-        tmp_path, track_sections=[track, *small()["track_sections"][1:]]
-    )
+    tracks = [TRACKS[0] | {"slopes": slopes}, *TRACKS[1:]]
+    (network,), left_out, assumed = read_small(tmp_path, track_sections=tracks)
     line = network.edge("a").line
     assert line.gradient([250.0, 550.0, 900.0]).tolist() == [0.005, -0.002, -0.002]
     assert "tracks with gradients that contradict each other, the later taken: 1" in assumed

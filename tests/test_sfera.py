@@ -28,142 +28,10 @@ from trainlog.formats.sfera_messages import (
 from trainlog.ingest import ingest
 from trainlog.railway import Line, RunningResistance, Station, StepProfile
 
-ZONE = "<SP_Zone><IM_ID>0099</IM_ID></SP_Zone>"
-
-JOURNEY = f"""<?xml version="1.0" encoding="UTF-8"?>
-<JourneyProfile JP_Status="Valid" JP_Version="3">
-  <TrainIdentification><OTN_ID>
-    <teltsi_Company>1099</teltsi_Company>
-    <teltsi_OperationalTrainNumber>4711</teltsi_OperationalTrainNumber>
-    <teltsi_StartDate>2026-05-17</teltsi_StartDate>
-  </OTN_ID></TrainIdentification>
-  <SegmentProfileReference SP_ID="A" SP_VersionMajor="1" SP_VersionMinor="2">
-    {ZONE}
-    <TimingPointConstraints TP_StopSkipPass="Stopping_Point">
-      <TimingPointReference><TP_ID_Reference TP_ID="a"/></TimingPointReference>
-      <StoppingPointDepartureDetails departureTime="2026-05-17T06:30:00Z"/>
-    </TimingPointConstraints>
-    <TrainCharacteristicsRef TC_ID="unit" TC_VersionMajor="1" TC_VersionMinor="0">
-      <TC_RU_ID>1099</TC_RU_ID>
-    </TrainCharacteristicsRef>
-  </SegmentProfileReference>
-  <SegmentProfileReference SP_ID="B" SP_VersionMajor="1" SP_Direction="Reverse">
-    {ZONE}
-    <TimingPointConstraints TP_StopSkipPass="Stopping_Point" arrivalWindow="PT1M"
-        TP_latestArrivalTime="2026-05-17T06:33:00Z">
-      <TimingPointReference><TP_ID_Reference TP_ID="b"/></TimingPointReference>
-      <StoppingPointDepartureDetails departureTime="2026-05-17T06:34:00Z"/>
-    </TimingPointConstraints>
-    <TemporaryConstraints startEndQualifier="StartsEnds" startLocation="200" endLocation="500"
-        temporaryConstraintType="ASR"><AdditionalSpeedRestriction ASR_Speed="40"/>
-    </TemporaryConstraints>
-    <TemporaryConstraints startEndQualifier="WholeSP" startTime="2026-05-18T00:00:00Z"
-        temporaryConstraintType="ASR"><AdditionalSpeedRestriction ASR_Speed="20"/>
-    </TemporaryConstraints>
-    <TemporaryConstraints startEndQualifier="WholeSP" temporaryConstraintType="Wind">
-      <Wind windSpeed="40" windHeading="90"/>
-    </TemporaryConstraints>
-  </SegmentProfileReference>
-  <SegmentProfileReference SP_ID="C" SP_VersionMajor="2">
-    {ZONE}
-    <TimingPointConstraints TP_StopSkipPass="Passing_Point"
-        TP_latestArrivalTime="2026-05-17T06:36:00Z">
-      <TimingPointReference><TimingPointZoneReference identifier="z"/></TimingPointReference>
-    </TimingPointConstraints>
-    <TimingPointConstraints TP_StopSkipPass="Stopping_Point"
-        TP_latestArrivalTime="2026-05-17T06:38:00Z">
-      <TimingPointReference><TP_ID_Reference TP_ID="d"/></TimingPointReference>
-    </TimingPointConstraints>
-  </SegmentProfileReference>
-</JourneyProfile>
-"""
-
-A = f"""<SegmentProfile SP_ID="A" SP_VersionMajor="1" SP_VersionMinor="2" SP_Length="2000">
-  {ZONE}
-  <SP_Points>
-    <TimingPoint TP_ID="a" location="100"><TP_Name name="Amstad"/></TimingPoint>
-    <VirtualBalise location="0">
-      <VirtualBalisePosition latitude="47.0" longitude="8.0"/></VirtualBalise>
-    <VirtualBalise location="2000">
-      <VirtualBalisePosition latitude="47.018" longitude="8.0"/></VirtualBalise>
-  </SP_Points>
-  <SP_Characteristics>
-    <StaticSpeedProfile>
-      <StaticSpeedProfileStart SSP_Speed="60"/>
-      <StaticSpeedProfileChange SSP_Speed="100" location="800">
-        <SpecificSSP V_DIFF="20"><OtherSpecificSSP trainCategoryCode="R"/></SpecificSSP>
-      </StaticSpeedProfileChange>
-    </StaticSpeedProfile>
-    <Gradient>
-      <GradientStart gradientValue="0" gradientDirection="Uphill"/>
-      <GradientChange gradientValue="12.5" gradientDirection="Downhill" location="1500"/>
-    </Gradient>
-    <Curves>
-      <CurveStart curveRadius="0"/>
-      <CurveChange curveRadius="500" curveDirection="Left" location="1000"/>
-      <CurveChange curveRadius="0" location="1200"/>
-    </Curves>
-  </SP_Characteristics>
-  <SP_ContextInformation>
-    <KilometreReferencePoint location="0"><KM_Reference kmRef="12.0"/></KilometreReferencePoint>
-    <KilometreReferencePoint location="1000"><KM_Reference kmRef="13.0"/></KilometreReferencePoint>
-    <KilometreReferencePoint location="1500"><KM_Reference kmRef="20.0"/></KilometreReferencePoint>
-  </SP_ContextInformation>
-</SegmentProfile>
-"""
-
-B = f"""<SegmentProfile SP_ID="B" SP_VersionMajor="1" SP_Length="1500">
-  {ZONE}
-  <SP_Points><TimingPoint TP_ID="b" location="300">
-    <TAF_TAP_LocationReference><teltsi_CountryCodeISO>CH</teltsi_CountryCodeISO>
-      <teltsi_LocationPrimaryCode>42</teltsi_LocationPrimaryCode></TAF_TAP_LocationReference>
-  </TimingPoint></SP_Points>
-  <SP_Areas>
-    <Tunnel startEndQualifier="StartsEnds" startLocation="1000" endLocation="1400"
-        tunnelFactor="48"/>
-    <TAF_TAP_Location startEndQualifier="StartsEnds" startLocation="200" endLocation="400">
-      <TAF_TAP_LocationIdent><teltsi_CountryCodeISO>CH</teltsi_CountryCodeISO>
-        <teltsi_LocationPrimaryCode>42</teltsi_LocationPrimaryCode>
-        <teltsi_PrimaryLocationName>Bergen</teltsi_PrimaryLocationName></TAF_TAP_LocationIdent>
-    </TAF_TAP_Location>
-    <GuardRails startEndQualifier="WholeSP"/>
-  </SP_Areas>
-  <SP_Characteristics>
-    <StaticSpeedProfile><StaticSpeedProfileStart SSP_Speed="80"/></StaticSpeedProfile>
-    <Gradient><GradientStart gradientValue="5" gradientDirection="Uphill"/></Gradient>
-    <Curves><CurveStart curveRadius="800" curveDirection="Right"/></Curves>
-  </SP_Characteristics>
-</SegmentProfile>
-"""
-
-C = f"""<SegmentProfile SP_ID="C" SP_VersionMajor="2" SP_Length="1000">
-  {ZONE}
-  <SP_Points>
-    <TimingPoint TP_ID="c" location="200"><TimingPointZone identifier="z"/></TimingPoint>
-    <TimingPoint TP_ID="d" location="900"/>
-  </SP_Points>
-  <SP_Characteristics>
-    <StaticSpeedProfile><StaticSpeedProfileStart SSP_Speed="120"/></StaticSpeedProfile>
-  </SP_Characteristics>
-</SegmentProfile>
-"""
-
-UNIT = """<TrainCharacteristics TC_ID="unit" TC_VersionMajor="1" TC_VersionMinor="0">
-  <TC_RU_ID>1099</TC_RU_ID>
-  <TC_Features trainLength="75" trainMaxSpeed="160" trainWeight="122" rotatingMassFactor="1.08"
-      rolloutCoefficientA="2300" rolloutCoefficientB="61.2" rolloutCoefficientC="12"
-      comfortableBraking="0.7">
-    <TractionForceCurve>
-      <TractionForceCurveDataPoint speed="0" tractionForce="200000"/>
-      <TractionForceCurveDataPoint speed="46.8" tractionForce="200000"/>
-      <TractionForceCurveDataPoint speed="160" tractionForce="58500"/>
-      <TFC_TractionType><Electrical voltageValue="15000" frequency="16.7"/></TFC_TractionType>
-    </TractionForceCurve>
-  </TC_Features>
-</TrainCharacteristics>
-"""
-
-DOCUMENTS = {"jp": JOURNEY, "a": A, "b": B, "c": C, "tc": UNIT}
+FILES = sorted((Path(__file__).parent / "data" / "sfera").glob("*.xml"))
+DOCUMENTS = {each.stem: each.read_text("utf-8") for each in FILES}
+"""A journey over segments A, B in reverse, and C; the characteristics of its train."""
+A, B, C, JOURNEY, UNIT = DOCUMENTS.values()
 
 
 def folder_with(folder: Path, **changed: str) -> Path:
@@ -223,18 +91,11 @@ def test_line_timetable_and_train_of_a_journey(found: SferaJourney) -> None:
 def test_a_restriction_without_an_end_holds_to_that_of_its_segment(tmp_path: Path) -> None:
     """As published journeys have them; places beyond a segment that no train calls at are left."""
     outside = '<TimingPoint TP_ID="e" location="1800"/></SP_Points>'
-    (journey,) = read_sfera(
-        folder_with(
-            tmp_path,
-            jp=JOURNEY.replace('startLocation="200" endLocation="500"', 'startLocation="200"'),
-            c=C.replace("</SP_Points>", outside),
-        )
-    )
-    assert (3.6 * journey.line.speed_limit([2_100.0, 3_250.0, 3_400.0])).round().tolist() == [
-        40,
-        40,
-        80,
-    ]
+    jp = JOURNEY.replace('startLocation="200" endLocation="500"', 'startLocation="200"')
+    c = C.replace("</SP_Points>", outside)
+    (journey,) = read_sfera(folder_with(tmp_path, jp=jp, c=c))
+    limits = 3.6 * journey.line.speed_limit([2_100.0, 3_250.0, 3_400.0])
+    assert limits.round().tolist() == [40, 40, 80]
     assert "places outside of their segment: 1" in journey.left_out
     assert any("for want of an end" in each for each in journey.assumed)
 
@@ -289,6 +150,18 @@ def test_malformed_documents_are_one_line(
     assert error.remedy
 
 
+def test_documents_too_large_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a folder as in an archive."""
+    largest = max(len(text.encode()) for text in DOCUMENTS.values())
+    monkeypatch.setattr("trainlog.formats.sfera.LARGEST", largest)
+    read_sfera(folder_with(tmp_path))
+    with ZipFile(tmp_path / "all.zip", "w") as archive:
+        archive.write(tmp_path / "jp.xml", "jp.xml")
+    monkeypatch.setattr("trainlog.formats.sfera.LARGEST", largest - 1)
+    for given in (tmp_path, tmp_path / "all.zip"):
+        refused(InputError, "documents of up to 0 MB are read", read_sfera, given)
+
+
 def test_times_without_a_zone_are_taken_as_utc_and_counted(tmp_path: Path) -> None:
     words = "times without a zone, taken as UTC"
     (stated,) = read_sfera(folder_with(tmp_path))
@@ -328,13 +201,8 @@ def test_a_line_of_ours_fills_what_the_journey_lacks(tmp_path: Path, found: Sfer
     )
     line, said = filled(found.line, own)
     # Ours climbs 7 per mille from Amstad on until 1,200 m, then falls by 4.
-    assert (1e3 * line.gradient([50.0, 500.0, 3_000.0, 4_300.0, 4_450.0])).tolist() == [
-        0,
-        7,
-        7,
-        -4,
-        0,
-    ]
+    slopes = 1e3 * line.gradient([50.0, 500.0, 3_000.0, 4_300.0, 4_450.0])
+    assert slopes.tolist() == [0, 7, 7, -4, 0]
     assert "gradients" in line.assumed
     assert said[0] == "gradients from line 'ours', km 0.100 to km 4.400"
     assert said[1:] == ["level and straight elsewhere", "places by the names of stations"]
@@ -394,16 +262,14 @@ def test_a_report_states_where_the_train_is_in_its_segment(
 ) -> None:
     time = datetime.datetime(2026, 5, 17, 6, 32, 5, tzinfo=datetime.UTC)
     report = Report(time, 2_400.0, 22.5, slips=True)
-    message = parsed_xml(
-        valid(status_report(report, found.segments, found.profile, "unit 17")), "report.xml"
-    )
+    written = valid(status_report(report, found.segments, found.profile, "unit 17"))
+    message = parsed_xml(written, "report.xml")
     own = message.first("B2G_EventPayload", "B2G_StatusReport", "PositionSpeed")
     assert own is not None
     # 400 m from the end of B, which is run over in reverse.
     assert (own.text("SP_ID"), own.number("location"), own.number("speed")) == ("B", 1_100.0, 81.0)
     (status,) = message.all("B2G_EventPayload", "B2G_StatusReport")
     assert status.text("slipSlideReported") == "true"
-    assert status_report(report, found.segments, found.profile, "unit 17") is not None
 
 
 def reports_of(found: SferaJourney, folder: Path, *, every: float = 5.0) -> Path:
