@@ -83,9 +83,7 @@ def specimen(name: str, data: bytes, trip: Trip | None = None) -> Specimen:
 
 
 def _summary(data: bytes):
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    return summary
+    return SeekingReader(BytesIO(data)).get_summary()
 
 
 def _streamed(data: bytes, channels: dict[int, str]) -> Counter[Message]:
@@ -253,7 +251,6 @@ def messages_in(source: Source, contents) -> Counter[Message]:
             topic = contents.channels[channel].topic
             for offset in entries[:, 1].tolist():
                 message = message_data(content, offset, channel)
-                assert message is not None
                 found[topic, message[0], message[1]] += 1
     return found
 

@@ -337,7 +337,6 @@ def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
     braking = written(tmp_path, "slip speed [km/h]\tmu [%]\tspeed [km/h]\n-3,6\t-12\t72\n")
     points = read_adhesion_points(braking)
     assert (points.slips.item(), points.adhesions.item()) == pytest.approx((1.0, 0.12))
-    assert points.speeds is not None
     assert points.speeds.item() == pytest.approx(20.0)
     assert points.variable == "slip speed"
 
@@ -378,7 +377,6 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     assert run(["fit", "adhesion", str(path), "-o", str(output)]) == 0
     shown = capsys.readouterr().out
     stated = re.search(r"maximum adhesion +([0-9.]+) ± ", shown)
-    assert stated is not None
     assert float(stated[1]) == pytest.approx(0.2, rel=0.01)
     assert output.with_suffix(".png").is_file()
     rail = trainlog.read_characteristic(output)
@@ -390,17 +388,8 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     scenarios = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2:]
     monkeypatch.setattr("trainlog.simulation.draw_scenarios", lambda *_, **__: scenarios)
     folder = tmp_path / "trips"
-    words = [
-        "simulate",
-        "drive",
-        "--count",
-        "1",
-        "--line",
-        "sample",
-        "--train",
-        "sample",
-        "--characteristic",
-    ]
+    options = ["--count=1", "--line=sample", "--train=sample", "--characteristic"]
+    words = ["simulate", "drive", *options]
     assert run([*words, str(output), "-o", str(folder)]) == 0
     (log,) = folder.glob("*.mcap")
     truth = json.loads(trainlog.read(log).attachments["scenario.json"])

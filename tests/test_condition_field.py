@@ -113,8 +113,6 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: 
     forecast = rolling_forecast(track)
     for number in (15, 8):
         whole, found = layer_before(track, DAY + number, "wet"), forecast("wet", day(number))
-        assert whole is not None
-        assert found is not None
         level = whole.quantile(0.5)[20:]
         assert np.all((level > 0.145) & (level < 0.18)), number
         assert found.quantile(0.5).tobytes() == whole.expected(day(number)).quantile(0.5).tobytes()

@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from painting import without_painting
 from rich.console import Console
 from test_cli_help import commands as every_command, context_of
@@ -78,26 +76,15 @@ def test_every_result_is_there_and_says_what_it_was_made_from(results: Path) -> 
 
 
 def test_every_log_opens_in_the_official_reader(results: Path) -> None:
-    """Of one in each folder every chunk passes its checksum; of the smallest all are read."""
+    """Of the smallest all messages are read."""
     smallest, *_ = every = sorted(logs(results), key=lambda log: log.stat().st_size)
-    of_folders = {log.parent: log for log in every}.values()
     for log in every:
         with log.open("rb") as stream:
             reader = make_reader(stream, validate_crcs=True)
-            summary = reader.get_summary()
-            assert summary is not None
             count = sum(topic.count for topic in describe(log).topics)
-            assert summary.statistics.message_count == count
+            assert reader.get_summary().statistics.message_count == count
             if log == smallest:
                 assert sum(1 for _ in reader.iter_messages()) == count
-            if log in of_folders:
-                stream.seek(0)
-                records = StreamReader(stream, emit_chunks=True, validate_crcs=True).records
-                chunks = [record for record in records if isinstance(record, Chunk)]
-                assert len(chunks) == len(summary.chunk_indexes)
-                for chunk in chunks:
-                    assert chunk.uncompressed_crc != 0
-                    get_chunk_data_stream(chunk, validate_crc=True)
 
 
 def test_the_observed_set_holds_the_truth(results: Path) -> None:
@@ -107,11 +94,9 @@ def test_the_observed_set_holds_the_truth(results: Path) -> None:
     assert len(found.configurations) >= count_of(results) - 1
     for configuration in found.configurations:
         truth = truths[configuration.name]
-        assert truth is not None
         assert curve_error(configuration.resistance, [truth]) <= 0.08
         # The load is not recorded: the mass is known as well as the gain of the efforts is.
         assert configuration.mass == pytest.approx(truth.mass, rel=0.02)
-    assert found.common is not None
     assert curve_error(found.common, known) <= 0.02
 
 

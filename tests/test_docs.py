@@ -190,6 +190,24 @@ def test_names_of_the_code_exist() -> None:
         resolved(dotted)
 
 
+STUDIES = {"H": "hauck_2023", "A": "amirhosseini_2024", "C": "cunillera_2022", "Z": "zhao_2025"}
+RESULTS = ("as printed", "corrected", "reached", "differs", "not run")
+
+
+def test_every_part_of_a_paper_names_code_that_is_there_and_a_result() -> None:
+    text = (DOCS / "papers.md").read_text("utf-8")
+    rows = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("| ")]
+    parts = [[cell.strip() for cell in row] for row in rows if len(row) == 4 and "`" in row[1]]
+    assert len(parts) > 60
+    for part, where, result, why in parts:
+        first, _, rest = where.strip("`").partition(".")
+        resolved(
+            f"analysis.studies.{STUDIES[first]}.{rest}" if first in STUDIES else where.strip("`")
+        )
+        assert result in RESULTS, part
+        assert why or result in ("as printed", "reached"), part
+
+
 @pytest.fixture(params=["site", "source"])
 def installed(request: pytest.FixtureRequest, tmp_path: Path) -> Documentation:
     """Documentation as an installation has it: a built site, or Markdown."""

@@ -177,7 +177,6 @@ def test_the_trains_of_osrd_are_imported(name: str, tmp_path: Path) -> None:
     published = json.loads(path.read_text())
     curves = published["effort_curves"]
     table = curves["modes"][curves["default_mode"]]["default_curve"]
-    assert train.traction_curve is not None
     assert train.traction_curve.speeds == pytest.approx(table["speeds"], rel=1e-13)
     assert train.traction_curve.efforts == pytest.approx(table["max_efforts"], rel=1e-13)
     assert train.tractive_effort_limit(0.0) == pytest.approx(table["max_efforts"][0])
@@ -193,7 +192,6 @@ def test_the_traction_units_of_railtoolkit_are_imported(tmp_path: Path) -> None:
         (vehicle,) = vehicles.values()
         (written,) = import_file(path, tmp_path)
         train = read_train(written.path)
-        assert vehicle.effort is not None
         v = np.linspace(0.0, train.max_speed, 77)
         assert train.tractive_effort_limit(v) == pytest.approx(vehicle.effort(v), rel=1e-9)
         assert train.resistance(20.0) == pytest.approx(vehicle.resistance(0.0)(20.0))

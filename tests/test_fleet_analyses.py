@@ -18,11 +18,9 @@ from analysis.adhesion.evidence import evidence_of_log, own_line
 from analysis.comparison.driven import driven_trip
 from analysis.fleet.analyses import ANALYSES, analyses_named
 from analysis.resistance.fit import fit_trip
-from analysis.view import TOPICS, TripView, parts_of, view_of, views_of
+from analysis.view import TripView, view_of
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import packed_evidence
-from trainlog.mcap.reader import rows_of_log
-from trainlog.trip import Trip
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -33,21 +31,6 @@ DOCS = Path(__file__).parents[1] / "docs"
 def one(name: str, trip: TripView | str) -> pd.DataFrame:
     given = view_of(trip) if isinstance(trip, str) else trip
     return ANALYSES[name].table(given)
-
-
-@pytest.fixture(scope="module")
-def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two runs over the line one after the other in one log, as a recorder that never stops."""
-    first, second = (trainlog.read(log) for log in LOGS)
-    shift = first.end - second.start + pd.Timedelta("4 min")
-    topics = {}
-    for name in first:
-        moved = second[name].set_axis(second[name].index + shift)
-        topics[name] = pd.concat([first[name], moved])
-        topics[name].attrs = first[name].attrs
-    path = tmp_path_factory.mktemp("long") / "day.mcap"
-    trainlog.write(Trip(topics, first.metadata, first.provenance, first.attachments), path)
-    return path
 
 
 def test_each_table_has_the_columns_that_are_declared_and_documented() -> None:
@@ -122,15 +105,3 @@ def test_parameters_are_part_of_what_identifies_a_result() -> None:
     assert fine["bins"][0] > 2 * rough["bins"][0]
     refused(InputError, "no parameter 'bins'", ANALYSES["adhesion"].with_parameters, bins=3)
     refused(InputError, "no analysis 'energy'", analyses_named, ["energy"])
-
-
-def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(long_log: Path) -> None:
-    whole = trainlog.read(long_log, ["/train/state", "/train/axles"])
-    held = rows_of_log(long_log, TOPICS)
-    for rows in (held - 1, held // 7):
-        parts = [part.trip for part in views_of(long_log, TOPICS, rows=rows)]
-        for topic in whole:
-            together = pd.concat([part[topic] for part in parts])
-            pd.testing.assert_frame_equal(together, whole[topic])
-        assert len(parts) == len(parts_of(long_log, held, rows))
-        assert max(sum(map(len, part.topics.values())) for part in parts) < 1.5 * rows

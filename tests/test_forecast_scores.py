@@ -186,7 +186,6 @@ def scored(rail: Drawn, forecaster: Forecaster) -> Verification:
 def others(rail: Drawn) -> dict[str, Forecaster]:
     """Forecasters that do not know the rail: too high, too low, too sure, too wide, ignorant."""
     true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
-    assert true is not None
     made = {
         "too high": normal(true.log_mean + 0.15, true.log_std),
         "too low": normal(true.log_mean - 0.15, true.log_std),
@@ -243,7 +242,6 @@ def test_the_probability_of_slip_is_that_of_asking_for_more_than_there_is() -> N
 def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored() -> None:
     rail = drawn(1)
     true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
-    assert true is not None
     half = np.arange(BINS) < BINS // 2
     part = AdhesionEstimate(true.log_mean, true.log_std, half, true.log_levels, true.probability)
     whole, some = scored(rail, rail.knows), scored(rail, lambda layer, time: part)

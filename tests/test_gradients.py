@@ -140,7 +140,6 @@ def test_a_line_built_from_rides_has_their_gradients(
     centre_line = geometry_of(trips)
     line = line_of(centre_line, "built")
     assert "gradients" not in line.assumed
-    assert line.survey is not None
     assert line.survey.gradient_std < 1e-3
     middle = np.arange(500.0, line.length - 500.0, 250.0)
     shares = (np.arange(100) + 0.5) / 100.0 - 0.5
@@ -153,7 +152,6 @@ def test_a_line_built_from_rides_has_their_gradients(
     write_line(line, tmp_path / "line.json")
     read = read_line(tmp_path / "line.json")
     # A file holds fifteen digits.
-    assert read.survey is not None
     assert astuple(read.survey) == pytest.approx(astuple(line.survey), rel=1e-14)
     assert read.assumed == line.assumed
     assert read.gradients.values == pytest.approx(line.gradients.values, abs=1e-9)

@@ -40,7 +40,6 @@ def data(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 def chunks_of(data: bytes) -> list[ChunkIndex]:
     summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
     return summary.chunk_indexes
 
 

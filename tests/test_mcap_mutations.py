@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from mcap_judge import most_memory, specimens, time_limit, verdict
-from mcap_mutations import MUTATIONS, mutated
+from mcap_mutations import mutated
 
 from trainlog.errors import LogError
 from trainlog.mcap import account_of, read_log, recover
@@ -60,12 +60,6 @@ def test_a_hundred_thousand_damaged_files(tmp_path: Path) -> None:
         results = list(pool.map(partial(judged, tmp_path), batches))
     assert [each for found, _ in results for each in found] == []
     assert max(memory for _, memory in results) < FLOOR
-
-
-def test_every_kind_of_damage_is_drawn() -> None:
-    data = b"\x89MCAP0\r\n" + bytes(100)
-    drawn = {each for seed in range(2000) for each in mutated(data, seed)[0].split(", ")}
-    assert drawn == set(MUTATIONS)
 
 
 @pytest.mark.parametrize("path", sorted(KEPT.glob("*.mcap")), ids=lambda path: path.stem)

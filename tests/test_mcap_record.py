@@ -98,7 +98,6 @@ def test_the_file_is_whole_and_numbers_the_samples_as_they_came(tmp_path: Path) 
         messages = [m for _, c, m in reader.iter_messages(log_time_order=False) if c.topic == STATE]
         summary = reader.get_summary()
     assert {m.sequence: m.log_time - START for m in messages} == dict(enumerate(order.tolist()))
-    assert summary is not None
     assert len(summary.chunk_indexes) > 3
     frame = read_log(tmp_path / "log.mcap")[STATE]
     assert frame.index.equals(pd.to_datetime(START + np.arange(3000), utc=True))
@@ -138,16 +137,18 @@ def test_times_of_every_kind(tmp_path: Path) -> None:
         ((STATE, START), {"speed": [1.0, 2.0]}, r"shape \(2,\), where the time asks for \(\)"),
         ((STATE, [START, START]), {"speed": 1.0}, r"shape \(\), where the time asks for \(2,\)"),
         ((STATE, -1), {"speed": 1.0}, "not a time"),
-        ((STATE, 1.7e18), {"speed": 1.0}, "not a time"),
         ((STATE, 2**63), {"speed": 1.0}, "not a time"),
-        ((STATE, pd.NaT), {"speed": 1.0}, "not a time"),
         ((STATE, "noon"), {"speed": 1.0}, "not a time"),
         ((STATE, [[START]]), {"speed": 1.0}, "not a time"),
         ((AXLES, START), {"wheel_speed": [1.0, 2.0]}, r"asks for \(3,\)"),
-        ((AXLES, START), {"wheel_speed": 1.0}, "asks for"),
         ((AXLES, START), {"wheel_speed": [1, 2, 3, 4], "wheel_effort": [1, 2]}, "asks for"),
         (("/reference", START), {"wheel_speed": [1.0]}, "no field wheel_speed"),
         ((EVENTS.name, START), {"level": 2, "message": "x"}, r"record them with event\(\)"),
+        ((9, "x"), {"time": START}, "9 is not a level"),
+        ((1, "\ud800"), {"time": START}, "UTF-8"),
+        ((1, 5), {"time": START}, "ordinary text"),
+        ((1, "x"), {"time": [START]}, "one time"),
+        ((1, "x"), {"time": -5}, "not a time"),
     ],
 )
 def test_what_does_not_fit_is_refused_at_once(
@@ -156,31 +157,15 @@ def test_what_does_not_fit_is_refused_at_once(
     with trainlog.record(tmp_path / "log.mcap") as log:
         log.write(STATE, START, speed=1.0)
         log.write(AXLES, START, wheel_speed=[1.0, 2.0, 3.0], wheel_effort=(4.0, 5.0, 6.0))
-        caught = refused(LogError, said, log.write, *arguments, **values)
+        caught = refused(
+            LogError, said, log.event if "time" in values else log.write, *arguments, **values
+        )
         log.write(STATE, START + 1, speed=2.0)
     assert caught.file == tmp_path / "log.mcap"
     assert caught.remedy
     found = read_log(tmp_path / "log.mcap")
     assert found[STATE]["speed"].tolist() == [1.0, 2.0]
     assert found[AXLES].to_numpy().tolist() == [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]
-
-
-@pytest.mark.parametrize(
-    ("level", "message", "time", "said"),
-    [
-        (9, "x", START, "9 is not a level"),
-        (1, "\ud800", START, "UTF-8"),
-        (1, 5, START, "ordinary text"),
-        (1, "x", [START], "one time"),
-        (1, "x", -5, "not a time"),
-    ],
-)
-def test_events_that_do_not_fit(
-    level: int, message: Any, time: Any, said: str, tmp_path: Path
-) -> None:
-    with trainlog.record(tmp_path / "log.mcap") as log:
-        refused(LogError, said, log.event, level, message, time=time)
-    assert len(read_log(tmp_path / "log.mcap")[EVENTS.name]) == 0
 
 
 @pytest.fixture

@@ -204,7 +204,6 @@ def test_a_recovered_log_opens_everywhere(whole: Specimen, tmp_path: Path) -> No
     assert account == account_of(path)
     assert (account.messages, account.messages_lost) == (80, 40)
     assert len(official(output)) == 80
-    assert whole.trip is not None
     assert read_log(output).metadata == whole.trip.metadata  # no warning
     assert describe(output).count == 80
     for place in (spans_of(whole.data)[0], spans_of(whole.data)[2]):

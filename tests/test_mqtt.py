@@ -59,7 +59,6 @@ class Broker:
 
     def start(self) -> None:
         """Start it, and wait until it listens."""
-        assert MOSQUITTO is not None
         words = [MOSQUITTO, "-c", str(self._file)]
         self._process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
         for _ in range(200):

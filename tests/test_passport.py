@@ -112,7 +112,6 @@ def test_ingest_stores_the_passport_and_info_shows_it(
 
     assert run(monkeypatch, capsys, *command)[0] == 0
     found = passport_of(trainlog.read(log))
-    assert found is not None
     assert found.effort_delay.source == "estimated"
     assert "no load recorded" in "; ".join(found.findings)
     made = log.stat().st_mtime_ns

@@ -58,25 +58,15 @@ class Runs(Presented):
         return ("± is the 95 % band.",)
 
 
-def runs(count: int = 2) -> Runs:
-    every = [
-        Run(f"train {n}", 20.0 + n, Band(80e3, 1e3) if n else None, Ends(0.15, 0.1, 0.2))
-        for n in range(count)
-    ]
-    return Runs(tuple(every))
-
-
-def test_a_prompt_shows_the_title_and_the_summary_in_at_most_ten_lines() -> None:
-    assert repr(runs()).splitlines() == ["2 runs", "  train 0  72.0 km/h", "  train 1  75.6 km/h"]
-    many = repr(runs(30)).splitlines()
-    assert len(many) == 10
-    assert many[-1] == "  and 22 more"
+def runs() -> Runs:
+    adhesion = Ends(0.15, 0.1, 0.2)
+    first = Run("train 0", 20.0, None, adhesion)
+    return Runs((first, Run("train 1", 21.0, Band(80e3, 1e3), adhesion)))
 
 
 def test_a_notebook_shows_title_tables_and_notes_escaped() -> None:
     html = runs()._repr_html_()
-    for words in ("<b>2 runs</b>", "top speed, km/h", "95 % band"):
-        assert words in html
+    assert all(words in html for words in ("<b>2 runs</b>", "top speed, km/h", "95 % band"))
     hostile = Runs((Run("<script>", 1.0, None, None),))
     assert "<script>" not in hostile._repr_html_()
     refused(InputError, "Runs has no plot; print it, or use its attributes", runs().plot)

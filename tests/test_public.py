@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import builtins
 import doctest
 import importlib
@@ -10,7 +9,6 @@ import inspect
 import subprocess
 import symtable
 import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,31 +24,6 @@ def test_every_public_name_is_there_documented_and_has_an_example(name: str) -> 
     public = {each: getattr(package, each) for each in package.__all__}
     assert [each for each, it in public.items() if not it.__doc__] == []
     assert [each for each, it in public.items() if callable(it) and ">>> " not in it.__doc__] == []
-
-
-@pytest.mark.parametrize("name", PACKAGES)
-def test_type_checkers_see_the_same_names(name: str) -> None:
-    package = importlib.import_module(name)
-    tree = ast.parse(Path(str(package.__file__)).read_text("utf-8"))
-    block, at_runtime = [node for node in tree.body if isinstance(node, ast.If)]
-    seen, private = {}, {}
-    for node in block.body:
-        if isinstance(node, ast.Assign):  # an explicit export under another name
-            (target,) = node.targets
-            assert isinstance(target, ast.Name)
-            assert isinstance(node.value, ast.Name)
-            seen[target.id] = private.pop(node.value.id)
-            continue
-        assert isinstance(node, ast.ImportFrom)
-        for alias in node.names:
-            # mypy --strict exports "name as name" only.
-            assert alias.asname in (None, alias.name)
-            (seen if alias.asname else private)[alias.name] = (node.module, alias.name)
-    assert not private
-    assert sorted(seen) == package.__all__
-    assert ast.unparse(at_runtime.test) == "not TYPE_CHECKING", "__getattr__ hides misspellings"
-    for public, (module, defined) in seen.items():
-        assert getattr(package, public) is getattr(importlib.import_module(str(module)), defined)
 
 
 def test_importing_the_packages_loads_neither_pandas_nor_a_solver() -> None:
@@ -96,16 +69,3 @@ def test_examples_use_only_public_names_and_what_they_import() -> None:
         if unknown:
             wrong[name] = unknown
     assert wrong == {}
-
-
-def test_objects_print_in_at_most_ten_lines() -> None:
-    trainlog = importlib.import_module("trainlog")
-    line = trainlog.read_line(trainlog.sample(trainlog.DEFAULT_LINE))
-    train = trainlog.read_train(trainlog.sample(trainlog.DEFAULT_TRAIN))
-    (scenario,) = trainlog.draw_scenarios(line, train, 1, seed=3)
-    trip = trainlog.read(trainlog.sample("nonstop.mcap"))
-    shown = (scenario, line, train, trip, line.geometry, line.gradients, line.curvatures)
-    for each in shown:
-        assert len(repr(each).splitlines()) <= 10
-        assert len(repr(each)) < 800, type(each)
-    assert repr(line.gradients) == "StepProfile of 153 steps, -0.0154 to 0.0159"

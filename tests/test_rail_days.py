@@ -113,10 +113,6 @@ class TestRail:
         other = Rail.draw(line, days=40, start="2026-10-10", seed=3)
         assert rail.profile(time, 3) != other.profile(time, 3)
 
-    def test_days_that_were_not_drawn_are_refused(self, rail: Rail) -> None:
-        refused(InputError, "is not one of the days drawn", rail.weather, rail.start + 50 * DAY)
-        refused(InputError, "rail condition 'snow' is unknown", rail.lasting, "snow", rail.start)
-
 
 class TestChanges:
     def test_adhesion_in_the_section_is_changed_from_the_date_on(self, line: Line) -> None:
@@ -145,18 +141,6 @@ class TestChanges:
         assert 0.0 < share(0.3) < 0.7 * share(1.0)
         assert share(4.0) > 2.0 * share(1.0)
 
-    def test_changes_beyond_line_and_days_are_refused(self, line: Line) -> None:
-        for change, words in (
-            (Change(10e3, 40e3, at("2026-10-15"), 1.3), "ends at km 29.556"),
-            (Change(10e3, 14e3, at("2026-11-15"), 1.3), "is not one of the days simulated"),
-        ):
-            refused(InputError, words, Rail.draw, line, 30, "2026-10-10", 1, [change])
-
-    def test_a_change_must_be_one(self) -> None:
-        refused(InputError, "ends after it starts", Change, 5e3, 4e3, 0)
-        refused(InputError, "factor 130 is not between", Change, 4e3, 5e3, 0, factor=130.0)
-        refused(InputError, "births -1 is not", Change, 4e3, 5e3, 0, births=-1.0)
-
 
 class TestTrips:
     def test_trains_run_from_five_to_eleven_on_every_day(self, few: Rail) -> None:
@@ -175,15 +159,25 @@ class TestTrips:
     def test_the_log_carries_what_the_trip_met_and_what_lasts(self, few: Rail) -> None:
         scenario = draw_days(few, [read_train(sample(DEFAULT_TRAIN))], 2)[11]
         truth = truth_of(simulate(scenario))
-        assert truth is not None
         assert truth.lasting_adhesion == few.lasting(scenario.weather, scenario.start)
         assert truth.maximum_adhesion == few.profile(scenario.start, 11)
         assert truth.weather == few.weather(scenario.start).condition
 
-    def test_nothing_to_draw_is_refused(self, rail: Rail) -> None:
-        with pytest.raises(InputError, match="cannot draw 0 trips a day of 1 train"):
-            draw_days(rail, [read_train(sample(DEFAULT_TRAIN))], 0)
-        refused(InputError, "of 0 trains", draw_days, rail, [], 4)
+
+def test_what_cannot_be_drawn_is_refused(line: Line, few: Rail) -> None:
+    days = (line, 30, "2026-10-10", 1)
+    for words, call, given in (
+        ("is not one of the days drawn", few.weather, (few.start + 50 * DAY,)),
+        ("rail condition 'snow' is unknown", few.lasting, ("snow", few.start)),
+        ("ends at km 29.556", Rail.draw, (*days, [Change(10e3, 40e3, at("2026-10-15"), 1.3)])),
+        ("not one of the days sim", Rail.draw, (*days, [Change(1e3, 4e3, at("2026-11-15"), 1.3)])),
+        ("ends after it starts", Change, (5e3, 4e3, 0)),
+        ("factor 130 is not between", Change, (4e3, 5e3, 0, 130.0)),
+        ("births -1 is not", Change, (4e3, 5e3, 0, 1.0, -1.0)),
+        ("cannot draw 0 trips a day of 1 train", draw_days, (few, [0], 0)),
+        ("of 0 trains", draw_days, (few, [], 4)),
+    ):
+        refused(InputError, words, call, *given)
 
 
 SAMPLES = ("--line", "sample", "--train", "sample")
@@ -206,7 +200,6 @@ class TestCommand:
         for name in files[:-1]:
             trip = trainlog.read(tmp_path / "first" / name, topics=[])
             there = weather.at(pd.Timestamp(trip.metadata["start"]).value)
-            assert there is not None
             assert there.condition == trip.metadata["weather"]
 
     def test_a_train_that_is_stopped_for_good_does_not_end_the_month(

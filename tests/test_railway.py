@@ -1,5 +1,7 @@
 """Lines, trains, resistance and creep curves as data and pure functions."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -42,24 +44,29 @@ TRAIN = Train(
 )
 
 
-def test_steps_hold_from_their_position_to_the_next() -> None:
-    np.testing.assert_array_equal(LINE.speed_limit([0.0, 399.9, 400.0, 999.0]), [20, 20, 30, 30])
-
-
 def test_profiles_take_lists_and_refuse_what_is_no_number() -> None:
     made = StepProfile([0.0, 400.0], [20.0, 30.0])  # type: ignore[arg-type]
     assert made == LINE.speed_limits
     refused(InputError, "values must be numbers", StepProfile, [0.0], ["fast"])
 
 
-def test_altitude_is_the_integral_of_the_gradient() -> None:
-    np.testing.assert_allclose(
-        LINE.altitudes([0.0, 250.0, 400.0, 1000.0]), [500, 502.5, 499.5, 497.5]
-    )
-
-
-def test_curvature_is_linear_in_transitions_and_constant_in_arcs() -> None:
-    np.testing.assert_allclose(LINE.curvature([50.0, 150.0, 600.0]), [0.0, 0.001, 0.002])
+@pytest.mark.parametrize(
+    ("quantity", "at", "expected"),
+    [
+        # A step holds from its position to the next.
+        (LINE.speed_limit, [0.0, 399.9, 400.0, 999.0], [20, 20, 30, 30]),
+        (LINE.altitudes, [0.0, 250.0, 400.0, 1000.0], [500, 502.5, 499.5, 497.5]),
+        # Linear in transitions and constant in arcs.
+        (LINE.curvature, [50.0, 150.0, 600.0], [0.0, 0.001, 0.002]),
+        (LINE.track_acceleration, [10.0, 600.0], [0.0981 / np.hypot(1.0, 0.01), 9.81 * 0.0012]),
+        (TRAIN.tunnel_coefficient, [24.0, 30.0, 40.0, 0.0], [15.0, 11.0, 7.0, 0.0]),
+        (TRAIN.tractive_effort_limit, [0.0, 5.0, 20.0], [200e3, 200e3, 100e3]),
+    ],
+)
+def test_quantities_are_those_that_a_hand_calculation_gives(
+    quantity: Callable[[list[float]], object], at: list[float], expected: list[float]
+) -> None:
+    np.testing.assert_allclose(quantity(at), expected)
 
 
 @given(st.floats(0.001, 999.9))
@@ -73,21 +80,6 @@ def test_the_reversed_line_is_the_same_line(position: float) -> None:
     assert other.curvature(there) == pytest.approx(-LINE.curvature(position), abs=1e-15)
     assert other.tunnel_cross_section(there) == LINE.tunnel_cross_section(position)
     assert other.altitudes(there) == pytest.approx(LINE.altitudes(position))
-
-
-def test_track_resistance_against_hand_calculation() -> None:
-    at_10_permil = 9.81 * 0.01 / np.sqrt(1.0 + 1e-4)
-    assert LINE.track_acceleration(10.0) == pytest.approx(at_10_permil)
-    assert LINE.track_acceleration(600.0) == pytest.approx(9.81 * 0.6 * 0.002)
-
-
-def test_tunnel_coefficient_meets_the_published_sections_and_vanishes_outside() -> None:
-    np.testing.assert_allclose(TRAIN.tunnel_coefficient([24.0, 40.0, 0.0]), [15.0, 7.0, 0.0])
-    assert 7.0 < TRAIN.tunnel_coefficient(30.0) < 15.0
-
-
-def test_effort_falls_with_speed_at_the_power_limit() -> None:
-    np.testing.assert_allclose(TRAIN.tractive_effort_limit([0.0, 5.0, 20.0]), [200e3, 200e3, 100e3])
 
 
 @pytest.mark.parametrize(

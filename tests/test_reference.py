@@ -95,7 +95,6 @@ def test_a_timetable_that_cannot_be_kept_is_explained_before_any_solver(
     monkeypatch.setattr(shooting, "_solve", never)
     tight = section(120.0)
     e = refused(InfeasibleError, r"A - B: the timetable allows 120 s, .* needs", reference, tight)
-    assert e.remedy is not None
     assert "later or more" in e.remedy
 
 

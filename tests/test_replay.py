@@ -27,7 +27,6 @@ from rerun.chunk import RrdReader
 from trainlog import topics
 from trainlog.errors import InputError, LogError
 from trainlog.formats.railway import line_to_bytes
-from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
 from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.samples import CURVES, Samples, clock_of, thinned
@@ -255,25 +254,24 @@ def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
     assert found["elapsed"][1:] / 1e9 == pytest.approx(plan.times.mean(axis=0))
 
 
-def test_a_trip_is_compared_with_what_is_planned_where_it_is(trip: Trip, tmp_path: Path) -> None:
-    topics_left = {name: frame for name, frame in trip.topics.items() if name != "/reference"}
-    path = tmp_path / "plan.rrd"
-    write_replay([replace(trip, topics=topics_left)], path, trajectory=trajectory_of())
+def test_a_trip_is_compared_with_what_is_planned_unless_it_followed_or_ran_backwards(
+    trip: Trip, tmp_path: Path
+) -> None:
+    path, down = tmp_path / "plan.rrd", made_trip("down", "reverse")
+    own, back = (
+        replace(each, topics={k: v for k, v in each.topics.items() if k != "/reference"})
+        for each in (trip, down)
+    )
+    followed = replace(trip, metadata={**trip.metadata, "trip": "followed"})
+    write_replay([own, back, followed], path, trajectory=trajectory_of())
     entity = "/trips/up/speed/trajectory"
+    assert [name for name in entities(path) if name.endswith("/speed/trajectory")] == [entity]
     middle = curve(path, entity, "Measurements:values")[:, 0]
     position = clock_of(trip).position_at(rows(path, entity)["time"][1:])
     planned = [trajectory_of().speed_at(row, position) for row in (0, 1)]
     assert middle == pytest.approx(np.mean(planned, axis=0) * 3.6, abs=1e-3)
     assert middle[0] == 0.0
     assert middle.max() > 70.0
-
-
-def test_trips_that_followed_or_ran_backwards_are_not_compared(trip: Trip, tmp_path: Path) -> None:
-    path = tmp_path / "plan.rrd"
-    down = made_trip("down", "reverse")
-    topics_left = {name: frame for name, frame in down.topics.items() if name != "/reference"}
-    write_replay([trip, replace(down, topics=topics_left)], path, trajectory=trajectory_of())
-    assert [name for name in entities(path) if name.endswith("/speed/trajectory")] == []
 
 
 def test_the_same_trips_give_the_same_content(trip: Trip, recording: Path, tmp_path: Path) -> None:
@@ -334,8 +332,9 @@ def _drawn(path: Path) -> dict[str, dict[str, int]]:
     return drawn
 
 
-def spotted() -> TrackConditionMap:
-    """The map with three spots: there while it was met, gone, and likely there; and a forecast."""
+@pytest.fixture(scope="module")
+def spotted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map with three spots: there while it was met, gone, and likely there; and a forecast."""
     condition = condition_of()
     day = int(made_trip().start.timestamp() // 86_400)
     spots = (
@@ -351,12 +350,17 @@ def spotted() -> TrackConditionMap:
 
     dry = condition.layers["dry"]
     layer = Layer(dry.log_mean, dry.log_std, dry.observed, evidence=dry.evidence, spots=spots)
-    return replace(condition, layers={"dry": layer})
+    path, options = tmp_path_factory.mktemp("spots") / "map.rrd", ReplayOptions(tiles=True)
+    both, track = (
+        [made_trip(), made_trip("down", "reverse")],
+        replace(condition, layers={"dry": layer}),
+    )
+    write_replay(both, path, condition_map=track, options=options)
+    return path
 
 
-def test_the_expected_condition_lies_beside_the_lasting_one(tmp_path: Path) -> None:
-    path, condition = tmp_path / "map.rrd", spotted()
-    write_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
+def test_the_expected_condition_lies_beside_the_lasting_one(spotted: Path) -> None:
+    path = spotted
     for trip in ("up", "down"):
         lasting = rows(path, f"/trips/{trip}/adhesion/map/dots")
         expected = rows(path, f"/trips/{trip}/adhesion/expected/dots")
@@ -371,10 +375,8 @@ def test_the_expected_condition_lies_beside_the_lasting_one(tmp_path: Path) -> N
     assert "/lines/hill/maximum_adhesion/dry/expected/dots" in entities(path)
 
 
-def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(tmp_path: Path) -> None:
-    path, condition = tmp_path / "map.rrd", spotted()
-    both, tiles = [made_trip(), made_trip("down", "reverse")], ReplayOptions(tiles=True)
-    write_replay(both, path, condition_map=condition, options=tiles)
+def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(spotted: Path) -> None:
+    path = spotted
     up = rows(path, "/trips/up/adhesion/spots/dots")
     assert up["position_m"].tolist() == [325, 1_550]
     assert up["Scalars:scalars"][:, 0].tolist() == [0.07, 0.09]

@@ -145,7 +145,6 @@ def test_the_pointer_shows_values_and_a_name_in_the_legend_hides_its_curve(light
     plot = light.page.locator(".plot").first
     plot.scroll_into_view_if_needed()
     box = plot.bounding_box()
-    assert box is not None
     assert light.page.evaluate(TOOLTIP) == ""
     for share in (0.4, 0.5):
         light.page.mouse.move(box["x"] + share * box["width"], box["y"] + 0.5 * box["height"])

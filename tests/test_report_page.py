@@ -71,7 +71,6 @@ def test_a_page_refers_to_nothing_outside_and_names_from_a_log_stay_text(trip_pa
     assert all(each.startswith(("#", "data:")) for each in references)
     assert not {"iframe", "object", "embed", "form", "base"} & set(tags)
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', trip_page)
-    assert policy is not None
     rules = dict(each.split(None, 1) for each in policy[1].split("; "))
     assert rules["default-src"] == "'none'"
     # The scripts of the page alone, by their digests.
@@ -145,7 +144,6 @@ def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
         said = events[events["message"] == f"departure from {call.name}"]
         assert len(said) == 1
         # The brakes are released before it moves.
-        assert call.departure is not None
         assert abs((call.departure - said.index[0]).total_seconds()) < 3.0
     # As long as a comparison of trips counts.
     dwells = {stand.station: stand.duration for stand in driven_trip(trip).stands}

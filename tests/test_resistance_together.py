@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
-from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
+from resistance_trips import RESISTANCE, constant_speed, trip
 
 from analysis.charts import draw, draw_all, draw_charts
 from analysis.resistance import (
@@ -24,13 +25,9 @@ from analysis.resistance import (
     summarised,
 )
 from analysis.resistance.curve import nearest_physical
-from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit
 from analysis.resistance.observed import choose
 from analysis.resistance.plot import refused_chart, trips_charts
-from analysis.resistance.recording import SpeedScale, Timeline
-from analysis.resistance.regression import Residuals
-from analysis.resistance.windows import WindowPoints
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
@@ -46,51 +43,24 @@ TRUE = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
 NODES = basis(np.linspace(5.0, 35.0, 3))
 
 
+@cache
+def whole_fit() -> TripFit:
+    return fit_trip(trip(noise=0.03))
+
+
 def fit_of(
-    name: str,
-    beta: FloatArray,
-    covariance: FloatArray,
-    *,
-    mass: float = 130e3,
-    train: str = "unit",
-    gradients: str = "",
-    survey: FloatArray | None = None,
+    name: str, beta: FloatArray, covariance: FloatArray, train: str = "unit", **changes: Any
 ) -> TripFit:
-    """A trip's fit without a trip."""
+    """A fit of made-up coefficients."""
     full = np.zeros((4, 4))
-    full[:3, :3] = covariance
-    full[3, 3] = 200.0**2
-    nothing = np.zeros(0)
-    return TripFit(
-        trip=name,
-        train=train,
-        resistance=RunningResistance(*beta.tolist()),
-        mass=mass,
-        covariance=full,
-        freedom=90,
-        survey=np.zeros((4, 4)) if survey is None else survey,
-        gradients=gradients,
-        rotating_mass=12e3,
-        max_power=None,
-        max_power_std=None,
-        train_power=TRAIN.max_traction_power,
-        asked=(5.0, 35.0),
-        speed_range=(3.0, 34.0),
-        condition=50.0,
-        scale=SpeedScale(1.0, 1e-4, "GNSS speed"),
-        noise={"speed": 0.01},
-        delay=0.0,
-        brake_scale=1.0,
-        cluster_factor=1.0,
-        residual_std=1.0,
-        residual_correlation=0.0,
-        windows={"used": 94, "outlier": 0},
-        masked={"braking": 10.0},
-        points=WindowPoints(nothing, nothing, nothing, nothing.astype(bool)),
-        residuals=Residuals(nothing, nothing, nothing, nothing),
-        timeline=Timeline(nothing, nothing, nothing, {}),
-        history=History(pd.DatetimeIndex([]), nothing, np.zeros((0, 4)), np.zeros((0, 4, 4))),
-    )
+    full[:3, :3], full[3, 3] = covariance, 200.0**2
+    known = {"mass": 130e3, "freedom": 90, "asked": (5.0, 35.0), "speed_range": (3.0, 34.0)}
+    known |= {"noise": {"speed": 0.01}, "windows": {"used": 94, "outlier": 0}, "max_power": None}
+    known |= {"survey": np.zeros((4, 4)), "masked": {"braking": 10.0}, "gradients": ""}
+    known |= {"passport": None, "identity": ""}
+    curve = RunningResistance(*beta.tolist())
+    about = {"trip": name, "train": train, "resistance": curve, "covariance": full}
+    return replace(whole_fit(), **known | about | changes)
 
 
 def covariance_of(curve_std: tuple[float, float, float]) -> FloatArray:

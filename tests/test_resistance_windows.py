@@ -25,7 +25,7 @@ from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import RunningResistance, StepProfile, Survey
 from trainlog.railway.resistance import basis
-from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.trip import LINE_ATTACHMENT
 from trainlog.units import GRAVITY
 
 NOISE = NoiseModel(speed=0.01, gradient=4e-4, position=8.0, effort=0.01)
@@ -226,7 +226,6 @@ def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name: s
         error = found.beta - truth
         z.append(error[place] / np.sqrt(found.covariance[place, place]))
         if name == "tunnel":
-            assert found.tunnels is not None
             assert abs(found.tunnels[0] - 1.0) < 0.7
             assert found.tunnels[1] == pytest.approx(std, rel=0.1)
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), z
@@ -320,27 +319,13 @@ def test_each_defect_is_reported() -> None:
     assert (nothing.normality, nothing.flatness, nothing.independence) == (1.0, 1.0, 1.0)
 
 
-def blind(made: Trip) -> Trip:
-    return changed(made, "/train/controls", tractive_effort=np.nan)
-
-
-def braked(made: Trip) -> Trip:
-    return changed(made, "/train/controls", pneumatic_braking_effort=30e3)
-
-
-def full_of_gaps(made: Trip) -> Trip:
-    """A sample every two seconds: nothing but gaps."""
-    rows = slice(None, None, 20)
-    topics = {name: frame.iloc[rows] for name, frame in made.topics.items()}
-    return replace(made, topics=topics)
-
-
 def test_refusals_say_why_in_a_word_and_show_where() -> None:
     made = trip(noise=0.03)
+    every_two_seconds = {name: frame.iloc[::20] for name, frame in made.topics.items()}
     cases = {
-        "not recorded": blind(made),
-        "gap": full_of_gaps(made),
-        "braking": braked(made),
+        "not recorded": changed(made, "/train/controls", tractive_effort=np.nan),
+        "gap": replace(made, topics=every_two_seconds),
+        "braking": changed(made, "/train/controls", pneumatic_braking_effort=30e3),
         "standstill": trip(lambda time: np.zeros(time.size), noise=0.0, duration=600.0),
         "too short": trip(duration=150.0),
         "condition": trip(constant_speed, noise=0.03),
@@ -353,7 +338,6 @@ def test_refusals_say_why_in_a_word_and_show_where() -> None:
         if reason == "not recorded":
             assert timeline is None
             continue
-        assert timeline is not None
         if reason in timeline.masks:
             assert timeline.masks[reason].mean() > 0.9
     caught = refused(TripRefusedError, "", fit_trip, trip(noise=1.0, seed=1), speeds=(0.5, 44.0))

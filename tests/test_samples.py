@@ -75,8 +75,6 @@ def test_the_line_is_in_canonical_form_and_drawn_within_half_a_metre_of_its_curv
     line = read_line(sample(DEFAULT_LINE))
     assert line_to_bytes(line) == sample(DEFAULT_LINE).read_bytes()
     assert train_to_bytes(read_train(sample(DEFAULT_TRAIN))) == sample(DEFAULT_TRAIN).read_bytes()
-    assert line.curvatures is not None
-    assert line.geometry is not None
     positions, points = plane_curve(line.curvatures, line.length, step=5.0)
     drawn = to_plane(*line.geometry.at(positions), (47.43, 9.18))
     factor, shift = similarity(points, drawn)

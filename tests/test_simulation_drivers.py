@@ -50,23 +50,17 @@ def stands(found: dict[str, np.ndarray]) -> np.ndarray:
 
 @settings(max_examples=8)
 @given(
-    lever=st.floats(0.4, 1.0),
-    margin=st.floats(0.2, 1.5),
-    deceleration=st.floats(0.4, 0.8),
-    reaction=st.floats(0.2, 1.2),
-    coasting=st.floats(0.0, 4.0),
-    load=st.floats(0.0, 20_000.0),
+    st.builds(
+        Habits,
+        lever=st.floats(0.4, 1.0),
+        margin=st.floats(0.2, 1.5),
+        deceleration=st.floats(0.4, 0.8),
+        reaction=st.floats(0.2, 1.2),
+        coasting=st.floats(0.0, 4.0),
+    ),
+    st.floats(0.0, 20_000.0),
 )
-def test_timetable_driver_keeps_limits_and_stops(
-    lever: float, margin: float, deceleration: float, reaction: float, coasting: float, load: float
-) -> None:
-    habits = Habits(
-        lever=lever,
-        margin=margin,
-        deceleration=deceleration,
-        reaction=reaction,
-        coasting=coasting,
-    )
+def test_timetable_driver_keeps_limits_and_stops(habits: Habits, load: float) -> None:
     scenario = journey(habits=habits, mass=122_000.0 + load)
     found = columns(scenario, drive(scenario))
     limit = scenario.line.limits_over(scenario.train.length)(found["position"])
@@ -248,7 +242,6 @@ def test_gnss_noise_rates_and_outages() -> None:
     fix, motion, changes = measuring.gnss(
         line, time, position, speed, Sensors(), np.random.default_rng(5)
     )
-    assert fix is not None
     assert len(fix) == len(motion)
     steps = np.diff(fix.index.asi8) / NANOSECONDS
     assert np.min(steps) == pytest.approx(0.2)

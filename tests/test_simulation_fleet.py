@@ -55,11 +55,8 @@ def test_altitude_and_place_of_a_node_are_the_same_by_every_line() -> None:
         for name, position in ((edge.start, 0.0), (edge.end, line.length)):
             here = float(line.altitudes(position))
             assert here == pytest.approx(altitudes.setdefault(name, here), abs=1e-6)
-            assert line.geometry is not None
             latitude, longitude = line.geometry.at(position)
             node = nodes[name]
-            assert node.latitude is not None
-            assert node.longitude is not None
             gap = abs(to_plane(latitude, longitude, (node.latitude, node.longitude)))
             assert gap < 0.5
 
@@ -72,8 +69,6 @@ def test_lines_are_plausible_and_their_curves_are_those_of_their_geometry(
         assert np.max(np.abs(line.gradients.values)) <= 25e-3 + 1e-12
         for station in line.stations:
             assert abs(float(line.gradient(station.position - 1.0))) <= 2.5e-3 + 1e-9
-        assert line.curvatures is not None
-        assert line.geometry is not None
         bend = np.maximum(np.abs(line.curvatures.start), np.abs(line.curvatures.end))
         assert np.max(bend) <= 1.0 / 250.0
         # 240 mm of cant and deficiency: 11.8 v²/R.
@@ -282,7 +277,6 @@ OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd" / "infras"
 def test_a_fleet_runs_on_imported_networks(name: str) -> None:
     """Edges without stations, stations of several tracks, ways in one direction alone."""
     found = networks_in(OSRD / f"{name}.json")
-    assert found is not None
     (network,) = found.networks
     drawn = draw_fleet(network, trains=3, days=1, trips=2, seed=3)
     for route in {route for roster in drawn.rosters for route in roster.routes}:

@@ -543,7 +543,6 @@ class TestPlant:
         turning = train.axles.rotating_mass * np.gradient(wheels, seconds, axis=0)
         force = (efforts - turning)[100:-1]
         transfer = train.load_transfer()
-        assert transfer is not None
         static = train.adhesive_weight() / 4
         loads = axle_loads(transfer, static, force, found["acceleration"][100:-1])
         a, b, scale = plant.rail[0, 2:]

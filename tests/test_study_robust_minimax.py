@@ -2,40 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 import pytest
-from painting import without_painting
-from test_study_tables import check_page
 
 from analysis.studies.cunillera_2022 import model as study
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.instructions import Phase
-from trainlog.cli.main import run as command
-from trainlog.cli.terminal import console
 from trainlog.railway import Trajectory
 
 CELLS = 160
 """A third of the study's, which the long tests have."""
 LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations()
-
-
-@dataclass(frozen=True)
-class Ran:
-    """What the command printed, and the folder that it wrote; pictures are not painted."""
-
-    printed: str
-    folder: Path
-
-
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
-    folder = tmp_path_factory.mktemp("robust-minimax")
-    with console.capture() as captured, without_painting():
-        assert not command(["study", "robust-minimax", "-o", str(folder)])
-    return Ran(captured.get(), folder)
 
 
 class Answers(dict[str, Trajectory]):
@@ -111,10 +88,3 @@ def test_robustness_costs_little_and_saves_the_timetable(answers: dict[str, Traj
     robust = study.driven(LEVEL, answers["level-common"], CHOSEN)
     assert robust.times[:, -1].max() <= 1541.0 + 1e-3
     assert robust.speeds[:, -1].max() <= LEVEL.final_speed + 1e-5
-
-
-@pytest.mark.long
-def test_the_page_has_the_tables_that_the_study_prints(
-    ran: Ran, request: pytest.FixtureRequest
-) -> None:
-    check_page("robust-minimax", ran.folder, request)

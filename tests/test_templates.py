@@ -57,9 +57,7 @@ def test_what_a_template_offers_besides_is_valid_too(tmp_path: Path, kind: templ
     if isinstance(found, Line):
         assert found.curvature(1000.0) == pytest.approx(1.0 / 500.0)
         assert found.tunnels[0].cross_section == 45.0
-        assert found.geometry is not None
     else:
-        assert found.traction_curve is not None
         assert found.tunnel_resistance[0][0] == 45.0
 
 
@@ -140,7 +138,6 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
     np.testing.assert_allclose(line.gradients.values, [0.0, 0.0085, -0.005])
     np.testing.assert_allclose(line.curvature([1_000.0, 2_000.0, 3_000.0, 6_000.0]),
                                [0.0, 1 / 500, 0.0, -1 / 800])  # fmt: skip
-    assert line.geometry is not None
     assert line.geometry.latitudes.tolist() == [47.40, 47.41, 47.42, 47.44]
     np.testing.assert_allclose(line.kilometre([0.0, 2_700.0, 12_000.0]) / 1e3, [12.3, 15.0, 24.3])
     assert line.reversed().kilometre(0.0) == pytest.approx(24_300.0)

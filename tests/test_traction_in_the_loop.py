@@ -221,7 +221,6 @@ def test_trips_are_driven_with_either_control_and_state_it() -> None:
     scenario = draw_scenarios(LINE, TRAIN, 4, seed=1)[2]
     for name in ("cooperative", "readhesion"):
         made = with_traction([scenario], name, known_map())[0].traction
-        assert made is not None
         assert made().name == name
     refused(InputError, "unknown", with_traction, [scenario], "best")
     refused(

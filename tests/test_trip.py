@@ -6,7 +6,7 @@ import pytest
 
 from trainlog.errors import LogError
 from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_STATE, column_field
-from trainlog.trip import Trip, frame_of, seconds
+from trainlog.trip import Trip, frame_of
 
 SECOND = 1_000_000_000
 
@@ -26,24 +26,12 @@ def test_every_number_has_a_unit_and_every_field_a_meaning() -> None:
 
 def test_columns_of_axles_are_numbered_from_one() -> None:
     both = {"wheel_effort": np.ones((1, 2)), "wheel_speed": np.ones((1, 2))}
-    assert list(frame_of(TRAIN_AXLES, [0], both)) == [
-        "wheel_speed_1",
-        "wheel_speed_2",
-        "wheel_effort_1",
-        "wheel_effort_2",
-    ]
+    names = [f"{name}_{axle}" for name in ("wheel_speed", "wheel_effort") for axle in (1, 2)]
+    assert list(frame_of(TRAIN_AXLES, [0], both)) == names
     assert column_field(TRAIN_AXLES, "wheel_speed_12").unit == "m/s"
     for wrong in ("wheel_speed", "wheel_speed_0", "wheel_speed_x", "speed"):
         with pytest.raises(KeyError):
             column_field(TRAIN_AXLES, wrong)
-
-
-def test_frames_carry_units_and_absent_fields_are_nan() -> None:
-    frame = state([0, 1], [3.0, 4.0])
-    assert frame.attrs["topic"] == "/train/state"
-    assert frame.attrs["units"]["speed"] == "m/s"
-    assert frame["position"].isna().all()
-    assert str(frame.index.dtype) == "datetime64[ns, UTC]"
 
 
 def test_frames_refuse_columns_that_the_topic_does_not_have() -> None:
@@ -55,20 +43,8 @@ def test_a_missing_topic_is_named_with_those_present() -> None:
     trip = Trip({"/train/state": state([0], [1.0])}, {"trip": "t7"})
     with pytest.raises(LogError, match=r"t7.*no topic /gnss/fix; topics loaded: /train/state"):
         trip["/gnss/fix"]
-
-
-def test_span_of_a_trip() -> None:
-    trip = Trip({"/train/state": state([10, 12.5], [1.0, 2.0])})
-    assert trip.duration == 2.5
     with pytest.raises(LogError, match="has no samples"):
         _ = Trip({}).start
-
-
-def test_seconds_since_a_common_origin() -> None:
-    frame = state([10, 11], [0.0, 0.0])
-    np.testing.assert_array_equal(seconds(frame), [0.0, 1.0])
-    origin = pd.Timestamp(8 * SECOND, tz="UTC")
-    np.testing.assert_array_equal(seconds(frame, origin), [2.0, 3.0])
 
 
 def test_trips_are_equal_by_metadata_and_samples() -> None:

@@ -57,12 +57,10 @@ def trips(line: Line, train: Train, strength: float, count: int) -> Iterator[tup
 def check(fit: TripFit, trip: Trip, true: Train) -> tuple[bool, bool]:
     """Whether the bands hold the curve of open track, and the resistance in the tunnels."""
     truth = truth_of(trip)
-    assert truth is not None
     speed = np.linspace(12.0, fit.asked[1], 20)
     low, high = fit.band(speed)
     curve = truth.resistance(speed)
     found = fit.tunnels
-    assert found is not None
     held = []
     for section, expected in zip(found.sections, found.expected, strict=True):
         error = found.factor * expected - float(true.tunnel_coefficient(section))

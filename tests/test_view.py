@@ -43,6 +43,19 @@ def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     return path
 
 
+def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back: Path) -> None:
+    whole, held = (
+        read_log(there_and_back, module.TOPICS),
+        rows_of_log(there_and_back, module.TOPICS),
+    )
+    for rows in (held - 1, held // 7):
+        parts = [part.trip for part in module.views_of(there_and_back, module.TOPICS, rows=rows)]
+        for topic in whole:
+            pd.testing.assert_frame_equal(pd.concat([part[topic] for part in parts]), whole[topic])
+        assert len(parts) == len(module.parts_of(there_and_back, held, rows))
+        assert max(sum(map(len, part.topics.values())) for part in parts) < 1.5 * rows
+
+
 def test_maps_and_coasting_take_all_parts_of_a_long_log(
     there_and_back: Path, nonstop: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
