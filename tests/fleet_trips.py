@@ -34,9 +34,5 @@ def short_trips(folder: Path, count: int) -> list[Path]:
 
 def later(trip: Trip, by: pd.Timedelta) -> Trip:
     """The trip as if it had been driven later."""
-    topics = {}
-    for name, frame in trip.topics.items():
-        topics[name] = frame.set_axis(frame.index + by)
-        topics[name].index.name = frame.index.name
-        topics[name].attrs = frame.attrs
+    topics = {name: frame.set_axis(frame.index + by) for name, frame in trip.topics.items()}
     return replace(trip, topics=topics, provenance=trip.provenance[:1])

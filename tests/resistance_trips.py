@@ -51,28 +51,40 @@ def constant_speed(time: FloatArray) -> FloatArray:
     return np.full(time.size, 30.0)
 
 
+SpeedOf = Callable[[FloatArray], FloatArray]
+
+
+def driven(
+    speed_of: SpeedOf, mass: float, resistance: RunningResistance, duration: float, train: Train
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times every tenth of a second, speeds, and the efforts that they need."""
+    time = np.arange(0.0, duration, 0.1)
+    acceleration = (speed_of(time + 1e-4) - speed_of(time - 1e-4)) / 2e-4
+    speed = speed_of(time)
+    return time, speed, (mass + train.rotating_mass) * acceleration + resistance(speed)
+
+
+def measured(speed: FloatArray, noise: float, seed: int) -> FloatArray:
+    return speed + noise * np.random.default_rng(seed).standard_normal(speed.size)
+
+
 def recording(
-    speed_of: Callable[[FloatArray], FloatArray] = varied_speed,
+    speed_of: SpeedOf = varied_speed,
     *,
     mass: float = 130e3,
     resistance: RunningResistance = RESISTANCE,
     duration: float = 1200.0,
-    step: float = 0.1,
     noise: float = 0.0,
     seed: int = 0,
 ) -> Recording:
     """An exact recording on a level line, with noise on the speed if wanted."""
-    time = np.arange(0.0, duration, step)
-    speed = speed_of(time)
-    acceleration = (speed_of(time + 1e-4) - speed_of(time - 1e-4)) / 2e-4
-    nothing = np.zeros(time.size)
-    effort = (mass + TRAIN.rotating_mass) * acceleration + resistance(speed)
-    measured = speed + noise * np.random.default_rng(seed).standard_normal(time.size)
-    groups = (np.cumsum(speed) * step // 500.0).astype(np.int64)
+    time, speed, effort = driven(speed_of, mass, resistance, duration, TRAIN)
+    nothing, shown = np.zeros(time.size), measured(speed, noise, seed)
+    groups = (np.cumsum(speed) * 0.1 // 500.0).astype(np.int64)
     return Recording(
         time=time,
-        speed=measured,
-        curve=basis(measured),
+        speed=shown,
+        curve=basis(shown),
         effort=effort,
         braking=nothing,
         rotating_momentum=TRAIN.rotating_mass * speed,
@@ -87,7 +99,7 @@ def recording(
 
 
 def trip(
-    speed_of: Callable[[FloatArray], FloatArray] = varied_speed,
+    speed_of: SpeedOf = varied_speed,
     *,
     name: str = "made",
     mass: float = 130e3,
@@ -98,37 +110,19 @@ def trip(
     train: Train = TRAIN,
 ) -> Trip:
     """A trip on a level line whose recorder shows speed, chainage and efforts."""
-    step = 0.1
-    time = np.arange(0.0, duration, step)
-    speed = speed_of(time)
-    acceleration = (speed_of(time + 1e-4) - speed_of(time - 1e-4)) / 2e-4
-    position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)))
-    effort = (mass + train.rotating_mass) * acceleration + resistance(speed)
-    measured = speed + noise * np.random.default_rng(seed).standard_normal(time.size)
+    time, speed, effort = driven(speed_of, mass, resistance, duration, train)
+    position = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
     stamps = np.int64(1_700_000_000_000_000_000) + np.round(time * 1e9).astype(np.int64)
-    state = frame_of(TRAIN_STATE, stamps, {"position": position, "speed": np.abs(measured)})
-    controls = frame_of(
-        TRAIN_CONTROLS,
-        stamps,
-        {
-            "tractive_effort_demand": np.maximum(effort, 0.0),
-            "tractive_effort": np.maximum(effort, 0.0),
-            "dynamic_braking_effort": np.maximum(-effort, 0.0),
-            "pneumatic_braking_effort": np.zeros(time.size),
-        },
-    )
-    return Trip(
-        topics={"/train/state": state, "/train/controls": controls},
-        metadata={"trip": name, "train": train.name, "direction": "forward"},
-        attachments={
-            LINE_ATTACHMENT: line_to_bytes(LINE),
-            TRAIN_ATTACHMENT: train_to_bytes(train),
-        },
-    )
+    shown = np.abs(measured(speed, noise, seed))
+    pulls, brakes = np.maximum(effort, 0.0), np.maximum(-effort, 0.0)
+    controls = {"tractive_effort_demand": pulls, "tractive_effort": pulls}
+    controls |= {"dynamic_braking_effort": brakes, "pneumatic_braking_effort": 0.0 * brakes}
+    attached = {LINE_ATTACHMENT: line_to_bytes(LINE), TRAIN_ATTACHMENT: train_to_bytes(train)}
+    made = Trip({}, {"trip": name, "train": train.name, "direction": "forward"}, (), attached)
+    made = made.with_topic(frame_of(TRAIN_STATE, stamps, {"position": position, "speed": shown}))
+    return made.with_topic(frame_of(TRAIN_CONTROLS, stamps, controls))
 
 
 def changed(original: Trip, topic: str, **columns: object) -> Trip:
     """The trip with columns of one topic replaced."""
-    frame = original[topic].assign(**columns)
-    frame.attrs = original[topic].attrs
-    return original.with_topic(frame)
+    return original.with_topic(original[topic].assign(**columns))

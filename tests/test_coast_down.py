@@ -255,7 +255,6 @@ def sample_trip(name: str) -> Trip:
 def satellites_only(trip: Trip) -> Trip:
     """Without what the train itself recorded but its chainage."""
     state = trip["/train/state"].assign(speed=np.nan)
-    state.attrs = trip["/train/state"].attrs
     kept = {"/gnss/motion": trip["/gnss/motion"], "/train/state": state}
     return replace(trip, topics=kept)
 

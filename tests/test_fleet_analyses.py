@@ -85,9 +85,7 @@ def test_checks_list_what_is_wrong_with_a_recording() -> None:
     state, axles = trip["/train/state"].copy(), trip["/train/axles"].copy()
     state = state.drop(state.index[4000:4300])
     axles.iloc[6000:6600, 0] = axles.iloc[6000, 0]
-    state.attrs, axles.attrs = trip["/train/state"].attrs, trip["/train/axles"].attrs
     controls = trip["/train/controls"].assign(pneumatic_braking_effort=np.nan)
-    controls.attrs = trip["/train/controls"].attrs
     worse = trip.with_topic(state).with_topic(axles).with_topic(controls)
     sound, row = (one("checks", TripView(each)).iloc[0] for each in (trip, worse))
     assert (sound["gaps"], sound["frozen"], sound["missing"]) == (0, "", "")

@@ -26,11 +26,8 @@ from analysis.comparison.groups import trip_cost
 from analysis.estimates import with_estimates
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import fit_trip
-from analysis.resistance.recording import Prepared, prepare
-from analysis.view import view_of
-from estimators.rls import RecursiveLeastSquares, edges_crossed, record_with_resets
 from trainlog.errors import TrainlogError
-from trainlog.formats.railway import line_of, train_of
+from trainlog.formats.railway import line_of
 from trainlog.formats.samples import folder
 from trainlog.trip import Trip
 
@@ -57,32 +54,6 @@ class Replay:
 @cache
 def trip_of(name: str) -> Trip:
     return trainlog.read(folder() / f"{name}.mcap")
-
-
-def prepared(trip: Trip) -> Prepared:
-    return prepare(view_of(trip))
-
-
-def least_squares(trip: Trip) -> Figures:
-    """Forces that resist, reset in part where the gradient changes."""
-    ready, train = prepared(trip), train_of(trip)
-    use = ready.usable
-    inertia = train.mass + train.rotating_mass
-    acceleration = np.gradient(ready.smooth, ready.time)
-    force = ready.effort - inertia * acceleration - train.mass * ready.track
-    rows = np.column_stack([np.ones(force.size), ready.smooth, ready.smooth**2])
-    estimator = RecursiveLeastSquares(
-        [1e4, 300.0, 10.0], forgetting=0.9999, random_walk_std=[1.0, 1e-3, 1e-5]
-    )
-    estimates, _ = record_with_resets(
-        estimator,
-        edges_crossed(line_of(trip).gradients.positions, ready.position)[use],
-        rows[use],
-        force[use],
-        1e6,
-        parameters=[0],
-    )
-    return {"course": estimates}
 
 
 def estimates(trip: Trip) -> Figures:
@@ -151,7 +122,6 @@ def coasting(trip: Trip) -> Figures:
 
 
 REPLAYS: dict[str, Replay] = {
-    "least squares": Replay(least_squares),
     "estimates": Replay(estimates, 1e-4),
     "fit": Replay(fit, 1e-3),
     "coast-down": Replay(coasting, 1e-3),

@@ -110,7 +110,6 @@ def with_altitudes(trip: Trip, truth: object, slopes: StepProfile, seed: int) ->
     """The trip's fixes with altitudes that err by half a metre, for a minute or so."""
     rng = np.random.default_rng(seed)
     fix = trip["/gnss/fix"].copy()
-    fix.attrs = trip["/gnss/fix"].attrs
     known = truth.index.as_unit("ns").asi8  # type: ignore[attr-defined]
     at = fix.index.as_unit("ns").asi8
     position = np.interp(at, known, truth["position"])  # type: ignore[index]

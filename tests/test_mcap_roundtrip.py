@@ -67,7 +67,6 @@ def test_numbers_of_any_kind_become_doubles_and_local_time_utc(tmp_path: Path) -
         speed_accuracy=np.array([0.5, 1.5, 2.5], dtype=np.float32),
         satellites=pd.array([9, None, 11], dtype="Int64"),
     ).tz_convert("Europe/Zurich")
-    local.attrs = frame.attrs
     write_log(Trip({GNSS_MOTION.name: local}), tmp_path / "trip.mcap")
     back = read_log(tmp_path / "trip.mcap")[GNSS_MOTION.name]
     assert back.index.equals(frame.index)
@@ -97,41 +96,25 @@ STATE = frame_of(TRAIN_STATE, START + np.arange(3), {"speed": [1.0, 2.0, 3.0]})
 EVENT = frame_of(EVENTS, [START], {"level": [2], "message": ["departure"]})
 
 
+FRAMES = (
+    (STATE.assign(mood=1.0), "no field for column mood"),
+    (STATE.assign(speed="fast"), "not a number"),
+    (STATE.iloc[::-1], "runs backwards"),
+    (STATE.reset_index(drop=True), "not indexed by time"),
+    (STATE.tz_localize(None), "not indexed by time"),
+    (frame_of(TRAIN_STATE, [-1, 5], {"speed": [1.0, 2.0]}), "before 1970"),
+    (frame_of(TRAIN_AXLES, [START], {"wheel_speed_2": [1.0]}), r"axles \[2\] only"),
+    (pd.concat([STATE, STATE[["speed"]]], axis=1), "has a column twice"),
+    (frame_of(EVENTS, [START], {"level": [9], "message": ["x"]}), "9 is not a level"),
+    (EVENT.assign(message=pd.Series(["\ud800"], EVENT.index, dtype=object)), "UTF-8"),
+)
+
+
 @pytest.mark.parametrize(
     ("trip", "said"),
     [
+        *((Trip({}).with_topic(frame), said) for frame, said in FRAMES),
         (Trip({"/train/mood": STATE}), "no topic /train/mood"),
-        (Trip({TRAIN_STATE.name: STATE.assign(mood=1.0)}), "no field for column mood"),
-        (Trip({TRAIN_STATE.name: STATE.assign(speed="fast")}), "not a number"),
-        (Trip({TRAIN_STATE.name: STATE.iloc[::-1]}), "runs backwards"),
-        (Trip({TRAIN_STATE.name: STATE.reset_index(drop=True)}), "not indexed by time"),
-        (Trip({TRAIN_STATE.name: STATE.tz_localize(None)}), "not indexed by time"),
-        (
-            Trip({TRAIN_STATE.name: frame_of(TRAIN_STATE, [-1, 5], {"speed": [1.0, 2.0]})}),
-            "before 1970",
-        ),
-        (
-            Trip({TRAIN_AXLES.name: frame_of(TRAIN_AXLES, [START], {"wheel_speed_2": [1.0]})}),
-            r"axles \[2\] only",
-        ),
-        (
-            Trip({TRAIN_STATE.name: pd.concat([STATE, STATE[["speed"]]], axis=1)}),
-            "has a column twice",
-        ),
-        (
-            Trip({EVENTS.name: frame_of(EVENTS, [START], {"level": [9], "message": ["x"]})}),
-            "9 is not a level",
-        ),
-        (
-            Trip(
-                {
-                    EVENTS.name: EVENT.assign(
-                        message=pd.Series(["\ud800"], EVENT.index, dtype=object)
-                    )
-                }
-            ),
-            "UTF-8",
-        ),
         (Trip({}, {"load": 12000}), "metadata 'load' is 12000, not text"),  # type: ignore[dict-item]
         (Trip({}, {"trip": "\ud800"}), "UTF-8"),
         (Trip({}, provenance=({"step": float("nan")},)), "step 1 of the provenance is not JSON"),

@@ -200,12 +200,8 @@ def test_a_log_without_positions_says_so(tmp_path: Path) -> None:
 
 def together(pieces: list[Trip]) -> Trip:
     """The pieces one after the other."""
-    first = pieces[0]
-    topics = {}
-    for name, frame in first.topics.items():
-        topics[name] = pd.concat([piece[name] for piece in pieces])
-        topics[name].attrs = frame.attrs
-    return replace(first, topics=topics)
+    topics = {name: pd.concat([piece[name] for piece in pieces]) for name in pieces[0].topics}
+    return replace(pieces[0], topics=topics)
 
 
 @settings(max_examples=10)

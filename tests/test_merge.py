@@ -77,7 +77,6 @@ def test_different_samples_of_a_topic_are_refused_or_one_log_is_preferred(
 ) -> None:
     state = whole[STATE].copy()
     state["speed"] = state["speed"] + 1.0
-    state.attrs = whole[STATE].attrs
     other = replace(whole.with_topic(state), provenance=())
     paths = [written(whole, tmp_path / "a.mcap"), written(other, tmp_path / "b.mcap")]
     with pytest.raises(LogError, match=r"b.mcap: holds other samples of /train/state than .*a.mca"):

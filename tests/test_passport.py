@@ -35,11 +35,8 @@ def stopping() -> Trip:
 def scaled(trip: Trip, factor: float) -> Trip:
     """The trip with all recorded efforts of the train times a factor."""
     controls = trip["/train/controls"]
-    changed = controls.assign(
-        **{name: factor * controls[name] for name in controls.columns if name.endswith("_effort")}
-    )
-    changed.attrs = controls.attrs
-    return trip.with_topic(changed)
+    efforts = {name: factor * controls[name] for name in controls if name.endswith("_effort")}
+    return trip.with_topic(controls.assign(**efforts))
 
 
 def test_late_efforts_with_a_wrong_gain_are_found(stopping: Trip) -> None:

@@ -125,7 +125,6 @@ def test_unknown_values_and_missing_rows_break_the_line(trip: Trip, tmp_path: Pa
     state = trip["/train/state"].copy()
     state.iloc[100:150, state.columns.get_loc("speed")] = np.nan
     kept = trip["/train/state"].drop(state.index[100:150])
-    kept.attrs = trip["/train/state"].attrs
     lacking = replace(trip, metadata={**trip.metadata, "trip": "lacking"})
     path = tmp_path / "gap.rrd"
     write_replay([trip.with_topic(state), lacking.with_topic(kept)], path)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from fleet_trips import later
 
 import analysis.adhesion.slip as slip_module
 import analysis.resistance.coasting_detection as motion_module
@@ -20,7 +21,6 @@ from trainlog.formats.samples import folder
 from trainlog.mcap import LogWriter, read_log, write_log
 from trainlog.mcap.reader import rows_of_log
 from trainlog.topics import GNSS_MOTION, TRAIN_STATE
-from trainlog.trip import Trip
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +33,9 @@ def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     """The sample trip twice, an hour apart, as one recording."""
     trip = read_log(nonstop)
     path = tmp_path_factory.mktemp("long") / "long.mcap"
-    later = {}
-    for name, frame in trip.topics.items():
-        later[name] = frame.set_axis(frame.index + pd.Timedelta("1h"))
-        later[name].index.name, later[name].attrs = "time", frame.attrs
     with LogWriter(path) as writer:
         writer.add(trip)
-        writer.add(Trip(later, trip.metadata, trip.provenance, trip.attachments))
+        writer.add(later(trip, pd.Timedelta("1h")))
     return path
 
 
@@ -112,12 +108,10 @@ def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path: Path, nonsto
     length = float(state["position"].iloc[-1])
     back = state.assign(position=length - state["position"])
     back.index = state.index + (state.index[-1] - state.index[0]) + pd.Timedelta("2min")
-    back.index.name, back.attrs = "time", state.attrs
     with LogWriter(tmp_path / "both.mcap") as writer:
         writer.add(trip)
         writer.add(trip.with_topic(back))
         again = state.set_axis(back.index + (back.index[-1] - back.index[0]) + pd.Timedelta("2min"))
-        again.index.name, again.attrs = "time", state.attrs
         writer.add(trip.with_topic(again))
     rows = len(state) + 1_000
     views = list(module.views_of(tmp_path / "both.mcap", [TRAIN_STATE.name], rows=rows))
