@@ -7,26 +7,25 @@ import json
 import os
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import threading
 import time
 import warnings
 from contextlib import nullcontext
-from functools import reduce
-from operator import xor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from command import Shell
 from killed import PATIENCE
+from recorder_files import drive, nav_pvt, nmea_lines
 from refusals import refused
 
 import trainlog
-from trainlog.cli.main import run
 from trainlog.errors import InputError
 from trainlog.ingest import ingest
 from trainlog.ingest.live import MOST_KEPT, LiveIngest, LiveOptions, Numbering
@@ -60,7 +59,7 @@ MALFORMED = (
     b'{"topic": "/train/state", "speed"',
     b"$GPRMC,12*00",
 )
-"""What is sent between the lines of a file, one after each 500 of them."""
+"""What is sent between the lines of a file, one after each 250 of them."""
 
 
 def received(path: Path, file: Path) -> tuple[Trip, LiveIngest, Datagrams]:
@@ -70,8 +69,8 @@ def received(path: Path, file: Path) -> tuple[Trip, LiveIngest, Datagrams]:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             for number, line in enumerate(file.read_bytes().splitlines()):
                 out.sendto(line, ("127.0.0.1", source.port))
-                if number and number % 500 == 0:
-                    out.sendto(MALFORMED[number // 500 % 4], ("127.0.0.1", source.port))
+                if number and number % 250 == 0:
+                    out.sendto(MALFORMED[number // 250 % 4], ("127.0.0.1", source.port))
                 time.sleep(0.5 if number == 1500 else 1e-4)
 
     with Datagrams("0") as source:
@@ -103,13 +102,13 @@ def sample(second: float, **values: Any) -> bytes:
 def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path: Path) -> None:
     rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
     file = tmp_path / "part.csv"
-    file.write_bytes(b"".join(rows[:4000]))
+    file.write_bytes(b"".join([rows[0], *rows[2001:4000]]))
     found, live, source = received(tmp_path / "live.mcap", file)
     expected = ingest(file, profile=PROFILE)
     assert source.lost == 0
     assert_as_ingested(found, expected, [STATE, "/train/controls", "/train/axles"])
     assert sum(live.malformed.values()) == 7
-    assert live.lines == 4000 + 7
+    assert live.lines == 2000 + 7
     stated = expected.metadata
     assert live.met["duplicates", ""] == int(stated["repair.duplicates"])
     assert live.met["empty", STATE + ".speed"] == int(stated["repair.empty./train/state.speed"])
@@ -117,7 +116,7 @@ def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path: Path) -> Non
     assert words.str.contains(r"malformed line \d+: 2 cells, the header has 16: 12;34").sum() == 1
     assert words.str.contains("ff fe 00 67 61 72").sum() == 2
     step = found.provenance[-1]
-    assert (step["lines"], step["malformed"], step["closed"]) == ("4007", "7", "whole")
+    assert (step["lines"], step["malformed"], step["closed"]) == ("2007", "7", "whole")
 
 
 def test_rows_of_a_receiver_are_kept_as_they_came(tmp_path: Path) -> None:
@@ -135,65 +134,36 @@ def test_rows_of_a_receiver_are_kept_as_they_came(tmp_path: Path) -> None:
 
 
 def test_a_stream_on_standard_input_is_kept_as_it_came(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     file = tmp_path / "part.csv"
     file.write_bytes(b"".join((SAMPLES / "recorder.csv").read_bytes().splitlines(True)[:600]))
     log, raw = tmp_path / "a.mcap", tmp_path / "raw.csv"
     words = ["record", "--from", "stdin", "-o", log, "--profile", PROFILE, "--raw", raw, "--json"]
-    with file.open("rb") as stream:
-        done = subprocess.run(
-            [sys.executable, "-m", "trainlog", *map(str, words)],
-            stdin=stream, capture_output=True, text=True, timeout=PATIENCE, check=True,
-        )  # fmt: skip
-    stated = json.loads(done.stdout)
+    with file.open() as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        status, shown, _ = shell(*words)
+    assert status == 0
+    stated = json.loads(shown)
     assert stated["messages"][STATE] == 599
     assert stated["malformed"] == {}
     assert raw.read_bytes() == file.read_bytes()
     assert_as_ingested(trainlog.read(log), ingest(raw, profile=PROFILE), [STATE, "/train/axles"])
-    with pytest.raises(InputError, match=r"a.mcap: exists already; choose another name"):
-        run([*map(str, words[:4]), str(log)])
+    assert "exists already; choose another name" in " ".join(shell(*words[:-1])[2].split())
 
 
 # ----------------------------------------------------------------------- NMEA, UBX and JSON, mixed
 
 
-def nmea(words: str) -> bytes:
-    return f"${words}*{reduce(xor, words.encode()):02X}".encode()
-
-
-def rmc(second: int, knots: float, *, day: str, minutes: int) -> bytes:
-    clock = f"{second // 3600 % 24:02d}{second // 60 % 60:02d}{second % 60:02d}.00"
-    return nmea(f"GPRMC,{clock},A,4728.{minutes:02d}0,N,00922.000,E,{knots:.2f},0.0,{day},,,A")
-
-
-def pvt(second: int, speed: int) -> bytes:
-    """A UBX-NAV-PVT of 2024-05-01 [mm/s]."""
-    payload = bytearray(92)
-    struct.pack_into("<IHBBBBBB", payload, 0, 0, 2024, 5, 1, 6, second // 60, second % 60, 0x07)
-    payload[20], payload[21], payload[23] = 3, 1, 12
-    struct.pack_into("<iiiiII", payload, 24, 93_664_972, 474_161_754, 0, 700_000, 1900, 2800)
-    struct.pack_into("<i", payload, 60, speed)
-    body = b"\x01\x07" + struct.pack("<H", 92) + bytes(payload)
-    first = second_sum = 0
-    for octet in body:
-        first = (first + octet) % 256
-        second_sum = (second_sum + first) % 256
-    return b"\xb5\x62" + body + bytes((first, second_sum))
-
-
 def test_sentences_are_epochs_as_in_a_file(tmp_path: Path) -> None:
     """Across midnight, with a damaged one between and GGA without a date."""
     pytest.importorskip("pynmeagps")
-    start = 24 * 3600 - 30
+    driven = drive(60, 1.0)
+    late = replace(driven, time=driven.time + (18 * 3600 - 30) * 10**9)
     lines = []
     for number in range(60):
-        second = start + number
-        day = "010524" if second < 24 * 3600 else "020524"
-        clock = f"{second // 3600 % 24:02d}{second // 60 % 60:02d}{second % 60:02d}.00"
-        if number % 3 == 0:
-            lines.append(rmc(second, 36.0 + 0.1 * number, day=day, minutes=number))
-        lines.append(nmea(f"GPGGA,{clock},4728.{number:02d}0,N,00922.000,E,1,09,1.0,500.0,M,,,,"))
+        kinds = ("RMC", "GGA") if number % 3 == 0 else ("GGA",)
+        lines += [each.encode() for each in nmea_lines(late.take(np.array([number])), kinds)]
     lines[40] = lines[40][:-2] + b"00"
     file = tmp_path / "log.nmea"
     file.write_bytes(b"\r\n".join(lines) + b"\r\n")
@@ -207,9 +177,10 @@ def test_sentences_are_epochs_as_in_a_file(tmp_path: Path) -> None:
 def test_ubx_and_lines_are_taken_apart_wherever_the_stream_is_cut(
     size: int, tmp_path: Path
 ) -> None:
-    damaged = bytearray(pvt(5, 5_000))
+    driven = drive(10, 1.0)
+    parts = [nav_pvt(driven, second) for second in range(10)]
+    damaged = bytearray(parts[5])
     damaged[70] ^= 0x10
-    parts = [pvt(second, 1000 * second) for second in range(10)]
     stream = b"".join([*parts[:5], bytes(damaged), sample(3.5, speed=3.4) + b"\n", *parts[5:]])
     recording, live = LiveIngest.begun(tmp_path / "live.mcap", Given(), LiveOptions())
     with recording:
@@ -219,8 +190,8 @@ def test_ubx_and_lines_are_taken_apart_wherever_the_stream_is_cut(
         live.take(b'{"topic": "/train/st')
         live.close()
     trip = trainlog.read(tmp_path / "live.mcap")
-    assert trip["/gnss/motion"].speed.tolist() == [float(second) for second in range(10)]
-    assert trip["/gnss/fix"].latitude.iloc[0] == pytest.approx(47.4161754)
+    assert trip["/gnss/motion"].speed.tolist() == pytest.approx(driven.speed.tolist())
+    assert trip["/gnss/fix"].latitude.tolist() == pytest.approx(driven.latitude.tolist())
     assert dict(live.malformed) == {
         "a UBX message whose length or checksum is wrong": 1, "cut off": 1,
     }  # fmt: skip
