@@ -32,29 +32,6 @@ def winding(length: float = 12_000.0) -> Geometry:
     return curve_of(np.clip(3.0 * np.sin(s / 450.0), -1.0, 1.0) / 400.0)
 
 
-def hairpin(apart: float = 12.0) -> Geometry:
-    """Two kilometres out, and back beside the way that it came, as up a valley's side."""
-    radius = 150.0
-    s = np.arange(0.0, 2 * 2_000.0 + np.pi * radius + 800.0, 5.0)
-    curvature = np.zeros(s.size)
-    # A loop wider than the tracks are apart: out a little, round, and back in.
-    swing = 2.0 * np.arccos(1.0 - (radius - apart / 2.0) / (2.0 * radius))
-    part = radius * swing / 2.0
-    edges = 2_000.0 + np.cumsum([0.0, part, part * 2 + np.pi * radius, part])
-    curvature[(s >= edges[0]) & (s < edges[1])] = -1.0 / radius
-    curvature[(s >= edges[1]) & (s < edges[2])] = 1.0 / radius
-    curvature[(s >= edges[2]) & (s < edges[3])] = -1.0 / radius
-    return curve_of(curvature)
-
-
-def spiral() -> Geometry:
-    """A line that crosses over itself and runs on beside where it was."""
-    s = np.arange(0.0, 9_000.0, 5.0)
-    curvature = np.where((s > 2_000.0) & (s < 2_000.0 + 2.0 * np.pi * 300.0), 1.0 / 300.0, 0.0)
-    again = (s > 5_000.0) & (s < 5_000.0 + 2.0 * np.pi * 310.0)
-    return curve_of(np.where(again, 1.0 / 310.0, curvature))
-
-
 @dataclass(frozen=True)
 class Receiver:
     """How a receiver errs."""
