@@ -36,7 +36,7 @@ from trainlog.formats.railway import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Edge, Line, Network, Node
 
-WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
+WHOLE = read_line(sample("CH_StGallen_Wil.line.json")).section(0.0, 16_000.0)
 CUT = 10_000.0
 """A whole number of bins, so that edges have the bins of the whole line."""
 
@@ -56,8 +56,8 @@ def network() -> Network:
 
 
 def on_line(name: str, line: Line, path: Path, days: float = 0.0) -> Path:
-    """A sample log's 9 km about the cut, as if driven on another line, days later."""
-    trip = trainlog.read(sample(name)).within(6_000.0, 15_000.0)
+    """A sample log near the cut, as if driven on another line, days later."""
+    trip = trainlog.read(sample(name)).within(7_500.0, 15_000.0)
     topics = {}
     for topic, frame in trip.topics.items():
         topics[topic] = frame.set_axis(frame.index + pd.Timedelta(days=days))

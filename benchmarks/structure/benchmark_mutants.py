@@ -58,7 +58,7 @@ WIDER = {
     "analysis/resistance/regression.py": "coast_down resistance_fit resistance_together calculated"
     " golden tunnels",
     "estimators/rls.py": "study_rls_sliding_mode resistance_fit golden",
-    "estimators/condition_passes.py": "map_export map_difference traction_map_figures golden",
+    "estimators/condition_passes.py": "map_export map_difference golden",
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
     "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",
     "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
