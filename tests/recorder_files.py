@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -177,24 +177,9 @@ def mtk_at_rest(seed: int, *, moving: int = 60, resting: int = 400, again: float
     # What a receiver at rest still reports is noise.
     jitter = 1e-7 * rng.integers(-9, 9, len(run))[source] * (source >= 10 * moving)
     latitude = np.round(held.latitude + jitter, 7)
-    truth = Drive(
-        run.time, latitude, held.longitude, held.altitude, held.speed * (source < 10 * moving),
-        held.hdop, held.satellites,
-    )  # fmt: skip
+    speed = held.speed * (source < 10 * moving)
+    truth = replace(held, time=run.time, latitude=latitude, speed=speed)
     return Recorded("\n".join([MTK_HEADER, *mtk_rows(truth)]) + "\n", truth)
-
-
-def mtk_frozen(seed: int, rows: int = 7318) -> Recorded:
-    """At 10 Hz, a drive of 20 minutes in which the speed stays at one value for `rows` rows."""
-    run = drive(12_000, 10.0, seed)
-    begin = int(np.random.default_rng(seed).integers(500, 12_000 - rows - 500))
-    speed = run.speed.copy()
-    speed[begin : begin + rows] = speed[begin]
-    frozen = Drive(
-        run.time, run.latitude, run.longitude, run.altitude, speed, run.hdop, run.satellites
-    )
-    text = "\n".join([MTK_HEADER + ",,,,", *mtk_rows(frozen)]) + "\n"
-    return Recorded(text, run, {"frozen": rows - 1})
 
 
 def checked(body: str) -> str:

@@ -61,41 +61,19 @@ def line_of(name: str, points: Points, stations: Sequence[tuple[str, float]]) ->
 
 @dataclass(frozen=True)
 class Receiver:
-    """What a receiver and its place make of positions.
+    """What a receiver and its place make of positions; sizes in m, times in s."""
 
-    Attributes
-    ----------
-    rate : float [1/s]
-    white, lasting : float [m]
-    time : float [s]
-        How long errors last.
-    shift : float [m]
-        Of the receiver's datum against the network, in a direction drawn.
-    stated : float [m]
-        Accuracy that it states; 0: none.
-    speed : float [m/s] or None
-        Noise of its speed; None: it gives none.
-    outliers : float
-        Share of fixes some hundred metres off.
-    gaps : int
-        Times without fixes, of 1 to 30 s.
-    multipath : int
-        Stretches of 5 to 20 s up to 40 m aside.
-    frozen : int
-        Stretches of 5 to 20 s in which a fix is repeated.
-    """
-
-    rate: float = 1.0
+    rate: float = 1.0  # fixes a second
     white: float = 0.6
     lasting: float = 2.0
-    time: float = 70.0
-    shift: float = 5.0
-    stated: float = 2.0
-    speed: float | None = 0.15
-    outliers: float = 0.002
-    gaps: int = 3
-    multipath: int = 3
-    frozen: int = 1
+    time: float = 70.0  # how long errors last
+    shift: float = 5.0  # of the receiver's datum against the network, in a direction drawn
+    stated: float = 2.0  # accuracy that it states; 0: none
+    speed: float | None = 0.15  # noise of its speed [m/s]; None: it gives none
+    outliers: float = 0.002  # share of fixes some hundred metres off
+    gaps: int = 3  # times without fixes, of 1 to 30 s
+    multipath: int = 3  # stretches of 5 to 20 s up to 40 m aside
+    frozen: int = 1  # stretches of 5 to 20 s in which a fix is repeated
 
 
 UBLOX = Receiver(rate=10.0)

@@ -221,41 +221,18 @@ def paced(length: float, pace: Pace, seed: int) -> tuple[np.ndarray, np.ndarray,
 
 @dataclass(frozen=True)
 class Field:
-    """A receiver as met in the field.
+    """A receiver as met in the field; rates are times an hour."""
 
-    Attributes
-    ----------
-    interval : float [s]
-        Between fixes.
-    noise, memory : float [m], [s]
-        Of each axis: size, and how long an error lasts; tails are those of Student's t with 3
-        degrees of freedom.
-    reflections : float [1/h]
-        Times an hour that all fixes are shifted by 10 to 60 m, for 8 to 60 s.
-    outages : float [1/h]
-        Times an hour that nothing is received, for 20 to 240 s.
-    extrapolated : float [1/h]
-        Times an hour that the receiver goes straight on at its last speed, for 20 to 90 s.
-    stated : float
-        Accuracy stated, over the true one; 0 states 5 m always.
-    speed : str
-        "none", "good", "lasting", "late", "replayed", "frozen", "wild" or "wrong unit".
-    speed_stated : float
-        Speed accuracy stated, over 0.2 m/s; 0 states none.
-    places : str
-        "measured", "held", "replayed", "late", "jumping" or "cold start"; see `misplaced`.
-    """
-
-    interval: float = 1.0
-    noise: float = 4.0
-    memory: float = 20.0
-    reflections: float = 6.0
-    outages: float = 3.0
-    extrapolated: float = 0.0
-    stated: float = 1.0
-    speed: str = "good"
-    speed_stated: float = 1.0
-    places: str = "measured"
+    interval: float = 1.0  # between fixes [s]
+    noise: float = 4.0  # of each axis [m], with tails of Student's t of 3 degrees of freedom
+    memory: float = 20.0  # how long an error lasts [s]
+    reflections: float = 6.0  # all fixes are shifted by 10 to 60 m, for 8 to 60 s
+    outages: float = 3.0  # nothing is received, for 20 to 240 s
+    extrapolated: float = 0.0  # the receiver goes straight on at its last speed, for 20 to 90 s
+    stated: float = 1.0  # accuracy stated over the true one; 0 states 5 m always
+    speed: str = "good"  # or "none" or a kind of `shown_speed`
+    speed_stated: float = 1.0  # speed accuracy stated over 0.2 m/s; 0 states none
+    places: str = "measured"  # or a kind of `misplaced`
 
 
 def misplaced(

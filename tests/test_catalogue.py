@@ -85,11 +85,8 @@ def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(
 ) -> None:
     catalogue = where()
     first, again = catalogue.add(logs), catalogue.add(logs)
-    assert {Path(each.path).name: each.state for each in first.outcomes} == {
-        "nonstop.mcap": "new",
-        "stopping.mcap": "new",
-        "part.mcap": "recording",
-    }
+    found = {Path(each.path).stem: each.state for each in first.outcomes}
+    assert found == {"nonstop": "new", "stopping": "new", "part": "recording"}
     shutil.copy(logs / "nonstop.mcap", logs / "zzz.mcap")
     assert [each.state for each in catalogue.add(logs / "zzz.mcap").outcomes] == ["copy"]
     copies = catalogue.uncounted().set_index("what").loc["copy"]
@@ -158,19 +155,13 @@ def test_results_are_recorded_once_and_merged_in_the_order_of_trip(
 
 
 def _record(
-    catalogue: Catalogue,
-    todo: pd.DataFrame,
-    of: Computation = STOPS,
-    stops: int = 1,
+    catalogue: Catalogue, todo: pd.DataFrame, of: Computation = STOPS, stops: int = 1
 ) -> int:
     """Record two rows of each trip."""
     keys = [key for key in todo["key"] for _ in range(2)]
     table = pa.table({"key": keys, "stops": [stops] * len(keys)})
     done = [ResultOutcome(row.key, row.sha256, rows=2) for row in todo.itertuples()]
     return catalogue.record(of, done, table)
-
-
-# -------------------------------------------------------------------- processes that are killed
 
 
 @pytest.fixture(scope="module")
@@ -258,9 +249,6 @@ def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
     assert len(catalogue.pending(Computation("length", "1"))) == 0
 
 
-# --------------------------------------------------------------- files that vanish, and the rest
-
-
 def test_files_that_vanish_are_stated_and_come_back(
     where: Callable[[], Catalogue], logs: Path
 ) -> None:
@@ -289,9 +277,8 @@ def test_files_that_vanish_are_stated_and_come_back(
     catalogue.refresh()
     assert catalogue.remove(vanished=True) == 1
     # The part of the drive that is still there counts now.
-    assert catalogue.query()["path"].tolist() == [
-        str(logs / f"{n}.mcap") for n in ("nonstop", "part")
-    ]
+    left = [str(logs / f"{name}.mcap") for name in ("nonstop", "part")]
+    assert catalogue.query()["path"].tolist() == left
 
 
 def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(
@@ -335,9 +322,6 @@ def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
     refused(InputError, "file is not a database", open_catalogue, tmp_path)
 
 
-# ------------------------------------------------------------------------------ the command line
-
-
 def test_commands_take_the_trips_of_an_expression(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], logs: Path, tmp_path: Path
 ) -> None:
@@ -355,9 +339,8 @@ def test_commands_take_the_trips_of_an_expression(
     assert status == 0
     assert "no trip has the weather 'Wet'; did you mean 'wet'?" in " ".join(said.split())
     status, shown, _ = ran("show", "--check", "--trips", "weather = 'wet'", "--json")
-    assert [each["log"] for each in json.loads(shown)["logs"]] == [
-        str(logs / "deep" / "stopping.mcap")
-    ]
+    (checked,) = json.loads(shown)["logs"]
+    assert checked["log"] == str(logs / "deep" / "stopping.mcap")
     page = tmp_path / "map.map"
     assert ran("map", "update", "--trips", "all", "--map", page, "-q")[0] == 0
     status, shown, _ = ran("show", "--trips", "weather = 'wet'", "--json")

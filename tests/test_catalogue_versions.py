@@ -85,12 +85,8 @@ def test_an_earlier_version_is_brought_to_the_latest_with_all_it_holds(
         assert len(catalogue) == 6
         found = catalogue.query("train = 'flirt-12'", columns=["name"])["name"]
         assert sorted(found) == ["trip-000002", "trip-000004"]
-        assert catalogue.standing(LIMITED) == {
-            "done": 0,
-            "refused": 4,
-            "failed": 0,
-            "pending": 2,
-        }
+        known = {"done": 0, "refused": 4, "failed": 0, "pending": 2}
+        assert catalogue.standing(LIMITED) == known
         todo = catalogue.pending(LIMITED)
         done = [ResultOutcome(row.key, row.sha256) for row in todo.itertuples()]
         assert catalogue.record(LIMITED, done) == 2

@@ -141,16 +141,6 @@ def test_slipping_wheels_do_not_carry_the_train_away() -> None:
     assert rms(errors(trusting.frame, truth, "position")[0]) > 2.0
 
 
-def test_outages_get_rows_whose_band_is_widest_in_their_middle() -> None:
-    trip, _ = drive(winding(), Receiver(outages=((120.0, 180.0),)))
-    frame = framed(trip, winding())
-    steps = np.diff(frame.index.as_unit("ns").asi8) / 1e9
-    assert steps.max() < 1.1
-    std = frame["position_std"].to_numpy()
-    assert abs(np.argmax(std) - 150) < 10
-    assert std[150] > 5.0 * np.median(std)
-
-
 def test_a_trip_elsewhere_or_the_other_way_is_refused() -> None:
     trip, _ = drive(winding(), Receiver(), 1)
     away = replace(winding(), latitudes=winding().latitudes + 0.1)
@@ -261,26 +251,6 @@ def test_fixes_that_are_late_are_brought_forward(interval: float, field_rides: l
         assert any("brought forward" in finding.note for finding in found.findings)
         held.append(np.abs(error) <= 1.96 * std)
     assert np.mean(np.concatenate(held)) > 0.8
-
-
-@pytest.mark.parametrize("begin", [300.0, 520.0])
-def test_a_receiver_that_keeps_its_place_and_speed_is_believed_neither(begin: float) -> None:
-    """It shows a stand of 80 s, with digits that change, while the tram goes on."""
-    track = streets()
-    run = paced(float(track.positions[-1]), PACES["tram"], 3)
-    trip, truth = receive(track, run, Field(interval=0.2, outages=0.0, reflections=0.0), 4)
-    fix, motion = trip["/gnss/fix"].copy(), trip["/gnss/motion"].copy()
-    time = (fix.index - fix.index[0]).total_seconds().to_numpy()
-    kept = (time >= begin) & (time < begin + 80.0)
-    first = int(np.argmax(kept))
-    for name in ("latitude", "longitude"):
-        fix.loc[kept, name] = fix[name].iloc[first] + 1e-9 * (time[kept] - begin)
-    motion.loc[kept, "speed"] = 0.0
-    found = estimated(Trip({"/gnss/fix": fix, "/gnss/motion": motion}, trip.metadata), track)
-    error, std = errors(found.frame, truth, "position")
-    assert np.mean(np.abs(error) <= 1.96 * std) > 0.95
-    at = np.arange(error.size)
-    assert np.median(np.abs(error[(at < begin) | (at > begin + 80.0)])) < 5.0
 
 
 @pytest.mark.parametrize("speed", ["good", "none"])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
-from scipy.special import fresnel
 from simulated_line import level_line
 
 from trainlog.errors import InputError
@@ -142,11 +141,3 @@ def test_published_altitudes_confirm_the_positions_of_the_stations() -> None:
     published = np.array([637.9, 610.7, 563.8, 570.8])
     found = track.altitudes(np.array([anchor.position for anchor in ANCHORS]))
     assert np.abs(found - published).max() < 1.3
-
-
-def test_a_clothoid_is_fresnel_s_integral() -> None:
-    length, radius = 120.0, 300.0
-    positions, points = plane_curve(profile((0.0, 0.0, 1.0 / radius)), length, step=10.0)
-    size = np.sqrt(np.pi * radius * length)
-    sine, cosine = fresnel(positions / size)
-    assert points == pytest.approx(size * (sine + 1j * cosine), abs=1e-9)

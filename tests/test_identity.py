@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
+from ingest_logs import profile as recorder_profile
 from refusals import refused
 
 from analysis.adhesion.condition_map import adhesion_map, merge
@@ -30,7 +31,7 @@ from trainlog.identity import (
     identity_of,
     same_drives,
 )
-from trainlog.ingest import ingest, ingest_each, profile_of
+from trainlog.ingest import ingest, ingest_each
 from trainlog.mcap import read_log, recover, write_log
 from trainlog.mcap.convert import convert
 from trainlog.mcap.reader import identity_of_log
@@ -124,15 +125,8 @@ class TestIdentity:
         times = pd.DatetimeIndex(state.index).tz_convert("Europe/Zurich")
         table = pd.DataFrame({"t": times.map(pd.Timestamp.isoformat), "v": 3.6 * state["speed"]})
         table.to_csv(tmp_path / "run.csv", index=False)
-        profile = profile_of(
-            {
-                "format": "trainlog/recorder-profile",
-                "version": 1,
-                "name": "table",
-                "time": {"column": "t"},
-                "columns": {"/train/state.speed": {"column": "v", "unit": "km/h"}},
-            }
-        )
+        columns = {"/train/state.speed": {"column": "v", "unit": "km/h"}}
+        profile = recorder_profile(columns, time={"column": "t"})
         found, whole = identity_of(ingest(tmp_path / "run.csv", profile)), identity_of(WHOLE)
         assert found is not None
         assert whole is not None
@@ -182,11 +176,8 @@ class TestSameDrives:
             Known("unknown", None, ("f",)),
         ]
         found = same_drives([trips[number] for number in order])
-        assert {each.trip: each.of for each in found} == {
-            "whole": "copy",
-            "first": "copy",
-            "other": "fuller",
-        }
+        left_out = {each.trip: each.of for each in found}
+        assert left_out == {"whole": "copy", "first": "copy", "other": "fuller"}
 
     def test_parts_that_hardly_overlap_are_both_used(self) -> None:
         """Recorders that begin a new file each hour repeat the last minute or two."""

@@ -97,41 +97,30 @@ def test_the_ublox_file_comes_back(tmp_path: Path, driven: Trip) -> None:
 def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path: Path, driven: Trip) -> None:
     path = tmp_path / "recorder.csv"
     write_recorder_csv(driven, path)
-    trip = ingest(
-        path,
-        profile=PROFILE,
-        line=LINE,
-        train=TRAIN,
-        direction="reverse",
-        metadata={"operator": "SOB", "weather": "wet"},
-    )
+    stated = {"operator": "SOB", "weather": "wet"}
+    trip = ingest(path, PROFILE, line=LINE, train=TRAIN, direction="reverse", metadata=stated)
     write_log(trip, tmp_path / "trip.mcap")
-    kept = read_log(tmp_path / "trip.mcap")
+    kept, report = read_log(tmp_path / "trip.mcap"), report_of(trip)
     assert kept.metadata == trip.metadata
-    assert kept.metadata["trip"] == "recorder"
-    assert kept.metadata["operator"] == "SOB"
-    assert kept.metadata["weather"] == "wet"
-    assert kept.metadata["line"] == LINE.name
-    assert kept.metadata["train"] == TRAIN.name
-    assert kept.metadata["direction"] == "reverse"
-    assert kept.metadata["start"] == trip.start.isoformat()
-    report = report_of(kept)
-    assert report == report_of(trip)
-    assert kept.metadata["repair.duplicates"] == str(report.count("duplicates"))
-    assert kept.metadata["repair.empty./train/state.speed"] == str(report.count("empty"))
-    assert kept.metadata["rows.dropped"] == str(report.rows_dropped)
+    known = {
+        **stated, "trip": "recorder", "line": LINE.name, "train": TRAIN.name,
+        "direction": "reverse", "start": trip.start.isoformat(),
+        "repair.duplicates": str(report.count("duplicates")),
+        "repair.empty./train/state.speed": str(report.count("empty")),
+        "rows.dropped": str(report.rows_dropped),
+    }  # fmt: skip
+    assert {name: kept.metadata.get(name) for name in known} == known
+    assert report_of(kept) == report
     assert line_of(kept).stations[0].name == "Dorf"
     assert train_of(kept).mass == TRAIN.mass
-
     (step,) = kept.provenance
-    assert step["step"] == "ingest"
-    assert step["format"] == "csv"
-    assert step["software"] == f"trainlog {__version__}"
-    assert step["inputs"]["recorder.csv"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert step["inputs"][PROFILE_ATTACHMENT] == hashlib.sha256(PROFILE.read_bytes()).hexdigest()
-    assert kept.attachments[PROFILE_ATTACHMENT] == PROFILE.read_bytes()
-    for name in (LINE_ATTACHMENT, TRAIN_ATTACHMENT):
-        assert step["inputs"][name] == hashlib.sha256(kept.attachments[name]).hexdigest()
+    known = {"step": "ingest", "format": "csv", "software": f"trainlog {__version__}"}
+    assert {name: step[name] for name in known} == known
+    files = {"recorder.csv": path.read_bytes(), PROFILE_ATTACHMENT: PROFILE.read_bytes()}
+    files |= {name: kept.attachments[name] for name in (LINE_ATTACHMENT, TRAIN_ATTACHMENT)}
+    assert kept.attachments[PROFILE_ATTACHMENT] == files[PROFILE_ATTACHMENT]
+    found = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+    assert {name: step["inputs"][name] for name in files} == found
 
 
 def test_a_line_that_the_train_runs_out_of_is_refused() -> None:

@@ -59,13 +59,12 @@ def refused(path: Path, message: str, **options: object) -> str:
             plain_text([row.replace("Z,", "Z,x") for row in plain_rows()]).encode(),
             r"row 2, column v: 20 cells are not numbers, the first is 'x22.955'; check which",
         ),
-        (
-            plain_text([row.split(",")[0] + ",," for row in plain_rows()]).encode(),
-            "none of the mapped columns holds a number; check the columns",
-        ),
-        (
-            plain_text([row.split(",")[0] + ",nan,NaN" for row in plain_rows()]).encode(),
-            "none of the mapped columns holds a number",
+        *(
+            (
+                plain_text([row.split(",")[0] + cells for row in plain_rows()]).encode(),
+                "none of the mapped columns holds a number; check the columns",
+            )
+            for cells in (",,", ",nan,NaN")
         ),
         (plain_text(plain_rows()[:1]).encode(), "row 2: 1 row is left .* a trip needs 2"),
         (plain_text(plain_rows()[:1] * 50).encode(), "1 row is left after rule 'duplicates'"),

@@ -57,22 +57,6 @@ def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path: Path) ->
     assert repairs_of(trip)["raw_text"].iloc[0] == rows[40]
 
 
-def test_empty_cells_in_front_of_the_last_name_stay(tmp_path: Path) -> None:
-    """They are values that are absent, not cells to be taken away."""
-    rows = [f"{row},,,,," for row in plain_rows(60)]
-    header = "t,v,s,,lever,,"
-    columns = {"/train/controls.lever": {"column": "lever", "unit": "1"}}
-    trip = read(tmp_path, rows, header, plain_profile(columns=columns | plain_columns()))
-    assert report_of(trip).counts == {"empty": 60}
-
-
-def plain_columns() -> dict[str, object]:
-    return {
-        "/train/state.speed": {"column": "v", "unit": "m/s"},
-        "/train/state.position": {"column": "s", "unit": "m"},
-    }
-
-
 def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:
     """Where the header has empty cells for them, they may hold values."""
     run = clean_run(60, 1.0)

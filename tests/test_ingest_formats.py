@@ -51,11 +51,10 @@ def test_parquet_gives_what_csv_gives(tmp_path: Path, typed: bool) -> None:
 def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.parquet"
     pa.parquet.write_table(pa.table({"t": [1.0, 2.0], "v": [1.0, 2.0], "s": [1.0, 2.0]}), path)
+    given = {"profile": plain_profile()}
     for data in (path.read_bytes()[:-9], b"PAR1"):
         path.write_bytes(data)
-        refused(
-            InputError, "is not a readable Parquet table", ingest, path, profile=plain_profile()
-        )
+        refused(InputError, "is not a readable Parquet table", ingest, path, **given)
     run = clean_run(5, 1.0)
     stamps = pd.DatetimeIndex(run.time, tz="UTC")
     pa.parquet.write_table(pa.table({"t": stamps, "v": run.speed, "s": stamps}), path)

@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from ingest_logs import SECOND, START, plain_profile, write
-from recorder_files import mtk_frozen
 
 from trainlog import read
-from trainlog.ingest import Finding, Table, ingest, repairs_of, report_of
+from trainlog.ingest import Finding, Table, ingest
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.rules import repaired
 from trainlog.trip import Trip
@@ -170,26 +169,6 @@ def test_frozen_values_are_found(log: str, column: str, least: int) -> None:
     frame = sampled(log)
     lengths = (20.0, 45.0, 120.0, 300.0)
     assert sum(found_frozen(frame, column, each, rng) for each in lengths) >= least
-
-
-def test_a_receiver_that_repeats_its_speed_for_minutes(tmp_path: Path) -> None:
-    """7,318 rows at one value while the positions move."""
-    made = mtk_frozen(0)
-    path = tmp_path / "run.csv"
-    path.write_text(made.text, "ascii")
-    trip = ingest(path)
-    report = report_of(trip)
-    speed = trip["/gnss/motion"]["speed"].to_numpy()
-    assert abs(report.count("frozen", "/gnss/motion.speed") - made.defects["frozen"]) <= 3
-    assert report.counts.keys() == {"frozen", "subsecond"}
-    assert "frozen" in "".join(report.lines())
-    known = np.isfinite(speed)
-    np.testing.assert_array_equal(speed[known], made.truth.speed[known])
-    raw = repairs_of(trip)
-    raw = raw[raw["rule"] == "frozen"]
-    assert len(raw) == report.count("frozen")
-    assert len(set(raw["raw_value"])) == 1
-    assert raw["new_value"].isna().all()
 
 
 def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path: Path) -> None:

@@ -64,11 +64,8 @@ def test_every_file_of_a_folder_is_tried_and_a_log_made_once(
         "stopping.mcap": "passed_over",
     }
     assert result.failed
-    assert sorted(log.name for log in (tmp_path / "logs").iterdir()) == [
-        "day-1_run.mcap",
-        "day-2_run.mcap",
-        "gnss.mcap",
-    ]
+    names = sorted(log.name for log in (tmp_path / "logs").iterdir())
+    assert names == ["day-1_run.mcap", "day-2_run.mcap", "gnss.mcap"]
     for outcome in result.of("made", "repaired"):
         assert outcome.log is not None
         assert read_log(outcome.log).provenance[0]["inputs"][outcome.file.name]
@@ -84,13 +81,8 @@ def test_every_file_of_a_folder_is_tried_and_a_log_made_once(
     logs = tmp_path / "logs"
     before = {log: log.stat().st_mtime_ns for log in logs.iterdir()}
     again = ingest_all(campaign, logs)
-    assert again.counts == {
-        "made": 0,
-        "repaired": 0,
-        "unchanged": 3,
-        "refused": 3,
-        "passed_over": 3,
-    }
+    expected = {"made": 0, "repaired": 0, "unchanged": 3, "refused": 3, "passed_over": 3}
+    assert again.counts == expected
     assert {log: log.stat().st_mtime_ns for log in logs.iterdir()} == before
     (fixes,) = (each for each in again.of("unchanged") if each.file.name == "gnss.csv")
     assert fixes.repairs["spikes"] == 3, "what was repaired then is stated again"
@@ -237,11 +229,8 @@ def test_the_command_lists_all_and_its_status_says_whether_any_failed(
     found = json.loads(shown)
     assert (found["format"], found["version"]) == ("trainlog/ingest", 1)
     assert found["counts"]["unchanged"] == 3
-    assert {each["state"] for each in found["recordings"]} == {
-        "unchanged",
-        "refused",
-        "passed_over",
-    }
+    states = {each["state"] for each in found["recordings"]}
+    assert states == {"unchanged", "refused", "passed_over"}
     for name in ("cut.gpx", "empty.csv", "noise.csv"):
         (campaign / name).unlink()
     status, _, _ = shell("ingest", campaign, "-o", logs)

@@ -246,10 +246,8 @@ def test_wheels_that_spin_are_no_spikes(tmp_path: Path) -> None:
     slip[50:60] = [0.5, 1.5, 2.5, 4.0, 5.0, 5.0, 4.0, 2.0, 1.0, 0.5]
     rows = [f"{row},{v + x:.3f}" for row, v, x in zip(run.rows(), run.speed, slip, strict=True)]
     columns = {"/train/axles.wheel_speed": {"columns": ["w"], "unit": "m/s"}}
-    trip = ingest(
-        write(tmp_path / "run.csv", rows, "t,v,s,w"), profile=plain_profile(columns=columns)
-    )
-    assert report_of(trip).findings == ()
+    path = write(tmp_path / "run.csv", rows, "t,v,s,w")
+    assert report_of(ingest(path, plain_profile(columns=columns))).findings == ()
 
 
 OF_READERS = ("damaged_messages", "newest_first", "direction")
@@ -371,7 +369,7 @@ def moved(run: Drive, places: np.ndarray, metres: np.ndarray, hdop: float | None
     latitude[places] += metres * METRE
     if hdop is not None:
         stated[places] = hdop
-    return Drive(run.time, latitude, run.longitude, run.altitude, run.speed, stated, run.satellites)
+    return replace(run, latitude=latitude, hdop=stated)
 
 
 def read_drive(tmp_path: Path, run: Drive, *, speed: bool = True) -> tuple[np.ndarray, object]:
@@ -418,9 +416,7 @@ def test_a_frozen_speed_makes_no_fix_a_jump(tmp_path: Path) -> None:
     run = drive(600, 1.0, 5)
     speed = run.speed.copy()
     speed[100:500] = 0.8
-    frozen = Drive(
-        run.time, run.latitude, run.longitude, run.altitude, speed, run.hdop, run.satellites
-    )
+    frozen = replace(run, speed=speed)
     fast = 250 + int(np.argmax(run.speed[250:450]))
     seen = np.r_[0 : fast - 25, fast : fast + 3, fast + 28 : 600]
     absent, report = read_drive(tmp_path, frozen.take(seen))

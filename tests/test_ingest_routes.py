@@ -111,10 +111,8 @@ def test_the_route_is_found_and_its_chainage(
 def test_lines_too_close_to_tell_apart_are_refused_with_the_margin(tmp_path: Path) -> None:
     network = doubled(4.0)
     fixes = drive(network.route("A", "D"), GPX, np.random.default_rng(5))
-    caught = refused(InputError, "", ingested, tmp_path, fixes, network)
-    assert "do not determine the route" in caught.problem
-    assert "main" in caught.problem
-    assert "relief" in caught.problem
+    said = "do not determine the route.*(main.*relief|relief.*main)"
+    caught = refused(InputError, said, ingested, tmp_path, fixes, network)
     margin = re.search(r"log-likelihood of ([\d.]+) better", caught.problem)
     assert margin is not None
     assert float(margin[1]) < 6.0
@@ -184,11 +182,9 @@ def test_a_way_that_the_turns_forbid_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_network_without_geometry_asks_for_stations(tmp_path: Path) -> None:
-    edges = tuple(replace(e, line=replace(e.line, geometry=None)) for e in Y.edges)
-    bare = replace(Y, edges=edges)
     fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
     with pytest.raises(InputError, match=r"no edge of network 'drawn' has a geometry.*--stations"):
-        ingested(tmp_path, fixes, bare)
+        ingested(tmp_path, fixes, without_course(Y))
 
 
 CHAIN = network_of(
@@ -282,17 +278,12 @@ def _of_edges(network: Network, names: set[str]) -> Network:
     """The part of a network that some edges are."""
     edges = tuple(each for each in network.edges if each.name in names)
     ends = {name for each in edges for name in (each.start, each.end)}
+    nodes = tuple(node for node in network.nodes if node.name in ends)
     turns = {
-        node: kept
-        for node, pairs in network.turns.items()
-        if node in ends and (kept := tuple(pair for pair in pairs if set(pair) <= names))
+        node: tuple(p for p in network.turns.get(node, ()) if set(p) <= names) for node in ends
     }
-    return replace(
-        network,
-        edges=edges,
-        nodes=tuple(node for node in network.nodes if node.name in ends),
-        turns=turns,
-    )
+    turns = {node: pairs for node, pairs in turns.items() if pairs}
+    return replace(network, edges=edges, nodes=nodes, turns=turns)
 
 
 def test_the_command_takes_a_network_as_such_or_as_a_line(tmp_path: Path, shell: Shell) -> None:
@@ -317,21 +308,11 @@ def test_live_a_network_is_refused(tmp_path: Path) -> None:
 
 def with_stations(network: Network, places: dict[str, list[tuple[str, float]]]) -> Network:
     """The network with further stations inside edges."""
-    edges = [
-        replace(
-            e,
-            line=replace(
-                e.line,
-                stations=tuple(
-                    sorted(
-                        (*e.line.stations, *(Station(*each) for each in places.get(e.name, []))),
-                        key=lambda station: station.position,
-                    )
-                ),
-            ),
-        )
-        for e in network.edges
-    ]
+    edges = []
+    for each in network.edges:
+        more = [Station(*place) for place in places.get(each.name, ())]
+        known = sorted((*each.line.stations, *more), key=lambda station: station.position)
+        edges.append(replace(each, line=replace(each.line, stations=tuple(known))))
     return replace(network, edges=tuple(edges))
 
 

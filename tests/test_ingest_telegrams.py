@@ -53,12 +53,8 @@ PROFILE: dict[str, Any] = {
         "/train/state.speed": {"column": "speed", "unit": "cm/s"},
         "/train/state.position": {"column": "distance", "unit": "dm"},
         "/train/controls.tractive_effort": {"column": "force.1", "unit": "kN", "scale": 0.1},
-        "/train/controls.dynamic_braking_effort": {
-            "column": "force.2",
-            "unit": "kN",
-            "scale": 0.1,
-            "unproven": True,
-        },
+        "/train/controls.dynamic_braking_effort": {"column": "force.2"}
+        | {"unit": "kN", "scale": 0.1, "unproven": True},
         "/train/controls.lever": {"column": "lever", "unit": "%"},
         "/events.message": {"column": "flags"},
     },
@@ -75,23 +71,12 @@ def telegrams(run: Run, kind: int = 7) -> list[bytes]:
     for number, (time, speed, position) in enumerate(
         zip(run.time.tolist(), run.speed.tolist(), run.position.tolist(), strict=True)
     ):
-        hundredths = round(time / 1e7)
+        stamp = divmod(round(time / 1e7), 100)
         slips = 0b00010000 if number % 10 == 3 else 0b11000000
-        head = struct.pack(
-            ">HBBIBBH",
-            0xA55A,
-            kind,
-            number % 256,
-            hundredths // 100,
-            hundredths % 100,
-            slips,
-            round(speed * 100),
-        )
-        found.append(
-            head
-            + struct.pack("<i", round(position * 10))
-            + struct.pack(">hhf", 10 * number, 5, 50.0)
-        )
+        cm, dm = round(speed * 100), round(position * 10)
+        head = struct.pack(">HBBIBBH", 0xA55A, kind, number % 256, *stamp, slips, cm)
+        tail = struct.pack(">hhf", 10 * number, 5, 50.0)
+        found.append(head + struct.pack("<i", dm) + tail)
     return found
 
 
@@ -343,12 +328,8 @@ def test_the_telegram_of_a_flirt_becomes_a_trip(tmp_path: Path) -> None:
     speed = 15.0 + 10.0 * np.sin(motion / 20.0)
     acceleration = 0.5 * np.cos(motion / 20.0)
     path = tmp_path / "status.bin"
-    path.write_bytes(
-        b"".join(
-            flirt(t, v, a, 138_600.0 * a)
-            for t, v, a in zip(seconds, speed, acceleration, strict=True)
-        )
-    )
+    every = zip(seconds, speed, acceleration, strict=True)
+    path.write_bytes(b"".join(flirt(t, v, a, 138_600.0 * a) for t, v, a in every))
     trip = ingest(path, format="stadler_flirt")
     state = trip[STATE]
     assert np.abs(state["speed"].to_numpy() - speed).max() < 1e-5

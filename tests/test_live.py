@@ -96,9 +96,6 @@ def sample(second: float, **values: Any) -> bytes:
     return json.dumps({"topic": STATE, "time": EPOCH + second, **values}).encode()
 
 
-# --------------------------------------------------------------------- as ingesting the same file
-
-
 def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path: Path) -> None:
     rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
     file = tmp_path / "part.csv"
@@ -150,9 +147,6 @@ def test_a_stream_on_standard_input_is_kept_as_it_came(
     assert raw.read_bytes() == file.read_bytes()
     assert_as_ingested(trainlog.read(log), ingest(raw, profile=PROFILE), [STATE, "/train/axles"])
     assert "exists already; choose another name" in " ".join(shell(*words[:-1])[2].split())
-
-
-# ----------------------------------------------------------------------- NMEA, UBX and JSON, mixed
 
 
 def test_sentences_are_epochs_as_in_a_file(tmp_path: Path) -> None:
@@ -255,9 +249,6 @@ def test_times_of_json_are_iso_or_counts() -> None:
             time_of(wrong)
 
 
-# ------------------------------------------------------------------------------- clocks and limits
-
-
 def test_single_wild_times_are_dropped_and_named(tmp_path: Path) -> None:
     """One before the others does not count, two between them neither."""
     lines = [sample(second, speed=10.0) for second in range(20)]
@@ -323,9 +314,6 @@ def test_a_counter_that_goes_round_is_no_restart(size: int) -> None:
     assert numbering.counts["restarts"] == 1
 
 
-# ----------------------------------------------------------------------------------- growing files
-
-
 def test_a_growing_file_is_followed_through_rotation_and_cut_lines(tmp_path: Path) -> None:
     path, framer = tmp_path / "recorder.jsonl", Framer()
 
@@ -359,9 +347,6 @@ def test_addresses_that_are_none_are_refused() -> None:
     with Datagrams("0") as source:
         assert source.name == f"UDP 127.0.0.1:{source.port}"
         refused(InputError, r"cannot listen to 127\.0\.0\.1", Datagrams, str(source.port))
-
-
-# ------------------------------------------------------------------------ however the program ends
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
@@ -427,9 +412,6 @@ def test_the_profile_line_and_train_travel_along(tmp_path: Path) -> None:
     assert trip.metadata["weather"] == "wet"
     assert trip.metadata["source"] == "a test"
     assert sorted(trip.attachments) == ["line.json", "profile.toml", "train.json"]
-
-
-# ------------------------------------------------------------------------------------ while drawn
 
 
 def scalars_of(path: Path, entity: str) -> list[tuple[Any, float]]:

@@ -34,23 +34,23 @@ CHANGED = slice(150, 162)
 
 LINE = Line(
     "A-B",
-    10_000.0,
-    (Station("Aach", 0.0), Station("Mitte", 3_900.0), Station("Berg", 10_000.0)),
+    6_000.0,
+    (Station("Aach", 0.0), Station("Mitte", 3_900.0), Station("Berg", 6_000.0)),
     StepProfile(np.zeros(1), np.array([30.0])),
     StepProfile(np.zeros(1), np.zeros(1)),
 )
 
 
 def a_trip(day: int, seed: int, *, change: bool) -> DailyEvidence:
-    """One trip that slips in some of the bins 20 to 40, 150 to 161 and 300 to 330."""
+    """One trip that slips in some of the bins 20 to 40, 150 to 161 and 200 to 230."""
     generator = np.random.default_rng([seed, day])
-    bins, levels = 400, 59
+    bins, levels = 240, 59
     truth = np.log(np.full(bins, 0.12))
     truth[20:40] = np.log(0.09)
     if change and day >= DAY + 30:
         truth[CHANGED] += np.log(1.5)
     prone = np.zeros(bins, dtype=bool)
-    for part in (slice(20, 40), CHANGED, slice(300, 330)):
+    for part in (slice(20, 40), CHANGED, slice(200, 230)):
         prone[part] = True
     slips = prone & (generator.random(bins) < 0.4)
     log = truth + generator.laplace(0.0, 0.05) + 0.05 * generator.standard_t(4, bins)
@@ -123,15 +123,12 @@ def test_dates_and_maps_give_the_same_answer(whole: TrackConditionMap) -> None:
 
 def test_a_trip_under_two_rail_conditions_is_stated_and_not_subtracted() -> None:
     first, second = a_map(range(40)), a_map(range(60))
-    wet = second.layer("wet")
+    wet = second.layer("wet").evidence
     moved = [{**each, "layer": "dry"} if each["trip"] == "1-7" else each for each in second.trips]
-    rest = _rows_without(wet.evidence, DAY + 7)
-    dry = ConditionLayer.unestimated(a_trip(DAY + 7, 1, change=True))
-    second = replace(
-        second,
-        layers={"dry": dry, "wet": ConditionLayer.unestimated(rest)},
-        trips=tuple(moved),
-    )
+    parts = [wet.between(-1, DAY + 6), wet.between(DAY + 8, 10**6)]
+    evidence = {"dry": a_trip(DAY + 7, 1, change=True), "wet": DailyEvidence.total(parts)}
+    layers = {name: ConditionLayer.unestimated(each) for name, each in evidence.items()}
+    second = replace(second, layers=layers, trips=tuple(moved))
     found = analysis.map_difference(first, second)
     assert (
         "1 trip under different rail conditions (first, second): 1-7 (wet, dry)" in found.notes[0]
@@ -142,11 +139,6 @@ def test_a_trip_under_two_rail_conditions_is_stated_and_not_subtracted() -> None
     other = replace(first, trips=tuple({**each, "layer": "dry"} for each in first.trips))
     with pytest.raises(InputError, match="the same trips, some under another rail condition"):
         analysis.map_difference(first, other)
-
-
-def _rows_without(evidence: DailyEvidence, day: int) -> DailyEvidence:
-    parts = [evidence.between(-1, day - 1), evidence.between(day + 1, 10**6)]
-    return DailyEvidence.total(parts)
 
 
 def test_a_false_discovery_rate_follows_benjamini_and_hochberg() -> None:
@@ -182,7 +174,7 @@ def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
         ({"since": DAY + 29, "rate": 0.0}, "rate must be between 0 and 1"),
         ({"second": whole, "since": DAY}, "two maps and dates are given"),
         ({"second": whole}, "both maps count the same trips"),
-        ({"second": replace(whole, length=9_000.0)}, "the maps differ in length"),
+        ({"second": replace(whole, length=5_900.0)}, "the maps differ in length"),
     ):
         refused(InputError, message, analysis.map_difference, whole, **given)
 
@@ -221,7 +213,7 @@ def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
     assert found.used["level"].unique().tolist() == pytest.approx([whole.levels[4]])
     assert len(found.used) == 60
     assert found.known.empty
-    with pytest.raises(InputError, match=r"km 11 is not on line 'A-B'; it reaches from km 0 to 10"):
+    with pytest.raises(InputError, match=r"km 11 is not on line 'A-B'; it reaches from km 0 to 6"):
         analysis.map_history(whole, 11_000.0, "wet")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,11 +36,7 @@ from trainlog.railway import (
     TrackConditionMap,
     Tunnel,
 )
-from trainlog.railway.condition import (
-    ConditionChange,
-    ConditionLayer,
-    PassingSpot,
-)
+from trainlog.railway.condition import ConditionChange, ConditionLayer, PassingSpot
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.trip import LINE_ATTACHMENT
 
@@ -65,15 +62,6 @@ def track() -> TrackConditionMap:
     return replace(found, layers={**found.layers, "wet": wet})
 
 
-def read_layer(path: Path, layer: str) -> tuple[pd.DataFrame, list[bytes | None], str]:
-    meta, _, geometry, columns = pyogrio.raw.read(path, layer=layer)
-    return (
-        pd.DataFrame(dict(zip(meta["fields"], columns, strict=True))),
-        list(geometry),
-        meta["crs"],
-    )
-
-
 def points_of(well_known: bytes | None) -> np.ndarray:
     assert well_known is not None
     assert well_known[:5] == b"\x01\x02\x00\x00\x00"
@@ -83,17 +71,15 @@ def points_of(well_known: bytes | None) -> np.ndarray:
 def test_gdal_reads_from_a_geopackage_what_the_map_knows(
     track: TrackConditionMap, line: Line, tmp_path: Path
 ) -> None:
-    path = tmp_path / "map.gpkg"
-    analysis.export_map(track, path, line=line, at=AT)
-    assert set(pyogrio.list_layers(path)[:, 0]) == {
-        "bins",
-        "sections",
-        "spots",
-        "changes",
-        "stations",
-    }
-    found, courses, crs = read_layer(path, "bins")
-    assert crs == "EPSG:4326"
+    path, again = tmp_path / "map.gpkg", tmp_path / "again.gpkg"
+    for each in (path, again):
+        analysis.export_map(track, each, line=line, at=AT)
+    assert path.read_bytes() == again.read_bytes()
+    tables = {"bins", "sections", "spots", "changes", "stations"}
+    assert set(pyogrio.list_layers(path)[:, 0]) == tables
+    meta, _, courses, columns = pyogrio.raw.read(path, layer="bins")
+    found = pd.DataFrame(dict(zip(meta["fields"], columns, strict=True)))
+    assert meta["crs"] == "EPSG:4326"
     expected = bins_table(track, line, AT)
     assert list(found) == [*expected, "expected_at"]
     assert set(found["expected_at"]) == {"2024-10-09T06:00:00+00:00"}
@@ -126,27 +112,20 @@ def test_geojson_follows_rfc_7946_and_gdal_reads_it(
     content = json.loads(path.read_text("utf-8"))
     assert content["type"] == "FeatureCollection"
     assert "crs" not in content  # WGS 84 is the only one (section 4)
-    kinds = [each["properties"]["kind"] for each in content["features"]]
-    assert {kind: kinds.count(kind) for kind in set(kinds)} == {
-        "bin": track.bins,
-        "spot": 1,
-        "change": 1,
-        "station": 5,
-    }
+    kinds = Counter(each["properties"]["kind"] for each in content["features"])
+    assert kinds == {"bin": track.bins, "spot": 1, "change": 1, "station": 5}
     for each in content["features"]:
         assert set(each) == {"type", "geometry", "properties"}
         given = each["geometry"]["coordinates"]
         longitude, latitude = given if each["geometry"]["type"] == "Point" else given[0]
         assert 9.0 < longitude < 9.4  # longitude first (section 3.1.1)
         assert 47.4 < latitude < 47.5
-    bins = [each["properties"] for each in content["features"][: track.bins]]
-    observed = track.layer("wet").observed
-    assert [each["adhesion"] is not None for each in bins] == observed.tolist()
     meta, _, geometry, columns = pyogrio.raw.read(path)
     assert meta["crs"] == "EPSG:4326"
     values = columns[list(meta["fields"]).index("adhesion")][: track.bins]
     np.testing.assert_array_equal(values, bins_table(track, line, AT, ["wet"])["adhesion"])
-    assert len(geometry) == len(kinds)
+    np.testing.assert_array_equal(np.isfinite(values), track.layer("wet").observed)
+    assert len(geometry) == kinds.total()
 
 
 def test_parquet_and_csv_hold_the_bins_by_chainage(
@@ -176,9 +155,7 @@ def test_sections_cover_the_line_and_lose_no_extreme(
     for name in track.layers:
         rows, parts = bins[bins["layer"] == name], sections[sections["layer"] == name]
         assert len(parts) < len(rows) / 5
-        np.testing.assert_array_equal(
-            parts["start_m"].to_numpy()[1:], parts["end_m"].to_numpy()[:-1]
-        )
+        assert parts["start_m"].tolist()[1:] == parts["end_m"].tolist()[:-1]
         assert parts["end_m"].iloc[-1] == track.length
         assert parts["bins"].sum() == len(rows)
         assert parts["low"].min() == rows["low"].min()
@@ -192,24 +169,11 @@ def test_sections_cover_the_line_and_lose_no_extreme(
     analysis.export_map(track, tmp_path / "wet.json", line=line, at=AT, layers=["wet"])
     found = read_adhesion(tmp_path / "wet.json")
     wet = sections[sections["layer"] == "wet"]
-    assert (found.metadata.associated_track, found.rail_condition, found.length) == (
-        track.line,
-        "wet",
-        track.length,
-    )
+    about = found.metadata.associated_track, found.rail_condition, found.length
+    assert about == (track.line, "wet", track.length)
     np.testing.assert_array_equal(found.adhesion[0], wet["start_m"])
     np.testing.assert_array_equal(found.adhesion[1], wet["adhesion"])
     np.testing.assert_array_equal(found.adhesion[6], wet["expected_high"])
-
-
-@pytest.mark.parametrize("name", ["map.gpkg", "map.parquet"])
-def test_the_same_map_gives_the_same_bytes(
-    name: str, track: TrackConditionMap, line: Line, tmp_path: Path
-) -> None:
-    for folder in ("one", "two"):
-        (tmp_path / folder).mkdir()
-        analysis.export_map(track, tmp_path / folder / name, line=line, at=AT)
-    assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
 def test_what_cannot_be_exported_is_refused_and_older_files_stay(

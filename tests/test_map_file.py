@@ -146,11 +146,12 @@ class TestSet:
         path = tmp_path / "a.map"
         given_to(path, [piece(1), piece(2)])
         with MapFile(path) as file:
-            with pytest.raises(InputError, match=r"a\.map: the map has no trip 'nobody'"):
-                file.remove([piece(1).trip, "nobody"])
+            one = piece(1).trip
+            refused(
+                InputError, r"a\.map: the map has no trip 'nobody'", file.remove, [one, "nobody"]
+            )
             file.compact(40_000)
-            with pytest.raises(InputError, match="was compacted"):
-                file.remove([piece(1).trip])
+            refused(InputError, "was compacted", file.remove, [one])
             assert file.amount()[0] == 2
 
     def test_a_log_in_two_layers_is_refused(self, tmp_path: Path) -> None:
@@ -165,13 +166,11 @@ class TestSet:
         given_to(tmp_path / "a.map", [piece(1)])
         with MapFile(tmp_path / "b.map", empty_map(LINE, settings={"trip_std": 0.2})):
             pass
-        with pytest.raises(InputError, match=r"b\.map: .* differ in settings"):
-            merge_files([tmp_path / "a.map", tmp_path / "b.map"], tmp_path / "c.map")
-        with pytest.raises(InputError, match=r"a\.map: exists already"):
-            merge_files([tmp_path / "b.map"], tmp_path / "a.map")
-        with pytest.raises(InputError, match="no map was given"):
-            merge_files([], tmp_path / "c.map")
-        assert not (tmp_path / "c.map").exists()
+        a, b, c = (tmp_path / f"{name}.map" for name in "abc")
+        refused(InputError, r"b\.map: .* differ in settings", merge_files, [a, b], c)
+        refused(InputError, r"a\.map: exists already", merge_files, [b], a)
+        refused(InputError, "no map was given", merge_files, [], c)
+        assert not c.exists()
 
 
 class TestCompaction:
@@ -257,10 +256,9 @@ class TestCompaction:
                 file.compact(99_999)
         given_to(tmp_path / "d.map", [part(1, 0, 9), part(3, 0, 30)])
         a, b, c, d = (tmp_path / f"{name}.map" for name in "abcd")
-        with pytest.raises(InputError, match="trip 'trip-1' in its sums, and so has another"):
-            merged(tmp_path, [a, b])
-        with pytest.raises(InputError, match="the sums of several maps hold one drive"):
-            merged(tmp_path, [a, c])
+        said = "trip 'trip-1' in its sums, and so has another"
+        refused(InputError, said, merged, tmp_path, [a, b])
+        refused(InputError, "the sums of several maps hold one drive", merged, tmp_path, [a, c])
         both = map_from_bytes(merged(tmp_path / "out", [a, d]))
         assert [trip["trip"] for trip in both.trips] == ["trip-1"]
         assert merged(tmp_path / "out", [d, a]) == merged(tmp_path / "out", [a, d])
@@ -281,6 +279,15 @@ def good(without_estimates: bytes, tmp_path_factory: pytest.TempPathFactory) -> 
     path.write_bytes(without_estimates)
     read_map(path)
     return path.read_bytes()
+
+
+def changed(path: Path, words: str, *values: object) -> int:
+    """Change a database by a statement; how many rows that concerned."""
+    database = sqlite3.connect(path)
+    count = database.execute(words, values).rowcount
+    database.commit()
+    database.close()
+    return count
 
 
 class TestDamage:
@@ -312,16 +319,16 @@ class TestDamage:
 
     def test_changed_bytes(self, good: bytes, without_estimates: bytes) -> None:
         rng = np.random.default_rng(1)
-        refused = 0
+        found = 0
         for whole in (good, without_estimates):
-            for place in rng.choice(len(whole), 80, replace=False):
+            for place in rng.choice(len(whole), 50, replace=False):
                 data = bytearray(whole)
                 data[place] ^= 1 << int(rng.integers(8))
-                refused += self.check(bytes(data), whole)
-        assert refused > 12
+                found += self.check(bytes(data), whole)
+        assert found > 5
 
     def test_truncation(self, good: bytes) -> None:
-        for end in range(0, len(good) - 1, 1_021):
+        for end in range(0, len(good) - 1, 2_039):
             # Of the last page an end that holds nothing may be missing.
             assert self.check(good[:end], good) or end > len(good) - 4_096
 
@@ -347,10 +354,7 @@ class TestDamage:
         )):  # fmt: skip
             path = tmp_path / f"{number}.map"
             path.write_bytes(good)
-            database = sqlite3.connect(path)
-            database.execute(words)
-            database.commit()
-            database.close()
+            changed(path, words)
             with pytest.raises(InputError, match=message) as caught:
                 read_map(path)
             assert "build the map anew from the logs" in str(caught.value)
@@ -359,15 +363,9 @@ class TestDamage:
         for number, data in enumerate((b"", b"x" * 40)):
             path = tmp_path / f"{number}.map"
             path.write_bytes(good)
-            database = sqlite3.connect(path)
-            assert database.execute("SELECT count(*) FROM estimates").fetchone() == (2,)
-            database.execute("UPDATE estimates SET data = ?", (data,))
-            database.commit()
-            database.close()
-            found = read_map(path).layer("wet")
-            np.testing.assert_array_equal(
-                found.log_mean, map_from_bytes(good).layer("wet").log_mean
-            )
+            assert changed(path, "UPDATE estimates SET data = ?", data) == 2
+            found, expected = (each.layer("wet") for each in (read_map(path), map_from_bytes(good)))
+            np.testing.assert_array_equal(found.log_mean, expected.log_mean)
 
 
 class TestOtherFiles:
@@ -396,9 +394,7 @@ class TestOtherFiles:
 
     def test_a_database_of_something_else(self, tmp_path: Path) -> None:
         path = tmp_path / "a.map"
-        database = sqlite3.connect(path)
-        database.execute("CREATE TABLE messages (data BLOB)")
-        database.close()
+        changed(path, "CREATE TABLE messages (data BLOB)")
         before = path.read_bytes()
         assert "is an SQLite database, but has no track-condition map" in self.refused(path)
         with pytest.raises(InputError, match="has no track-condition map"):
@@ -408,9 +404,7 @@ class TestOtherFiles:
     def test_a_newer_version(self, tmp_path: Path) -> None:
         path = tmp_path / "a.map"
         path.write_bytes(SAMPLE.read_bytes())
-        database = sqlite3.connect(path)
-        database.execute("PRAGMA user_version = 2")
-        database.close()
+        changed(path, "PRAGMA user_version = 2")
         assert self.refused(path).endswith(
             "follows version 2 of the format of maps, this trainlog knows 1; update trainlog"
         )

@@ -81,12 +81,6 @@ def check_killed(found: dict[str, Any], kills: int) -> None:
     assert content(path) == content(again)
 
 
-def kill_and_add(folder: Path, updaters: int, kills: int, each: int) -> None:
-    """Kill processes at random instants; what they had acknowledged must be there, once."""
-    (found,) = of_killed_updaters("append", folder, updaters, kills, each)
-    check_killed(found, kills)
-
-
 @pytest.fixture(scope="module")
 def appended(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Of five updaters that begin one map at once and end, and of such that are killed."""

@@ -231,11 +231,8 @@ def test_kilometres_survey_and_geometry_of_edges_are_kept() -> None:
         edge("2", "B", "C", 2_000.0, geometry=west, survey=Survey(3e-4, 200.0)),
     ))  # fmt: skip
     line = network.route("A", "C").line
-    assert line.kilometre([0.0, 1_000.0 - 1e-6, 1_500.0]).round(3).tolist() == [
-        61_200.0,
-        60_200.0,
-        500.0,
-    ]
+    kilometres = line.kilometre([0.0, 1_000.0 - 1e-6, 1_500.0]).round(3)
+    assert kilometres.tolist() == [61_200.0, 60_200.0, 500.0]
     assert line.survey == Survey(3e-4, 500.0)
     assert line.geometry is not None
     assert line.geometry.positions.tolist() == [0.0, 1_000.0, 3_000.0]
@@ -323,14 +320,19 @@ def test_a_route_over_given_edges() -> None:
         network.along([("trunk", True)], start=2_000.0, end=1_000.0)
 
 
+def cut_network(west: Edge) -> Network:
+    """The sample line's first 10 km, and an edge beyond."""
+    nodes = Node("East"), Node("Mid", "junction"), Node("West")
+    east = Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid")
+    return Network("cut", nodes, (east, west))
+
+
 def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
     from analysis.fleet.analyses import adhesion
     from analysis.view import TripView
 
-    network = Network("cut", (Node("East"), Node("Mid", "junction"), Node("West")), (
-        Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
-        Edge("west", WHOLE.section(10_000.0, WHOLE.length), "Mid", "West"),
-    ))  # fmt: skip
+    west = WHOLE.section(10_000.0, WHOLE.length)
+    network = cut_network(Edge("west", west, "Mid", "West"))
     trip = trainlog.read(sample("stopping.mcap"))
     line = line_to_bytes(network.route("East", "West").line)
     trip = replace(trip, attachments={**trip.attachments, "line.json": line})
@@ -348,11 +350,9 @@ def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
     from analysis.network.edges import edge_line, trips_on_edges
     from trainlog.formats.railway import line_of
 
-    network = Network("cut", (Node("East"), Node("Mid", "junction"), Node("West")), (
-        Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
-        # Travelled against its chainage.
-        Edge("west", WHOLE.section(10_000.0, WHOLE.length).reversed(), "West", "Mid"),
-    ))  # fmt: skip
+    # The second edge is travelled against its chainage.
+    west = WHOLE.section(10_000.0, WHOLE.length).reversed()
+    network = cut_network(Edge("west", west, "West", "Mid"))
     route = network.route("East", "West").line
     trip = trainlog.read(sample("nonstop.mcap"))
     on_route = replace(trip, attachments={**trip.attachments, "line.json": line_to_bytes(route)})

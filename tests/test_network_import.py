@@ -172,41 +172,27 @@ def test_every_infrastructure_of_osrd_becomes_a_network_with_all_its_track(
 
 @needs_osrd
 @pytest.mark.parametrize("name", ["tiny_infra", "small_infra"])
-def test_routes_exist_and_are_as_long_as_the_file_allows(name: str) -> None:
-    reading, network = Reading(name), imported(name)
-    lengths = []
+def test_routes_are_as_long_steep_bent_and_slow_as_the_file_states(name: str) -> None:
+    reading, network, draw = Reading(name), imported(name), np.random.default_rng(16)
+    found = []
     for start, goal in itertools.permutations(reading.stations, 2):
         way = reading.way(start, goal)
         if way is None:
             refused(InputError, "no route", network.route, start, goal)
-        else:
-            assert network.route(start, goal).length == pytest.approx(way[0])
-            lengths.append(way[0])
-    assert len(lengths) >= 2
-
-
-@needs_osrd
-def test_a_route_has_the_gradients_curves_and_limits_of_the_file_at_random_points() -> None:
-    reading, network = Reading("small_infra"), imported("small_infra")
-    draw = np.random.default_rng(16)
-    steep, bent, slow = 0, 0, 0
-    for start, goal in itertools.permutations(reading.stations, 2):
-        way = reading.way(start, goal)
-        if way is None:
             continue
         line = network.route(start, goal).line
+        assert line.length == pytest.approx(way[0])
         places = draw.uniform(0.0, way[0], 40)
         at = [reading.at(way[1], place) for place in places.tolist()]
-        gradient = np.array([sign * reading.gradient(track, there) for track, there, sign in at])
-        curvature = np.array([sign * reading.curvature(track, there) for track, there, sign in at])
+        gradient = [sign * reading.gradient(track, there) for track, there, sign in at]
+        curvature = [sign * reading.curvature(track, there) for track, there, sign in at]
         limit = np.array([reading.limit(*each) for each in at])
-        assert line.gradient(places) == pytest.approx(gradient, abs=1e-12)
-        assert line.curvature(places) == pytest.approx(curvature, abs=1e-12)
+        assert line.gradient(places) == pytest.approx(np.array(gradient), abs=1e-12)
+        assert line.curvature(places) == pytest.approx(np.array(curvature), abs=1e-12)
         assert line.speed_limit(places) == pytest.approx(limit)
-        steep += np.count_nonzero(gradient)
-        bent += np.count_nonzero(curvature)
-        slow += np.count_nonzero(limit < 60.0)
-    assert min(steep, bent, slow) > 10
+        found.append([np.count_nonzero(each) for each in (gradient, curvature, limit < 60.0)])
+    assert len(found) >= 2
+    assert name == "tiny_infra" or np.sum(found, axis=0).min() > 10
 
 
 @needs_osrd

@@ -43,9 +43,6 @@ def interrupted() -> Iterator[Trip]:
     raise KeyboardInterrupt
 
 
-# ---------------------------------------------------------------------------------- round trips
-
-
 @settings(max_examples=20)
 @given(trip=trips())
 @example(trip=Trip({}, attachments={"timetable.xls": b"\xd0\xcf\x11\xe0"}))
@@ -104,9 +101,6 @@ def test_same_trip_same_bytes_whatever_the_pieces(
     assert_same(trip, read_parquet(tmp_path / "pieces.parquet"))
 
 
-# ------------------------------------------------------------------------------------ selection
-
-
 def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
     trip = trip_of(rows=5)
     write_parquet(trip, tmp_path / "trip.parquet")
@@ -121,9 +115,6 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(some[TRAIN_STATE.name], trip[TRAIN_STATE.name][["speed"]])
     assert some[TRAIN_STATE.name].attrs["units"] == {"speed": "m/s"}
     assert len(some[TRAIN_AXLES.name].columns) == 8
-
-
-# ------------------------------------------------------------------------------------ bad input
 
 
 @pytest.mark.parametrize(
@@ -177,8 +168,8 @@ def test_a_failed_write_leaves_the_older_folder(tmp_path: Path) -> None:
 
 
 def test_folders_that_hold_no_trip_are_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
     for name, said in (("nothing", "does not exist"), ("file", "not a folder"), ("", "no trip")):
-        (tmp_path / "file").write_bytes(b"")
         caught = refused(InputError, said, read_parquet, tmp_path / name)
         assert caught.remedy
 
@@ -247,5 +238,4 @@ def test_an_index_that_does_not_fit_is_refused(
     index = json.loads((written / "trip.json").read_text())
     (written / "trip.json").write_text(json.dumps(index | change))
     caught = refused(error, said, read_parquet, written)
-    assert isinstance(caught, InputError | LogError)
     assert caught.file is not None

@@ -208,9 +208,6 @@ def test_a_line_of_ours_fills_what_the_journey_lacks(tmp_path: Path, found: Sfer
     assert said[1:] == ["level and straight elsewhere", "places by the names of stations"]
 
 
-# ------------------------------------------------------------------------------------- messages out
-
-
 @pytest.fixture(scope="session")
 def valid() -> Callable[[Element], bytes]:
     """Writes a document; checked against the schema where the variable SFERA_XSD names it."""
