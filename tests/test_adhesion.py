@@ -81,7 +81,7 @@ def smoothed(plant: Run, noise: float) -> FloatArray:
 
 
 class TestSlipDetector:
-    def test_two_samples_above_then_until_half(self) -> None:
+    def test_two_samples_above_then_until_half(self):
         slip = np.array([0.0, 1.6, 0.2, 1.6, 1.7, 1.2, 0.8, 0.74, 1.4])[:, None]
         found = SlipDetector(1, 0.05).update(slip)[:, 0]
         assert found.tolist() == [False] * 4 + [True, True, True, False, False]
@@ -90,7 +90,7 @@ class TestSlipDetector:
 class TestObserver:
     @given(st.integers(0, 2**31), st.integers(1, 5))
     @settings(max_examples=8)
-    def test_it_is_the_linear_gaussian_filter(self, seed: int, axles: int) -> None:
+    def test_it_is_the_linear_gaussian_filter(self, seed, axles):
         """The engine of all models, on uneven steps with speeds and efforts missing."""
         rng = np.random.default_rng(seed)
         count = 200
@@ -122,9 +122,7 @@ class TestObserver:
         np.testing.assert_allclose(found.std[1:], plain.std[:, :, 1], rtol=1e-9)
 
     @pytest.mark.parametrize(("curve", "base", "demand"), [(DRY, 0.28, 0.25), (WET, 0.15, 0.14)])
-    def test_adhesion_in_and_out_of_slip(
-        self, curve: CreepCurve, base: float, demand: float
-    ) -> None:
+    def test_adhesion_in_and_out_of_slip(self, curve, base, demand):
         plant = run(base, curve=curve, demand=demand, climb=0.48 * demand)
         error = smoothed(plant, 0.03) - plant.adhesion
         slips = np.abs(plant.true_wheel_speed - plant.speed[:, None]) > 1.5
@@ -132,7 +130,7 @@ class TestObserver:
         assert rms(error[~slips]) < 0.006
         assert rms(error[slips]) < 0.008
 
-    def test_refuses_bad_input(self) -> None:
+    def test_refuses_bad_input(self):
         with pytest.raises(InputError, match="rotating mass must be positive"):
             AdhesionObserver(1, 0.0, 0.05, FORCE_RATE)
         with pytest.raises(InputError, match="speed noise must be positive"):
@@ -149,7 +147,7 @@ class TestObserver:
 
 class TestTrainSpeed:
     @pytest.mark.parametrize("satellites", [True, False])
-    def test_all_axles_may_slip_at_once(self, satellites: bool) -> None:
+    def test_all_axles_may_slip_at_once(self, satellites):
         plant = run(0.22, speed=2.0, climb=0.0, seconds=60.0)
         slip = plant.true_wheel_speed - plant.speed[:, None]
         assert np.min(slip, axis=1).max() > 3.0
@@ -175,7 +173,7 @@ class TestTrainSpeed:
 
 
 class TestOnset:
-    def test_a_flat_top_is_averaged(self) -> None:
+    def test_a_flat_top_is_averaged(self):
         rng = np.random.default_rng(1)
         used = np.concatenate((np.linspace(0.05, 0.1, 20), np.full(40, 0.1)))
         used += 0.003 * rng.standard_normal(60)
@@ -184,7 +182,7 @@ class TestOnset:
         assert used.max() > 0.105
         assert not fell
 
-    def test_measured_creep_curves(self) -> None:
+    def test_measured_creep_curves(self):
         """Curves after a measurement peak at 0.16 m/s and lie flat or fall slowly beyond."""
         if not CREEP.exists():
             pytest.skip("the CONTACT creep curves are not beside the checkout")
@@ -229,9 +227,7 @@ def climb(
 
 @pytest.mark.parametrize("friction", [0.2, 0.25, 0.3])
 @pytest.mark.parametrize(("floor", "decay"), [(0.4, 0.2), (0.4, 0.6), (0.6, 0.3)])
-def test_the_maximum_of_polachs_curves_is_found(
-    friction: float, floor: float, decay: float
-) -> None:
+def test_the_maximum_of_polachs_curves_is_found(friction, floor, decay):
     slip = np.linspace(0.0, 6.0, 300)
     curve = PolachCurve(40.0 / np.pi, 1.0, 0.4, friction, floor, decay)(slip, 10.0)
     time = np.arange(0.0, 14.0, 0.1)

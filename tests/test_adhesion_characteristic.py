@@ -77,7 +77,7 @@ family = pytest.mark.parametrize("curve", FAMILIES.values(), ids=FAMILIES.keys()
 
 @pytest.mark.parametrize("condition", ["dry", "wet"])
 @pytest.mark.parametrize("speed", [5.0, 20.0, 60.0])
-def test_polach_with_the_published_parameters(condition: str, speed: float) -> None:
+def test_polach_with_the_published_parameters(condition, speed):
     curve = polach_curve(condition)
     creepages = np.geomspace(1e-4, 0.5, 50)
     expected = [polach_adhesion(s, speed, condition) for s in creepages]
@@ -91,7 +91,7 @@ def test_polach_with_the_published_parameters(condition: str, speed: float) -> N
     assert curve.optimal_slip_speed(speed) == pytest.approx(best.x * speed, rel=1e-3)
 
 
-def test_a_table_keeps_the_shape_of_its_points() -> None:
+def test_a_table_keeps_the_shape_of_its_points():
     creepage, adhesion = eurosprinter(2)
     table = AdhesionTable(creepage, adhesion)
     np.testing.assert_allclose(table.over_creepage(creepage, 10.0), adhesion, rtol=1e-12)
@@ -107,9 +107,7 @@ def test_a_table_keeps_the_shape_of_its_points() -> None:
 @family
 @settings(max_examples=40)
 @given(slip=st.floats(-20.0, 20.0), speed=st.floats(0.0, 60.0))
-def test_it_is_odd_and_never_beyond_its_maximum(
-    curve: AdhesionCharacteristic, slip: float, speed: float
-) -> None:
+def test_it_is_odd_and_never_beyond_its_maximum(curve, slip, speed):
     at = float(curve(slip, speed))
     assert at == -float(curve(-slip, speed))
     assert abs(at) <= float(curve.maximum(speed)) * (1.0 + 1e-9)
@@ -119,9 +117,7 @@ def test_it_is_odd_and_never_beyond_its_maximum(
 @family
 @settings(max_examples=40)
 @given(share=st.floats(0.01, 5.0), speed=st.floats(3.0, 60.0))
-def test_slopes_are_those_of_the_curve_and_vanish_at_the_optimum(
-    curve: AdhesionCharacteristic, share: float, speed: float
-) -> None:
+def test_slopes_are_those_of_the_curve_and_vanish_at_the_optimum(curve, share, speed):
     best = float(curve.optimal_slip_speed(speed))
     slip, small = share * best, 1e-5 * best
     assume(slip / speed < 0.9)
@@ -137,17 +133,17 @@ def test_slopes_are_those_of_the_curve_and_vanish_at_the_optimum(
     [
         (lambda: polach_curve("dry")(1.0), "needs the train's speed"),
         (lambda: WET.optimal_creepage(), "needs the train's speed"),
-        (lambda: polach_curve("icy"), "rail condition 'icy' is unknown"),  # type: ignore[arg-type]
+        (lambda: polach_curve("icy"), "rail condition 'icy' is unknown"),
         (lambda: PolachCurve(300.0, 0.1, 0.3, 0.3), "slip factor <= adhesion factor"),
         (lambda: PolachCurve(300.0, 0.3, 0.1, 0.3, 1.2), "friction ratio <= 1"),
         (lambda: PolachCurve(300.0, 0.3, 0.1, 0.3, 0.4, -1.0), "friction decay >= 0"),
         (lambda: AdhesionTable(np.array([0.1, 0.2]), np.array([0.1, 0.2])), "three pairs"),
         (lambda: AdhesionTable(np.array([0.0, 0.1, 0.2]), np.full(3, 0.1)), "do not grow"),
         (lambda: AdhesionTable(np.array([0.1, 0.2, 0.3]), np.full(3, -0.1)), "between 0 and 1.5"),
-        (lambda: CreepCurve(0.1, 1.0, 1.0, 1.0, "slip"), "over 'slip' is unknown"),  # type: ignore[arg-type]
+        (lambda: CreepCurve(0.1, 1.0, 1.0, 1.0, "slip"), "over 'slip' is unknown"),
     ],
 )
-def test_what_is_no_characteristic_is_refused(make, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_what_is_no_characteristic_is_refused(make, message):
     refused(InputError, message, make)
 
 
@@ -159,9 +155,7 @@ def test_what_is_no_characteristic_is_refused(make, message: str) -> None:  # ty
 @given(
     efforts=st.lists(st.floats(-250e3, 250e3), min_size=3, max_size=6), peak=st.floats(0.05, 0.4)
 )
-def test_energy_and_momentum_are_conserved_on_any_characteristic(
-    curve: AdhesionCharacteristic | None, efforts: list[float], peak: float
-) -> None:
+def test_energy_and_momentum_are_conserved_on_any_characteristic(curve, efforts, peak):
     rail = steps((0.0, 0.3), (300.0, peak), (900.0, 0.25), (2_000.0, 0.8 * peak), (3_000.0, 0.3))
     plant = Plant.of(hilly_line(), flirt(), mass=130e3, maximum_adhesion=rail, characteristic=curve)
     state = plant.at()
@@ -190,7 +184,7 @@ def test_energy_and_momentum_are_conserved_on_any_characteristic(
 
 
 @family
-def test_the_plant_agrees_with_an_adaptive_solver(curve: AdhesionCharacteristic) -> None:
+def test_the_plant_agrees_with_an_adaptive_solver(curve):
     """The same equations with the characteristic itself, scaled to the rail at every speed."""
     peak, effort, train = 0.2, 30e3, flirt()
     plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, peak)), characteristic=curve)
@@ -222,7 +216,7 @@ def magic_formula(slips: np.ndarray, maximum: float, optimum: float, form: float
 
 
 @pytest.mark.parametrize(("curve", "optimum"), [(1, (0.0034, 0.016)), (2, (0.013, 0.019))])
-def test_the_eurosprinter_curves(curve: int, optimum: tuple[float, float]) -> None:
+def test_the_eurosprinter_curves(curve, optimum):
     """At most 2 % of the maximum (RMS), where the plant's own shape misses by more than half."""
     creepage, adhesion = eurosprinter(curve)
     fit = fit_adhesion_characteristic(AdhesionPoints(creepage, adhesion), speed=10.0)
@@ -256,7 +250,7 @@ def drawn(seed: int) -> tuple[AdhesionPoints, float, float, float]:
     return AdhesionPoints(slips[order], adhesions[order]), maximum, optimum, speed
 
 
-def test_bands_hold_the_truth_of_curves_of_another_form() -> None:
+def test_bands_hold_the_truth_of_curves_of_another_form():
     held, found, refused = [], [], 0
     for seed in range(10):
         points, maximum, optimum, speed = drawn(seed)
@@ -299,7 +293,7 @@ CURVES = st.one_of(
 
 @settings(max_examples=60)
 @given(CURVES)
-def test_files_give_back_what_was_written(curve: AdhesionCharacteristic) -> None:
+def test_files_give_back_what_was_written(curve):
     data = thing_to_bytes(CharacteristicFile.of(curve, {}))
     again = thing_from_bytes(CharacteristicFile, data).characteristic
     assert thing_to_bytes(CharacteristicFile.of(again, {})) == data
@@ -317,9 +311,7 @@ def test_files_give_back_what_was_written(curve: AdhesionCharacteristic) -> None
         ({"version": 2}, "version 2 is newer"),
     ],
 )
-def test_files_that_are_no_characteristic_are_refused(
-    change: dict[str, object], message: str
-) -> None:
+def test_files_that_are_no_characteristic_are_refused(change, message):
     content = file_content(CharacteristicFile.of(polach_curve("wet"), {})) | change
     content = {key: value for key, value in content.items() if value is not None}
     with pytest.raises(InputError, match=message) as caught:
@@ -333,7 +325,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
+def test_points_in_the_units_of_their_header(tmp_path):
     braking = written(tmp_path, "slip speed [km/h]\tmu [%]\tspeed [km/h]\n-3,6\t-12\t72\n")
     points = read_adhesion_points(braking)
     assert (points.slips.item(), points.adhesions.item()) == pytest.approx((1.0, 0.12))
@@ -360,15 +352,13 @@ def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
         ("creepage [%]\n1\n", "has 1 column, expected"),
     ],
 )
-def test_tables_that_would_mislead_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_tables_that_would_mislead_are_refused(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         read_adhesion_points(written(tmp_path, text))
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_from_measured_points_to_a_trip_on_that_rail(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_from_measured_points_to_a_trip_on_that_rail(tmp_path, capsys, monkeypatch):
     slips = np.linspace(0.2, 20.0, 40)
     adhesions = magic_formula(slips, 0.2, 2.0, 1.5)
     rows = "\n".join(f"{s:.3f};{mu:.5f};72" for s, mu in zip(slips, adhesions, strict=True))
@@ -406,12 +396,12 @@ def test_from_measured_points_to_a_trip_on_that_rail(
         (np.array([0.001, 0.002]), "2 points do not determine"),
     ],
 )
-def test_points_that_do_not_determine_a_curve_are_refused(slips: np.ndarray, words: str) -> None:
+def test_points_that_do_not_determine_a_curve_are_refused(slips, words):
     points = AdhesionPoints(slips, magic_formula(slips, 0.25, 0.02, 1.6))
     refused(NotIdentifiableError, words, fit_adhesion_characteristic, points, speed=10.0)
 
 
-def test_slip_speeds_of_a_train_of_known_speed_are_fitted_over_creepage() -> None:
+def test_slip_speeds_of_a_train_of_known_speed_are_fitted_over_creepage():
     slip = np.linspace(0.02, 4.0, 40)
     wet = polach_curve("wet")
     points = AdhesionPoints(slip, wet(slip, 15.0), "slip speed")

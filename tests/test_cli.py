@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import Shell
 
 import analysis
 from trainlog.formats.railway import write_parameters
@@ -71,9 +70,7 @@ COMMANDS = {
     ("command", "kind"),
     [(each, KINDS[(n + k) % 6]) for n, each in enumerate(COMMANDS) for k in (0, 3)],
 )
-def test_bad_files_are_refused_in_one_line(
-    command: str, kind: str, broken: dict[str, Path], tmp_path: Path, shell: Shell
-) -> None:
+def test_bad_files_are_refused_in_one_line(command, kind, broken, tmp_path, shell):
     bad = broken[kind]
     output = tmp_path / "output"
     words = COMMANDS[command].replace("BOTH", " ".join(BOTH)).split()
@@ -189,9 +186,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("words", "said"), REFUSED.items(), ids=REFUSED)
-def test_what_cannot_be_done_is_refused_in_one_line(
-    words: str, said: str, given: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
-) -> None:
+def test_what_cannot_be_done_is_refused_in_one_line(words, said, given, monkeypatch, shell):
     """Nothing is printed or written before."""
     monkeypatch.chdir(given)
     before = state_of(given)
@@ -205,7 +200,7 @@ def test_what_cannot_be_done_is_refused_in_one_line(
     assert state_of(given) == before
 
 
-def test_a_damaged_log_is_reported_once_a_command(tmp_path: Path, shell: Shell) -> None:
+def test_a_damaged_log_is_reported_once_a_command(tmp_path, shell):
     log = sample("nonstop.mcap").read_bytes()
     half = tmp_path / "half.mcap"
     half.write_bytes(log[: len(log) // 2])
@@ -220,7 +215,7 @@ def test_a_damaged_log_is_reported_once_a_command(tmp_path: Path, shell: Shell) 
         assert complaint.startswith(f"trainlog: warning: {half}: is damaged: ")
 
 
-def test_brackets_in_names_and_findings_are_shown(tmp_path: Path, shell: Shell) -> None:
+def test_brackets_in_names_and_findings_are_shown(tmp_path, shell):
     recording = tmp_path / "run [1].csv"
     recording.write_bytes(sample("gnss.csv").read_bytes())
     profile = ("--profile", sample("recorder.profile.toml"))
@@ -231,9 +226,7 @@ def test_brackets_in_names_and_findings_are_shown(tmp_path: Path, shell: Shell) 
     assert "run [1].mcap" in shown
 
 
-def test_an_interrupted_command_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
-) -> None:
+def test_an_interrupted_command_says_so(tmp_path, monkeypatch, shell):
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -243,7 +236,7 @@ def test_an_interrupted_command_says_so(
     assert "interrupted" in complaint
 
 
-def test_ctrl_c_while_python_still_loads_is_one_line() -> None:
+def test_ctrl_c_while_python_still_loads_is_one_line():
     loading = """
 import os, signal, sys
 class Finder:
@@ -260,7 +253,7 @@ main()
     assert not ended.stdout
 
 
-def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path: Path, shell: Shell) -> None:
+def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path, shell):
     content = json.loads(sample(DEFAULT_TRAIN).read_text("utf-8"))
     content["mass"]["unit"], content["max_speed"], content["colour"] = "kg", 160, "red"
     light = tmp_path / "light.train.json"
@@ -272,7 +265,7 @@ def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path: Path, sh
     assert [line.split(":")[0] for line in lines[1:]] == ["  colour", "  max_speed", "  mass"]
 
 
-def test_slip_events_of_all_logs_are_tabled(tmp_path: Path, shell: Shell) -> None:
+def test_slip_events_of_all_logs_are_tabled(tmp_path, shell):
     """One row an event, with units in the names; a log that cannot be analysed is left out."""
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "a.mcap").write_bytes(b"no log")

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 import typer
-from command import Shell
 
 from trainlog.cli import main as cli
 from trainlog.cli.commands import FORMER, WORDS
@@ -41,9 +40,7 @@ DIFFERENT = {
 
 
 @pytest.mark.parametrize("columns", ["80", pytest.param("120", marks=pytest.mark.long)])
-def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
-    columns: str, monkeypatch: pytest.MonkeyPatch, shell: Shell
-) -> None:
+def test_help_of_every_command_fits_the_terminal_and_loses_nothing(columns, monkeypatch, shell):
     monkeypatch.setenv("COLUMNS", columns)
     found = dict(commands())
     assert len(found) > 35
@@ -72,8 +69,8 @@ def examples(command: Any) -> list[list[str]]:
 
 @pytest.mark.parametrize("words", [words for words, _ in commands()])
 def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(
-    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    words, tmp_path, monkeypatch
+):
     (tmp_path / "results").mkdir()
     monkeypatch.chdir(tmp_path)
     command = dict(commands())[words]
@@ -86,7 +83,7 @@ def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(
     assert len(own_options(words, command)) <= 12
 
 
-def test_former_names_are_answered_with_the_new_one(shell: Shell) -> None:
+def test_former_names_are_answered_with_the_new_one(shell):
     for former, new in FORMER.items():
         status, shown, complaint = shell(*former.split(), "-x")
         assert (status, shown, complaint.count("\n")) == (2, "", 1), former
@@ -94,7 +91,7 @@ def test_former_names_are_answered_with_the_new_one(shell: Shell) -> None:
         assert new.split()[0] in WORDS
 
 
-def test_the_help_of_the_program_says_of_each_word_what_its_own_help_does(shell: Shell) -> None:
+def test_the_help_of_the_program_says_of_each_word_what_its_own_help_does(shell):
     _, shown, _ = shell("--help")
     every = " ".join(shown.replace("│", " ").split())
     program = typer.main.get_command(cli.app)
@@ -103,12 +100,12 @@ def test_the_help_of_the_program_says_of_each_word_what_its_own_help_does(shell:
         assert f"{word} {(command.help or '').partition(chr(10))[0]}" in every
 
 
-def test_the_page_lists_the_options_of_all_commands() -> None:
+def test_the_page_lists_the_options_of_all_commands():
     page = (DOCS / "command-line.md").read_text("utf-8")
     assert page == with_options(page), "run docs/tools/options.py docs/command-line.md"
 
 
-def test_the_same_option_is_the_same_everywhere() -> None:
+def test_the_same_option_is_the_same_everywhere():
     seen = defaultdict(set)
     for words, command in commands():
         context = context_of(words, command)
@@ -125,13 +122,13 @@ def test_the_same_option_is_the_same_everywhere() -> None:
 
 
 @pytest.mark.parametrize("words", [[], ["map"], ["study"], ["simulate"]])
-def test_a_word_alone_shows_the_help_of_its_commands(words: list[str], shell: Shell) -> None:
+def test_a_word_alone_shows_the_help_of_its_commands(words, shell):
     status, shown, complaint = shell(*words)
     assert (status, complaint) == (0, "")
     assert " ".join(["Usage: trainlog", *words]) in " ".join(shown.split())
 
 
-def test_a_missing_file_is_refused_before_packages_are_loaded() -> None:
+def test_a_missing_file_is_refused_before_packages_are_loaded():
     commands = ["show none.mcap", "fit none.mcap -o x.json", "map update none.mcap --map x.map"]
     code = f"""
 import sys

@@ -14,7 +14,6 @@ from typing import Any
 
 import jsonschema
 import pytest
-from command import Shell
 
 from trainlog.cli.commands import STATUSES
 from trainlog.formats.samples import copy_samples
@@ -190,8 +189,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def test_every_command_prints_one_object_of_its_documented_form(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, shell: Shell
-) -> None:
+    folder, monkeypatch, request, shell
+):
     found: dict[str, Schema] = {}
     renew = request.config.getoption("--renew-golden")
     known = {} if renew else json.loads(SCHEMAS.read_text("utf-8"))
@@ -216,12 +215,12 @@ def test_every_command_prints_one_object_of_its_documented_form(
         SCHEMAS.write_text(text + "\n", encoding="utf-8")
 
 
-def test_the_schemas_state_what_all_commands_have() -> None:
+def test_the_schemas_state_what_all_commands_have():
     for schema in json.loads(SCHEMAS.read_text("utf-8")).values():
         assert set(COMMON) <= set(schema["required"])
 
 
-def test_an_error_with_json_is_one_object_on_standard_error(tmp_path: Path, shell: Shell) -> None:
+def test_an_error_with_json_is_one_object_on_standard_error(tmp_path, shell):
     words = ["fit", tmp_path / "no.mcap", "-o", tmp_path / "p.json"]
     status, printed, complaint = shell(*words, "--json")
     assert (status, printed) == (2, "")
@@ -237,7 +236,7 @@ def test_an_error_with_json_is_one_object_on_standard_error(tmp_path: Path, shel
     assert len(error["problems"]) == 2
 
 
-def test_quiet_prints_errors_only(folder: Path, shell: Shell) -> None:
+def test_quiet_prints_errors_only(folder, shell):
     (folder / "two").mkdir()
     shutil.copy(folder / "cut.mcap", folder / "two" / "cut.mcap")
     (folder / "two" / "empty.mcap").touch()
@@ -247,7 +246,7 @@ def test_quiet_prints_errors_only(folder: Path, shell: Shell) -> None:
     assert "empty.mcap" in complaint
 
 
-def test_exit_statuses_are_documented() -> None:
+def test_exit_statuses_are_documented():
     page = (CHECKOUT / "docs" / "command-line.md").read_text("utf-8")
     for status, meaning in STATUSES.items():
         assert f"| {status} | {meaning} |" in page

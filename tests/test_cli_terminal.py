@@ -80,9 +80,7 @@ def nobody_left(group: int) -> bool:
 
 
 @pytest.mark.long
-def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(
-    tmp_path: Path,
-) -> None:
+def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(tmp_path):
     seen = typed(["demo", "-o", "results"], tmp_path, until="trip-02:")
     assert seen.status == 130
     assert seen.words.count("interrupted") == 1
@@ -101,7 +99,7 @@ def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(
     assert nobody_left(seen.group)
 
 
-def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path: Path) -> None:
+def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path):
     seen = typed(
         ["simulate", "drive", "--line=sample", "--train=sample", "--count=2", "-o", "trips"],
         tmp_path,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,7 +173,7 @@ def error(found: CoastDown, curve: tuple[float, float, float]) -> float:
     [(0.012, 1e-4, 2.5e-5), (0.012, 1.5e-3, 2.0e-5), (0.012, 1.2e-3, 3.0e-5)],
     ids=["negative discriminant", "positive discriminant", "no discriminant"],
 )
-def test_closed_form_of_coasting_down_is_found_again(curve: tuple[float, float, float]) -> None:
+def test_closed_form_of_coasting_down_is_found_again(curve):
     time = np.arange(0.0, 250.0, 0.1)
     down = coasting_down(time, 40.0, curve)
     up = np.linspace(down[-1], 40.0, 600)
@@ -191,7 +190,7 @@ def test_closed_form_of_coasting_down_is_found_again(curve: tuple[float, float, 
     assert found.ratio.std == pytest.approx(0.02, rel=0.01)
 
 
-def test_gradients_that_vary_tell_the_rotating_mass() -> None:
+def test_gradients_that_vary_tell_the_rotating_mass():
     time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
     found = coast_down([recorded(time, position, speed, line=HILLY, every=1, noise=0.02)])
     assert found.ratio.source == "data"
@@ -201,14 +200,14 @@ def test_gradients_that_vary_tell_the_rotating_mass() -> None:
 
 
 @pytest.mark.parametrize("efforts", [(0.05, 0.09), (-0.05, -0.02), (0.03, -0.04), (np.nan, np.nan)])
-def test_a_train_that_never_coasts_is_refused(efforts: tuple[float, float]) -> None:
+def test_a_train_that_never_coasts_is_refused(efforts):
     drive = [(50.0, 0.5), (60.0, efforts[0]), (30.0, -0.3), (40.0, 0.4), (90.0, efforts[1])]
     time, position, speed, _ = driven(HILLY, CURVE, [*drive, (30.0, -0.2)], speed=12.0)
     with pytest.raises(NotIdentifiableError, match="coasting"):
         coast_down([recorded(time, position, speed, line=HILLY)])
 
 
-def test_what_is_missing_is_named() -> None:
+def test_what_is_missing_is_named():
     time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
     trip = recorded(time, position, speed, line=HILLY)
     fixes = replace(trip, topics={"/estimates/state": trip["/estimates/state"]})
@@ -231,7 +230,7 @@ def test_what_is_missing_is_named() -> None:
     refused(NotIdentifiableError, "no trip was given", coast_down, [])
 
 
-def test_several_trips_are_sharper_than_one_and_come_in_any_order() -> None:
+def test_several_trips_are_sharper_than_one_and_come_in_any_order():
     trips = []
     for number in range(3):
         time, position, speed, _ = driven(HILLY, CURVE, DRIVE, start=5_000.0 * number)
@@ -260,7 +259,7 @@ def satellites_only(trip: Trip) -> Trip:
 
 
 @pytest.mark.parametrize("satellites", [False, True], ids=["wheels", "satellites"])
-def test_a_simulated_trip_gives_its_true_curve(satellites: bool) -> None:
+def test_a_simulated_trip_gives_its_true_curve(satellites):
     trip = sample_trip("nonstop.mcap")
     found = coast_down([satellites_only(trip) if satellites else trip])
     truth = truth_of(trip)
@@ -272,7 +271,7 @@ def test_a_simulated_trip_gives_its_true_curve(satellites: bool) -> None:
     assert np.all((low < true) & (true < high))
 
 
-def test_segments_of_a_simulated_trip_are_where_it_truly_coasted() -> None:
+def test_segments_of_a_simulated_trip_are_where_it_truly_coasted():
     trip = sample_trip("nonstop.mcap")
     fit = coast_down([trip]).trips[0]
     controls = trip["/train/controls"]
@@ -286,7 +285,7 @@ def test_segments_of_a_simulated_trip_are_where_it_truly_coasted() -> None:
     assert marked.sum() > 0.8 * np.count_nonzero(coasting & (trip["/truth"]["speed"] > 5.0))
 
 
-def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path: Path) -> None:
+def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path):
     log = tmp_path / "a.mcap"
     write_log(satellites_only(sample_trip("nonstop.mcap")), log)
     found = coast_down([log])
@@ -307,9 +306,7 @@ def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path: Path) -> Non
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_writes_result_and_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_result_and_picture(tmp_path, capsys):
     output = tmp_path / "coast-down.json"
     assert run(["fit", "coasting", str(sample("nonstop.mcap")), "-o", str(output)]) == 0
     stated = capsys.readouterr().out
@@ -348,7 +345,7 @@ def coasting_over(
     return trips, spans
 
 
-def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more() -> None:
+def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more():
     trips, spans = coasting_over(4, both=False)
     result = coast_down_without_gradient(trips, spans=spans)
     assert result["c0"].value is None
@@ -367,7 +364,7 @@ def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more()
     assert thing_from_bytes(CoastDownResult, thing_to_bytes(result))["c0"] == result["c0"]
 
 
-def test_both_ways_over_unknown_gradients_tell_all_of_it() -> None:
+def test_both_ways_over_unknown_gradients_tell_all_of_it():
     trips, spans = coasting_over(8, both=True)
     result = coast_down_without_gradient(trips, HILLY, spans)
     true = c(CURVE, result.curve.speeds)
@@ -379,7 +376,7 @@ def test_both_ways_over_unknown_gradients_tell_all_of_it() -> None:
         coast_down_without_gradient([trips[0], trips[1]], spans=spans)
 
 
-def test_unknown_gradients_are_not_guessed() -> None:
+def test_unknown_gradients_are_not_guessed():
     trips, spans = coasting_over(1, both=False)
     with pytest.raises(NotIdentifiableError, match="0 of them over a piece coasted more than once"):
         coast_down_without_gradient(trips, spans=spans)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from trainlog import version
 
 
-def test_all_modules_that_are_loaded_where_analyses_run_are_part_of_the_version() -> None:
+def test_all_modules_that_are_loaded_where_analyses_run_are_part_of_the_version():
     script = """
 import sys
 from pathlib import Path
@@ -54,9 +53,7 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("text", WRITTEN)
-def test_an_import_counts_however_it_is_written(
-    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_import_counts_however_it_is_written(text, tmp_path, monkeypatch):
     package = tmp_path / "trainlog"
     (package / "rest").mkdir(parents=True)
     (package / "__init__.py").write_text("")

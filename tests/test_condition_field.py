@@ -49,7 +49,7 @@ def day(number: int) -> pd.Timestamp:
 
 
 class TestWhatPasses:
-    def test_a_spot_has_its_place_and_days_and_is_not_the_lasting_condition(self) -> None:
+    def test_a_spot_has_its_place_and_days_and_is_not_the_lasting_condition(self):
         """Thirty days of trips that bear 0.15; on the last three a spot of 0.07 in three bins."""
         pieces = [calm(DAY + number, 0.15) for number in range(27)]
         visited = layer_of(pieces + [met(DAY + n, 40, 0.07, 0.15) for n in range(27, 30)])
@@ -64,7 +64,7 @@ class TestWhatPasses:
         assert spot.low < 0.07 < spot.high
         assert spot.alive(day(30)) > 10.0 * spot.alive(day(75))
 
-    def test_a_place_that_is_always_low_is_lasting(self) -> None:
+    def test_a_place_that_is_always_low_is_lasting(self):
         layer = layer_of([met(DAY + number, 40, 0.08, 0.15) for number in range(0, 30, 3)])
         assert np.all(np.abs(layer.log_mean[40:43] - np.log(0.08)) < 0.1)
         assert layer.spots == ()
@@ -73,7 +73,7 @@ class TestWhatPasses:
 
 class TestChanges:
     @pytest.mark.parametrize(("before", "after"), [(0.08, 0.16), (0.16, 0.08)])
-    def test_a_change_is_dated_and_not_averaged_away(self, before: float, after: float) -> None:
+    def test_a_change_is_dated_and_not_averaged_away(self, before, after):
         """Slip at one level for twenty days, then at another: ground, or grown over."""
         pieces = [met(DAY + number, 38, before, 0.06, bins=6) for number in range(0, 40, 2)]
         pieces += [met(DAY + number, 38, after, 0.06, bins=6) for number in range(40, 56, 2)]
@@ -87,7 +87,7 @@ class TestChanges:
         assert np.all(np.abs(layer.log_mean[38:44] - np.log(after)) < 1.96 * layer.log_std[38:44])
 
 
-def test_what_one_day_alone_showed_may_have_passed() -> None:
+def test_what_one_day_alone_showed_may_have_passed():
     normal = [met(DAY + n, 4 + 12 * n, 0.16, 0.05, bins=8) for n in range(7)]
     once = layer_of([*normal, *(met(DAY + 3, 90, 0.08, 0.05) for _ in range(6))])
     assert once.quantile(0.5)[91] < 0.1
@@ -97,7 +97,7 @@ def test_what_one_day_alone_showed_may_have_passed() -> None:
 
 
 @pytest.mark.parametrize("place_from", [pytest.param(None, marks=pytest.mark.long), 7])
-def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: int | None) -> None:
+def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from):
     """Every trip bears 0.13 and all slip is at 0.16, but for a place that is slippery later.
 
     What was borne without slip allows any level above: a spread between trips that grows with it
@@ -119,7 +119,7 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: 
         assert whole.model["trip_std"].value < 0.12
 
 
-def test_without_evidence_parameters_are_assumed_and_with_it_estimated() -> None:
+def test_without_evidence_parameters_are_assumed_and_with_it_estimated():
     """Levels of places and trips are drawn with numbers that the map does not know."""
     generator = np.random.default_rng(4)
     places = np.log(0.2) + 0.1 * generator.standard_normal(BINS)

@@ -24,7 +24,7 @@ FRESH = np.array([[False, False, True], [False, False, True], [True, True, False
 
 
 @pytest.mark.parametrize("left_out", [(), (1, 2)])
-def test_the_pass_along_a_line_adds_up_all_ways_through_it(left_out: tuple[int, ...]) -> None:
+def test_the_pass_along_a_line_adds_up_all_ways_through_it(left_out):
     """Every bin's own likelihood is no part of what the others say of it."""
     rng = np.random.default_rng(1)
     bins, classes, size = 3, 3, 3
@@ -74,14 +74,14 @@ NEAR = np.array([[0.1, 0.2, 0.3, 0.4]])
 def said(count: int, mean: float, scatter: float, error: float) -> tuple[np.ndarray, ...]:
     """What a day with onsets, and nothing used without slip, says of each level."""
     nothing = np.zeros(0, dtype=np.int64)
-    return emissions(  # type: ignore[no-any-return]
+    return emissions(
         np.array([[count, mean, scatter, error]]), np.zeros(2, dtype=np.int64), nothing,
         np.zeros(0), np.zeros((1, LEVELS.size)), LEVELS, SPOT, TRIP_STD, MET, NEAR,
         np.zeros(1, dtype=np.int64), ASTRAY,
     )  # fmt: skip
 
 
-def test_one_onset_is_of_the_level_or_wide_of_it_or_astray_or_of_a_spot() -> None:
+def test_one_onset_is_of_the_level_or_wide_of_it_or_astray_or_of_a_spot():
     mean, error = np.log(0.12), 0.02
     plain, short, number = said(1, mean, 0.0, error)
     std, wide = (np.sqrt((factor * TRIP_STD) ** 2 + error) for factor in (1.0, WIDE))
@@ -95,7 +95,7 @@ def test_one_onset_is_of_the_level_or_wide_of_it_or_astray_or_of_a_spot() -> Non
     np.testing.assert_array_equal(number, 1.0)
 
 
-def test_two_onsets_are_shared_out_between_the_level_its_neighbours_and_spots() -> None:
+def test_two_onsets_are_shared_out_between_the_level_its_neighbours_and_spots():
     """Of both, either the lower one or both were of short spots, or astray; others slipped less."""
     error, borne = 0.02, 3.0
     variance, wide = (((factor * TRIP_STD) ** 2 + error) for factor in (1.0, WIDE))
@@ -128,7 +128,7 @@ def test_two_onsets_are_shared_out_between_the_level_its_neighbours_and_spots() 
     np.testing.assert_allclose(number[1], (one + 2.0 * both) / (one + both))
 
 
-def test_the_pass_over_days_adds_up_all_that_may_have_been() -> None:
+def test_the_pass_over_days_adds_up_all_that_may_have_been():
     """A day has no spot, or one of a level below the lasting one, which stays or is drawn anew."""
     rng = np.random.default_rng(2)
     starts, day = np.array([0, 3, 4]), np.array([1.0, 2.0, 7.0, 3.0])
@@ -190,7 +190,7 @@ def test_the_pass_over_days_adds_up_all_that_may_have_been() -> None:
     assert not over_days(*given, lasting, False)[-1].any()
 
 
-def test_neighbours_of_a_day_say_what_all_their_states_added_up_say() -> None:
+def test_neighbours_of_a_day_say_what_all_their_states_added_up_say():
     """Each side of a row is a chain of its own; levels that are alike speak for one spot."""
     day, place = np.array([5, 4, 5, 5, 4]), np.array([9, 3, 7, 4, 2])
     order = np.lexsort((place, day))
@@ -227,7 +227,7 @@ def test_neighbours_of_a_day_say_what_all_their_states_added_up_say() -> None:
     np.testing.assert_allclose(found[0], said([3, 2, 0]))
 
 
-def test_a_normal_error_blurs_each_cell_over_those_of_the_grid() -> None:
+def test_a_normal_error_blurs_each_cell_over_those_of_the_grid():
     probability = np.random.default_rng(3).dirichlet(np.ones(9), 2)
     std, step = np.array([0.02, 0.3]), 0.1
     cells = step * np.arange(9)

@@ -50,7 +50,7 @@ def dwell_train(**changes: Any) -> DwellTrain:
 
 
 @pytest.mark.parametrize("name", ["dwell.train.json", "dwell.train.toml"])
-def test_a_new_field_is_written_and_read(tmp_path: Path, name: str) -> None:
+def test_a_new_field_is_written_and_read(tmp_path, name):
     train = dwell_train(least_dwell=2.5)
     write_thing(train, tmp_path / name, DwellTrain)
     assert file_content(train)["least_dwell"] == {"value": 2.5, "unit": "s"}
@@ -67,7 +67,7 @@ def test_a_new_field_is_written_and_read(tmp_path: Path, name: str) -> None:
         ("x", "s", "least_dwell.value: must be a valid number"),
     ],
 )
-def test_the_new_field_is_checked(tmp_path: Path, value: Any, unit: str, message: str) -> None:
+def test_the_new_field_is_checked(tmp_path, value, unit, message):
     content = file_content(dwell_train()) | {"least_dwell": {"value": value, "unit": unit}}
     path = tmp_path / "dwell.train.json"
     path.write_text(json.dumps(content))
@@ -75,18 +75,18 @@ def test_the_new_field_is_checked(tmp_path: Path, value: Any, unit: str, message
     assert str(caught).startswith(f"{path}, {message}")
 
 
-def test_what_is_assumed_is_not_judged() -> None:
+def test_what_is_assumed_is_not_judged():
     refused(InputError, "stops take", check_plausible, dwell_train(least_dwell=100.0))
     check_plausible(dwell_train(least_dwell=100.0, assumed=("least_dwell",)))
 
 
 @pytest.mark.parametrize("kind", [Train, Line])
-def test_each_field_of_a_docstring_is_a_field(kind: type) -> None:
+def test_each_field_of_a_docstring_is_a_field(kind):
     named = {name for entry in entries(kind) for name in entry.names}
     assert set(meanings(kind)) <= named
 
 
-def test_a_network_in_place_of_a_line_asks_for_a_route(tmp_path: Path) -> None:
+def test_a_network_in_place_of_a_line_asks_for_a_route(tmp_path):
     file = tmp_path / "small.network.json"
     file.write_text('{"format": "trainlog/network", "version": 1}')
     with pytest.raises(InputError, match=r"name a route of the network: '.*json#FROM,TO'"):
@@ -151,7 +151,7 @@ assert "| `oil_flow` | m^3/s |" in topics_table() and "0 to 1200 l/min" in topic
 TOOLS = Path(__file__).parents[1] / "docs" / "tools"
 
 
-def test_a_new_field_is_one_entry(tmp_path: Path) -> None:
+def test_a_new_field_is_one_entry(tmp_path):
     run = subprocess.run(
         [sys.executable, "-c", ADDED, str(tmp_path), str(TOOLS)],
         capture_output=True,

@@ -62,7 +62,7 @@ def logs(results: Path) -> list[Path]:
     return sorted(results.glob("*/*.mcap"))
 
 
-def test_every_result_is_there_and_says_what_it_was_made_from(results: Path) -> None:
+def test_every_result_is_there_and_says_what_it_was_made_from(results):
     assert {p.stem for p in (results / "recorded").glob("*.mcap")} == {"recorder", "gnss"}
     assert count_of(results, "driven") == (12 if count_of(results) == 12 else 1)
     for name in ("parameters.json", "trajectory.json"):
@@ -75,7 +75,7 @@ def test_every_result_is_there_and_says_what_it_was_made_from(results: Path) -> 
     assert (results / "replay.rrd").read_bytes()[:4] == b"RRF2"
 
 
-def test_every_log_opens_in_the_official_reader(results: Path) -> None:
+def test_every_log_opens_in_the_official_reader(results):
     """Of the smallest all messages are read."""
     smallest, *_ = every = sorted(logs(results), key=lambda log: log.stat().st_size)
     for log in every:
@@ -87,7 +87,7 @@ def test_every_log_opens_in_the_official_reader(results: Path) -> None:
                 assert sum(1 for _ in reader.iter_messages()) == count
 
 
-def test_the_observed_set_holds_the_truth(results: Path) -> None:
+def test_the_observed_set_holds_the_truth(results):
     found = read_parameters(results / "parameters.json")
     truths = {log.stem: truth_of(trainlog.read(log)) for log in (results / "trips").glob("*.mcap")}
     known = [truth for truth in truths.values() if truth is not None]
@@ -100,7 +100,7 @@ def test_the_observed_set_holds_the_truth(results: Path) -> None:
     assert curve_error(found.common, known) <= 0.02
 
 
-def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results: Path) -> None:
+def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results):
     track = read_map(results / "wil.map")
     truths = [truth_of(trainlog.read(log)) for log in (results / "trips").glob("*.mcap")]
     error, bins = map_error(track, [truth for truth in truths if truth is not None])
@@ -113,7 +113,7 @@ def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results: Pat
         assert (~layer.observed).any()
 
 
-def test_the_trajectory_keeps_its_certificate(results: Path) -> None:
+def test_the_trajectory_keeps_its_certificate(results):
     trajectory = read_trajectory(results / "trajectory.json")
     observed = read_parameters(results / "parameters.json")
     assert len(trajectory.configurations) == len(observed.configurations)
@@ -126,7 +126,7 @@ def test_the_trajectory_keeps_its_certificate(results: Path) -> None:
     assert audit["adhesion"] <= 1.0 + 1e-4
 
 
-def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
+def test_driving_it_saves_energy_against_the_drivers(results):
     trips, driven = (
         [trainlog.read(log) for log in sorted((results / folder).glob("*.mcap"))]
         for folder in ("trips", "driven")
@@ -143,7 +143,7 @@ def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("results", [12], indirect=True)
-def test_readme_states_what_the_demo_shows(results: Path) -> None:
+def test_readme_states_what_the_demo_shows(results):
     """Its gap, its savings and how often wheels slipped."""
     certificate = read_trajectory(results / "trajectory.json").certificate
     gap = f"{at_most(certificate['gap'])} above the theoretical minimum"
@@ -162,7 +162,7 @@ def test_readme_states_what_the_demo_shows(results: Path) -> None:
     assert f"acts {blind} times" in readme
 
 
-def test_with_the_map_trips_are_on_time_and_hardly_slip(results: Path) -> None:
+def test_with_the_map_trips_are_on_time_and_hardly_slip(results):
     known, blind = (
         punctuality(sorted((results / folder).glob("*.mcap")))
         for folder in ("driven", "driven-blind")
@@ -180,7 +180,7 @@ def test_with_the_map_trips_are_on_time_and_hardly_slip(results: Path) -> None:
         assert abs(truth.position.iloc[-1] - line.length) <= 1.0
 
 
-def test_a_folder_of_other_files_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_of_other_files_is_left_alone(tmp_path):
     kept = tmp_path / "trips" / "mine.mcap"
     kept.parent.mkdir()
     kept.write_bytes(b"mine")
@@ -189,7 +189,7 @@ def test_a_folder_of_other_files_is_left_alone(tmp_path: Path) -> None:
     assert kept.read_bytes() == b"mine"
 
 
-def test_the_demo_can_be_repeated(tmp_path: Path) -> None:
+def test_the_demo_can_be_repeated(tmp_path):
     ran: list[list[str]] = []
     for _ in range(2):
         demo.run_demo(tmp_path / "results", Console(quiet=True), ran.append)
@@ -199,7 +199,7 @@ def test_the_demo_can_be_repeated(tmp_path: Path) -> None:
     assert not (tmp_path / "results" / "stale.json").exists()
 
 
-def test_commands_of_the_fleets_demo_are_public_and_two_trains_have_faults() -> None:
+def test_commands_of_the_fleets_demo_are_public_and_two_trains_have_faults():
     known = dict(every_command())
     for words in demo.fleet_commands(Path("out")):
         two = " ".join(words[:2])
@@ -212,7 +212,7 @@ def test_commands_of_the_fleets_demo_are_public_and_two_trains_have_faults() -> 
 
 
 @pytest.mark.long
-def test_the_demo_of_a_fleet_runs(tmp_path: Path) -> None:
+def test_the_demo_of_a_fleet_runs(tmp_path):
     results = tmp_path / "results"
     steps = demo.fleet_commands(results, trips=24)
     demo.run_demo(results, Console(quiet=True), cli.run, steps, demo.FLEET_THEN)

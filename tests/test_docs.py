@@ -50,7 +50,7 @@ def with_code() -> list[object]:
 
 @pytest.mark.usefixtures("unpainted_page")
 @pytest.mark.parametrize("page", with_code())
-def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_runs(page, tmp_path, monkeypatch):
     """Of the pictures that a page writes, those that it shows are painted, too."""
     shown, unpainted = LINK.findall(page.read_text("utf-8")), Figure.savefig
 
@@ -86,13 +86,13 @@ def assert_written(page: Path, folder: Path) -> None:
             assert (page.parent / target).is_file() or written.stat().st_size > 5_000, target
 
 
-def test_the_notebook_is_the_tutorial() -> None:
+def test_the_notebook_is_the_tutorial():
     """To renew it: python docs/tools/notebook.py docs/tutorials/developer.md THE_NOTEBOOK."""
     kept = TUTORIAL.with_suffix(".ipynb").read_text("utf-8")
     assert kept == notebook.written(notebook.from_page(TUTORIAL.read_text("utf-8")))
 
 
-def test_the_page_on_logs_ends_with_todays_table_of_topics() -> None:
+def test_the_page_on_logs_ends_with_todays_table_of_topics():
     page = (DOCS / "log.md").read_text("utf-8")
     assert page == with_topics(page), "run docs/tools/topic_table.py docs/log.md"
 
@@ -100,7 +100,7 @@ def test_the_page_on_logs_ends_with_todays_table_of_topics() -> None:
 PACKAGES = ("trainlog", "analysis", "estimators")
 
 
-def test_the_reference_has_every_public_name_once() -> None:
+def test_the_reference_has_every_public_name_once():
     text = "".join(page.read_text("utf-8") for page in sorted((DOCS / "reference").glob("*.md")))
     listed = re.findall(r"^::: (\S+)$", text, re.M)
     public = [
@@ -111,7 +111,7 @@ def test_the_reference_has_every_public_name_once() -> None:
     assert sorted(listed) == sorted(public)
 
 
-def test_every_page_is_in_the_navigation() -> None:
+def test_every_page_is_in_the_navigation():
     text = (CHECKOUT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
     missing = [
         page.relative_to(DOCS).as_posix()
@@ -121,7 +121,7 @@ def test_every_page_is_in_the_navigation() -> None:
     assert missing == []
 
 
-def test_validation_states_what_the_studies_reach() -> None:
+def test_validation_states_what_the_studies_reach():
     """The figures of the papers' systems are those of the page whose tables are tested."""
     studies = (DOCS / "studies.md").read_text("utf-8")
     validation = (DOCS / "validation.md").read_text("utf-8")
@@ -131,7 +131,7 @@ def test_validation_states_what_the_studies_reach() -> None:
     assert {number for number in stated if number not in studies} == set()
 
 
-def test_validation_names_benchmarks_that_there_are() -> None:
+def test_validation_names_benchmarks_that_there_are():
     text = (DOCS / "validation.md").read_text("utf-8")
     named = set(re.findall(r"python (benchmarks/\S+\.py)", text))
     assert len(named) > 20
@@ -152,7 +152,7 @@ def anchors_of(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_to_files_and_places_that_there_are(page: Path) -> None:
+def test_links_lead_to_files_and_places_that_there_are(page):
     text = page.read_text("utf-8")
     for target in LINK.findall(text):
         made = text.startswith(pages.EXECUTED) and target.endswith((".png", ".html"))
@@ -180,7 +180,7 @@ def resolved(dotted: str) -> object:
 NAME = re.compile(r"`((?:trainlog|analysis|estimators)(?:\.\w+)+)(?:\([^`]*)?`")
 
 
-def test_names_of_the_code_exist() -> None:
+def test_names_of_the_code_exist():
     # Names of messages, metadata records and files look alike.
     messages = {topic.message for topic in TOPICS.values()}
     messages |= {value for name, value in vars(records).items() if name.endswith("_RECORD")}
@@ -194,7 +194,7 @@ STUDIES = {"H": "hauck_2023", "A": "amirhosseini_2024", "C": "cunillera_2022", "
 RESULTS = ("as printed", "corrected", "reached", "differs", "not run")
 
 
-def test_every_part_of_a_paper_names_code_that_is_there_and_a_result() -> None:
+def test_every_part_of_a_paper_names_code_that_is_there_and_a_result():
     text = (DOCS / "papers.md").read_text("utf-8")
     rows = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("| ")]
     parts = [[cell.strip() for cell in row] for row in rows if len(row) == 4 and "`" in row[1]]
@@ -223,7 +223,7 @@ def installed(request: pytest.FixtureRequest, tmp_path: Path) -> Documentation:
     return Documentation(folder, built)
 
 
-def test_pages_are_found_by_name_and_by_what_they_describe(installed: Documentation) -> None:
+def test_pages_are_found_by_name_and_by_what_they_describe(installed):
     assert installed.place()[0].stem == "index"
     assert installed.place("planner") == installed.place("tutorials/planner")
     page, anchor = installed.place("read")
@@ -234,7 +234,7 @@ def test_pages_are_found_by_name_and_by_what_they_describe(installed: Documentat
     refused(InputError, r"no page 'palnner'.*near to it: planner", installed.place, "palnner")
 
 
-def test_a_site_of_other_files_is_not_put_into_the_wheel(tmp_path: Path) -> None:
+def test_a_site_of_other_files_is_not_put_into_the_wheel(tmp_path):
     for folder in ("docs", "build/site", "sample_logs"):
         (tmp_path / folder).mkdir(parents=True)
     for name in ("mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md", "docs/index.md"):

@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     "name",
     [pytest.param(name, marks=[pytest.mark.long] if name in LONG else []) for name in modules()],
 )
-def test_examples_run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_run(name, folder, monkeypatch):
     monkeypatch.chdir(folder)
     # doctest looks with each example whether any file changed that a traceback may show.
     monkeypatch.setattr(linecache, "checkcache", lambda _=None: None)

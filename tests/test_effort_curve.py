@@ -32,7 +32,7 @@ quick = settings(max_examples=30)
 
 @quick
 @given(effort_curves(1.0))
-def test_its_approximations_bound_it(curve: EffortCurve) -> None:
+def test_its_approximations_bound_it(curve):
     fastest = 1.3 * float(curve.speeds[-1]) + 1.0
     v = np.unique(np.concatenate((np.linspace(0.0, fastest, 500), curve.speeds)))
     top = curve.efforts.max()
@@ -52,9 +52,7 @@ def test_its_approximations_bound_it(curve: EffortCurve) -> None:
 
 @quick
 @given(effort_curves(1.0), st.floats(0.01, 1.0))
-def test_the_speed_at_an_effort_is_the_highest_that_gives_it(
-    curve: EffortCurve, share: float
-) -> None:
+def test_the_speed_at_an_effort_is_the_highest_that_gives_it(curve, share):
     falling = curve.without_rise
     effort = share * float(falling.efforts[0])
     speed = float(falling.speed_at(effort))
@@ -72,9 +70,7 @@ def test_the_speed_at_an_effort_is_the_highest_that_gives_it(
         ([0.0, 2.0], [1.0, -1.0], "negative"),
     ],
 )
-def test_curves_that_cannot_be_are_refused(
-    speeds: list[float], efforts: list[float], words: str
-) -> None:
+def test_curves_that_cannot_be_are_refused(speeds, efforts, words):
     refusal = refused(InputError, words, EffortCurve, np.array(speeds), np.array(efforts))
     assert refusal.remedy
 
@@ -82,7 +78,7 @@ def test_curves_that_cannot_be_are_refused(
 # ---- a train with curves ------------------------------------------------------------------------
 
 
-def test_the_least_of_curve_effort_and_power_counts() -> None:
+def test_the_least_of_curve_effort_and_power_counts():
     train = replace(FLIRT, traction_curve=CURVE, max_tractive_effort=90e3, max_traction_power=9e5)
     # By the largest effort, by the curve, by the power, by the curve.
     assert train.tractive_effort_limit([0.0, 10.0, 15.0, 30.0]) == pytest.approx(
@@ -92,7 +88,7 @@ def test_the_least_of_curve_effort_and_power_counts() -> None:
     assert braking.dynamic_braking_effort_limit([5.0, 30.0]).tolist() == [90e3, 20e3]
 
 
-def test_a_curve_without_effort_at_standstill_is_refused() -> None:
+def test_a_curve_without_effort_at_standstill_is_refused():
     with pytest.raises(InputError, match="no tractive effort at standstill"):
         replace(FLIRT, traction_curve=EffortCurve(np.array([0.0, 9.0]), np.array([0.0, 1.0])))
     fading = EffortCurve(np.array([0.0, 3.0, 40.0]), np.array([0.0, 9e4, 2e4]))
@@ -100,7 +96,7 @@ def test_a_curve_without_effort_at_standstill_is_refused() -> None:
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_a_curve_in_another_unit_than_it_states_is_refused(factor: float, tmp_path: Path) -> None:
+def test_a_curve_in_another_unit_than_it_states_is_refused(factor, tmp_path):
     curve = EffortCurve(CURVE.speeds, factor * CURVE.efforts)
     write_train(replace(FLIRT, traction_curve=curve), tmp_path / "odd.train.json")
     with pytest.raises(InputError, match=r"traction_curve: its largest effort.*contradicts"):
@@ -119,7 +115,7 @@ def test_a_curve_in_another_unit_than_it_states_is_refused(factor: float, tmp_pa
         "\ufeffspeed [km/h];effort [kN];;\n0;100;;\n36;80;;\n108;20;;\n",
     ],
 )
-def test_curves_are_read_from_csv(text: str, tmp_path: Path) -> None:
+def test_curves_are_read_from_csv(text, tmp_path):
     path = tmp_path / "curve.csv"
     path.write_text(text, encoding="utf-8")
     found = read_effort_curve(path)
@@ -139,7 +135,7 @@ def test_curves_are_read_from_csv(text: str, tmp_path: Path) -> None:
         ("speed [km/h];effort [kN]\n", "two at least"),
     ],
 )
-def test_bad_csv_is_refused_with_the_place(text: str, words: str, tmp_path: Path) -> None:
+def test_bad_csv_is_refused_with_the_place(text, words, tmp_path):
     path = tmp_path / "curve.csv"
     path.write_text(text, encoding="utf-8")
     refusal = refused(InputError, words, read_effort_curve, path)
@@ -160,9 +156,7 @@ def test_bad_csv_is_refused_with_the_place(text: str, words: str, tmp_path: Path
         ({"effort_curves": {"default_mode": "x", "modes": {}}}, "modes"),
     ],
 )
-def test_bad_rolling_stock_is_refused_with_the_place(
-    changes: dict[str, object], words: str, tmp_path: Path
-) -> None:
+def test_bad_rolling_stock_is_refused_with_the_place(changes, words, tmp_path):
     known = json.loads((DATA / "osrd/rolling_stocks/electric_rolling_stock.json").read_text())
     (tmp_path / "stock.json").write_text(json.dumps(known | changes))
     refused(InputError, words, osrd.read_train, tmp_path / "stock.json")
@@ -170,7 +164,7 @@ def test_bad_rolling_stock_is_refused_with_the_place(
 
 @SHARED
 @pytest.mark.parametrize("name", ["electric", "fast", "short_slow"])
-def test_the_trains_of_osrd_are_imported(name: str, tmp_path: Path) -> None:
+def test_the_trains_of_osrd_are_imported(name, tmp_path):
     path = DATA / "osrd" / "rolling_stocks" / f"{name}_rolling_stock.json"
     (written,) = import_file(path, tmp_path)
     train = read_train(written.path)
@@ -185,7 +179,7 @@ def test_the_trains_of_osrd_are_imported(name: str, tmp_path: Path) -> None:
 
 
 @SHARED
-def test_the_traction_units_of_railtoolkit_are_imported(tmp_path: Path) -> None:
+def test_the_traction_units_of_railtoolkit_are_imported(tmp_path):
     folder = DATA / "rolling_stock"
     for path in (*folder.glob("traction-unit/*.yaml"), *folder.glob("multiple-unit/*.yaml")):
         vehicles, _ = railtoolkit.read_rolling_stock(path)

@@ -53,7 +53,7 @@ def an_error(kind: type[TrainlogError]) -> TrainlogError:
     return kind(*arguments, **named)
 
 
-def test_every_error_survives_pickling_and_copying() -> None:
+def test_every_error_survives_pickling_and_copying():
     found = kinds()
     assert len(found) >= 11
     for kind in found:
@@ -81,7 +81,7 @@ def without_remedy() -> list[str]:
     ]
 
 
-def test_input_errors_state_a_remedy() -> None:
+def test_input_errors_state_a_remedy():
     """Those of a form state in the problem what a value must be; those of studies are few."""
     found = without_remedy()
     forms = [each for each in found if "/studies/" not in each]

@@ -75,7 +75,7 @@ def same(one: FloatArray, other: FloatArray) -> None:
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 @settings(max_examples=4)
 @given(cut=st.integers(0, COUNT))
-def test_stopped_and_resumed_it_goes_on_bit_for_bit(case: Case, cut: int) -> None:
+def test_stopped_and_resumed_it_goes_on_bit_for_bit(case, cut):
     whole, part = case.make(), case.make()
     case.feed(whole, slice(0, COUNT))
     case.feed(part, slice(0, cut))
@@ -89,7 +89,7 @@ def test_stopped_and_resumed_it_goes_on_bit_for_bit(case: Case, cut: int) -> Non
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_it_says_how_far_the_data_determine_the_answer(case: Case) -> None:
+def test_it_says_how_far_the_data_determine_the_answer(case):
     estimator = case.make()
     nothing = estimator.result()
     assert (nothing.valid, nothing.samples, nothing.resets) == (False, 0, 0)
@@ -108,7 +108,7 @@ def test_it_says_how_far_the_data_determine_the_answer(case: Case) -> None:
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_a_state_of_another_kind_or_incomplete_is_refused(case: Case) -> None:
+def test_a_state_of_another_kind_or_incomplete_is_refused(case):
     estimator = case.make()
     case.feed(estimator, slice(0, 50))
     state, kind = estimator.state(), type(estimator)

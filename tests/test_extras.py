@@ -51,7 +51,7 @@ def without_extras(program: str, folder: Path, kept: str = "") -> subprocess.Com
     return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
 
 
-def test_logs_are_read_recorded_converted_and_shown_without_any_extra(tmp_path: Path) -> None:
+def test_logs_are_read_recorded_converted_and_shown_without_any_extra(tmp_path):
     log = str(sample("nonstop.mcap"))
     shown = [log, str(sample("CH_StGallen_Wil.line.json")), str(sample(DEFAULT_TRAIN))]
     commands = [["show", each] for each in shown]
@@ -98,9 +98,7 @@ MISSING = (
 
 
 @pytest.mark.parametrize("kept", [pytest.param("", marks=pytest.mark.long), "learn"])
-def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(
-    kept: str, tmp_path: Path
-) -> None:
+def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(kept, tmp_path):
     missing = MISSING if kept else [(words, "learn") for words in LEARN]
     (tmp_path / "fit.json").write_text("{}")
     (tmp_path / "out.json").write_text("{}")
@@ -115,7 +113,7 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(
     assert not list(tmp_path.glob("*.rrd"))
 
 
-def test_each_extra_lists_its_packages() -> None:
+def test_each_extra_lists_its_packages():
     text = (Path(__file__).parents[1] / "pyproject.toml").read_text("utf-8")
     for module, extra in EXTRAS.items():
         section = text.partition(f"\n{extra} = [")[2].partition("]\n")[0]

@@ -33,7 +33,7 @@ def one(name: str, trip: TripView | str) -> pd.DataFrame:
     return ANALYSES[name].table(given)
 
 
-def test_each_table_has_the_columns_that_are_declared_and_documented() -> None:
+def test_each_table_has_the_columns_that_are_declared_and_documented():
     page = (DOCS / "fleet.md").read_text("utf-8")
     trip = view_of(LOGS[0])
     for analysis in ANALYSES.values():
@@ -48,7 +48,7 @@ def test_each_table_has_the_columns_that_are_declared_and_documented() -> None:
             assert row in part[1], row
 
 
-def test_results_are_those_of_the_single_analyses() -> None:
+def test_results_are_those_of_the_single_analyses():
     """Of the fit, of the map, and of times and works."""
     log = LOGS[1]
     row, fit = one("resistance", log).iloc[0], fit_trip(log)
@@ -71,7 +71,7 @@ def test_results_are_those_of_the_single_analyses() -> None:
     assert late > 0.0
 
 
-def test_a_trip_that_is_refused_has_a_row_with_the_reason() -> None:
+def test_a_trip_that_is_refused_has_a_row_with_the_reason():
     trip = view_of(LOGS[1])
     short = TripView(trip.trip.between("2024-10-07T08:01", "2024-10-07T08:03"))
     row = one("resistance", short).iloc[0]
@@ -80,7 +80,7 @@ def test_a_trip_that_is_refused_has_a_row_with_the_reason() -> None:
     assert np.isnan(row["mass"])
 
 
-def test_checks_list_what_is_wrong_with_a_recording() -> None:
+def test_checks_list_what_is_wrong_with_a_recording():
     trip = trainlog.read(LOGS[1])
     state, axles = trip["/train/state"].copy(), trip["/train/axles"].copy()
     state = state.drop(state.index[4000:4300])
@@ -96,7 +96,7 @@ def test_checks_list_what_is_wrong_with_a_recording() -> None:
     assert row["frozen_samples"] == 599
 
 
-def test_parameters_are_part_of_what_identifies_a_result() -> None:
+def test_parameters_are_part_of_what_identifies_a_result():
     coarse = ANALYSES["adhesion"].with_parameters(bin_length=100.0)
     assert coarse.digest != ANALYSES["adhesion"].digest
     fine, rough = (each.table(view_of(LOGS[0])) for each in (ANALYSES["adhesion"], coarse))

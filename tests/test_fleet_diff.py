@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import Shell
 from refusals import refused
 
 from analysis.fleet.analyses import ANALYSES, computation_of
@@ -82,9 +81,7 @@ def changed(column: str, change: Callable[[np.ndarray], np.ndarray]) -> FleetDif
         ("mass_std", 1.2, "within"),
     ],
 )
-def test_a_difference_is_of_the_class_that_its_band_gives(
-    column: str, factor: float, kind: str
-) -> None:
+def test_a_difference_is_of_the_class_that_its_band_gives(column, factor, kind):
     found = changed(column, lambda values: factor * values)
     assert found.trip_counts[kind].tolist() == [200]
     assert found.same == (kind == "same")
@@ -97,7 +94,7 @@ def test_a_difference_is_of_the_class_that_its_band_gives(
         assert rows.loc["mass", "band_ratio"] == pytest.approx(1.2)
 
 
-def test_a_shift_too_small_for_any_trip_is_found_in_the_mean_of_its_train_alone() -> None:
+def test_a_shift_too_small_for_any_trip_is_found_in_the_mean_of_its_train_alone():
     table = made_up()
     generator = np.random.default_rng(2)
     noise = 0.1 * table["mass_std"] * generator.standard_t(3.0, len(table))
@@ -115,7 +112,7 @@ def test_a_shift_too_small_for_any_trip_is_found_in_the_mean_of_its_train_alone(
     assert "unit-3" in [row["name"] for row in found.facts()["means"]]
 
 
-def test_differences_that_scatter_around_zero_are_rarely_called_systematic() -> None:
+def test_differences_that_scatter_around_zero_are_rarely_called_systematic():
     """Of twenty comparisons with 50 trains each, at a rate of one in twenty."""
     called = 0
     for seed in range(20):
@@ -127,7 +124,7 @@ def test_differences_that_scatter_around_zero_are_rarely_called_systematic() -> 
     assert called <= 4
 
 
-def test_trips_that_one_side_alone_accepts_are_listed_with_the_reason() -> None:
+def test_trips_that_one_side_alone_accepts_are_listed_with_the_reason():
     table = made_up()
     left = Results(table, outcomes_of(table))
     kept = table[~table["key"].isin(["00003", "00100"])]
@@ -154,7 +151,7 @@ def adhesion() -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def test_a_place_of_the_map_that_moved_is_named(adhesion: pd.DataFrame) -> None:
+def test_a_place_of_the_map_that_moved_is_named(adhesion):
     def with_more_adhesion(data: bytes) -> bytes:
         """The same evidence, but for more adhesion at the onsets of 18 to 21 km."""
         daily = evidence_of_row(data)
@@ -185,7 +182,7 @@ def counts_of(columns: dict[str, np.ndarray], name: str) -> pd.DataFrame:
     return table[["key", "trip", "train", "kind", "line", "start"]].head(count).assign(**columns)
 
 
-def test_a_count_moves_beyond_its_band_by_more_than_its_chance() -> None:
+def test_a_count_moves_beyond_its_band_by_more_than_its_chance():
     """Of n repairs the standard deviation by chance is the root of n; of none that of one."""
     before = np.array([0, 0, 1, 4, 100, 100, 10_000])
     after = np.array([1, 2, 2, 8, 119, 120, 10_195])
@@ -199,7 +196,7 @@ def test_a_count_moves_beyond_its_band_by_more_than_its_chance() -> None:
     assert "figures without a band" in found.sentence
 
 
-def test_what_parameters_change_by_definition_is_not_compared() -> None:
+def test_what_parameters_change_by_definition_is_not_compared():
     columns = {"bins": np.array([40, 30, 20]), "bin_length": 25.0, "weight": 10.0}
     columns |= {"weighted_log": np.array([-20.0, -18.0, -16.0])}
     one = counts_of(columns, "adhesion")
@@ -229,9 +226,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_results_of_other_code_that_differ_are_named(
-    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
-) -> None:
+def test_results_of_other_code_that_differ_are_named(place, tmp_path, monkeypatch, shell):
     """By code whose checks state durations that are 2 % too long."""
     checks = ANALYSES["checks"]
 
@@ -258,9 +253,7 @@ def test_results_of_other_code_that_differ_are_named(
     assert shell("fleet", "diff", "now", "now", *words)[0] == 0
 
 
-def test_parameters_that_change_the_bins_of_a_map(
-    place: Path, tmp_path: Path, shell: Shell
-) -> None:
+def test_parameters_that_change_the_bins_of_a_map(place, tmp_path, shell):
     words = ("--catalogue", place, "--workers", 0, "--trips", "weather = 'wet'")
     words += ("-o", tmp_path / "changes")
     status, shown, _ = shell("fleet", "diff", "now", "adhesion.bin_length=50", *words)
@@ -278,7 +271,7 @@ def test_parameters_that_change_the_bins_of_a_map(
         ("adhesion.bins=3", "has no parameter 'bins'; it has bin_length"),
     ],
 )
-def test_what_is_no_version_is_refused(place: Path, side: str, message: str, shell: Shell) -> None:
+def test_what_is_no_version_is_refused(place, side, message, shell):
     refused(InputError, r"no analysis 'resistence'.*resistance", typed_parameters, "resistence.a=3")
     refused(InputError, r"'speeds=3' is not a parameter", typed_parameters, "speeds=3")
     status, _, complaint = shell("fleet", "diff", "now", side, "--catalogue", place)
@@ -286,7 +279,7 @@ def test_what_is_no_version_is_refused(place: Path, side: str, message: str, she
     assert message in complaint
 
 
-def test_texts_that_differ_are_listed_but_no_estimate_moved() -> None:
+def test_texts_that_differ_are_listed_but_no_estimate_moved():
     table = made_up()
     other = table.assign(
         source=["assumed" if key == "00007" else "recorded" for key in table["key"]]

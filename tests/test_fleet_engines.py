@@ -108,9 +108,7 @@ def dask_threads(folder: Path) -> Iterator[tuple[str, int]]:
         yield cluster.scheduler_address, os.getpid()
 
 
-def test_a_fork_server_that_dies_is_no_interruption_by_the_user(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_fork_server_that_dies_is_no_interruption_by_the_user(monkeypatch):
     """What starting a worker raises then; the update goes on with a server of its own."""
 
     def refused_by_server(*_: object) -> None:
@@ -119,18 +117,16 @@ def test_a_fork_server_that_dies_is_no_interruption_by_the_user(
     monkeypatch.setattr(engine, "computed", abs)
     with engine.Processes(1) as processes:
         monkeypatch.setattr(processes._pool, "submit", refused_by_server)
-        found = processes.submit(-1)  # type: ignore[arg-type]
+        found = processes.submit(-1)
         assert isinstance(found.exception(PATIENCE), BrokenProcessPool)
         processes.renew()
-        assert processes.submit(-1).result(PATIENCE) == 1  # type: ignore[arg-type,comparison-overlap]
+        assert processes.submit(-1).result(PATIENCE) == 1
 
 
 @pytest.mark.parametrize(
     "started", [dask_threads, pytest.param(dask_cluster, marks=pytest.mark.long)]
 )
-def test_dask_gives_the_same_bytes_as_one_process(
-    place: Path, tmp_path: Path, fleet_logs: Path, started: Started
-) -> None:
+def test_dask_gives_the_same_bytes_as_one_process(place, tmp_path, fleet_logs, started):
     pytest.importorskip("distributed")
     with started(tmp_path) as (address, _):
         when_ready(address)
@@ -143,7 +139,7 @@ def test_dask_gives_the_same_bytes_as_one_process(
 
 
 @pytest.mark.long
-def test_dask_goes_on_when_its_workers_die(place: Path) -> None:
+def test_dask_goes_on_when_its_workers_die(place):
     pytest.importorskip("distributed")
     with dask_cluster(place) as (address, pid):
         when_ready(address)
@@ -158,9 +154,7 @@ def test_dask_goes_on_when_its_workers_die(place: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_scheduler_that_dies_ends_the_update_and_fails_no_trip(
-    tmp_path: Path, fleet_logs: Path
-) -> None:
+def test_a_scheduler_that_dies_ends_the_update_and_fails_no_trip(tmp_path, fleet_logs):
     pytest.importorskip("distributed")
     with open_catalogue(tmp_path / "dask") as catalogue, dask_cluster(tmp_path) as (address, _):
         catalogue.add(fleet_logs)
@@ -184,16 +178,14 @@ def kill_scheduler(address: str, catalogue: str) -> None:
             process.kill()
 
 
-def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(engine, "PATIENCE", 0.3)
     address = f"tcp://127.0.0.1:{free_port()}"
     refused(InputError, f"no Dask scheduler answers at {address}", Dask, address)
 
 
-def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(monkeypatch):
     pytest.importorskip("distributed")
 
     class Client:
@@ -220,9 +212,7 @@ def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(
 
 
 @pytest.mark.long
-def test_mpi_gives_the_same_bytes_as_one_process(
-    place: Path, tmp_path: Path, fleet_logs: Path
-) -> None:
+def test_mpi_gives_the_same_bytes_as_one_process(place, tmp_path, fleet_logs):
     workers = 2
     pytest.importorskip("mpi4py")
     mpiexec = Path(sys.executable).with_name("mpiexec")
@@ -243,7 +233,7 @@ def test_mpi_gives_the_same_bytes_as_one_process(
     assert kept(tmp_path / "mpi") == kept(place / "one")
 
 
-def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_extra_that_is_missing_is_named(monkeypatch):
     monkeypatch.setattr("trainlog.extras.find_spec", lambda _: None)
     refused(MissingExtraError, "distributed, which is not installed", Dask, "tcp://127.0.0.1:1")
     refused(MissingExtraError, "mpi4py, which is not installed", MPI)

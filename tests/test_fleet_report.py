@@ -12,7 +12,6 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 import pytest
-from command import Shell
 
 pytest.importorskip("sqlalchemy")
 
@@ -58,10 +57,10 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def table_of(page: Page, name: str) -> list[dict]:  # type: ignore[type-arg]
+def table_of(page: Page, name: str) -> list[dict]:
     """The rows of a table, by its name, wherever it stands."""
 
-    def parts(section: Section):  # type: ignore[no-untyped-def]
+    def parts(section: Section):
         for part in section.parts:
             yield from parts(part) if isinstance(part, Section) else [part]
 
@@ -71,7 +70,7 @@ def table_of(page: Page, name: str) -> list[dict]:  # type: ignore[type-arg]
 
 
 @pytest.fixture(scope="module")
-def catalogue(place: Path):  # type: ignore[no-untyped-def]
+def catalogue(place: Path):
     with open_catalogue(place) as opened:
         yield opened
 
@@ -81,7 +80,7 @@ def page(catalogue: Catalogue) -> Page:
     return fleet_page(catalogue, FleetReportOptions())
 
 
-def test_trips_and_energy_are_those_of_the_tables(catalogue: Catalogue, page: Page) -> None:
+def test_trips_and_energy_are_those_of_the_tables(catalogue, page):
     trips = catalogue.query()
     by_train = table_of(page, "by_train")
     assert sum(row["trips"] for row in by_train) == len(trips) == 2
@@ -99,7 +98,7 @@ def test_trips_and_energy_are_those_of_the_tables(catalogue: Catalogue, page: Pa
 
 
 @pytest.mark.usefixtures("unpainted_page")
-def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(page: Page) -> None:
+def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(page):
     (row,) = table_of(page, "refused")
     assert (row["analysis"], row["trips"]) == ("passport", 1)
     assert row["reason_of_one_of_them"] == REASON
@@ -111,7 +110,7 @@ def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(pa
     assert REASON in unescape(html)
 
 
-def test_the_condition_is_that_of_the_maps(catalogue: Catalogue, page: Page) -> None:
+def test_the_condition_is_that_of_the_maps(catalogue, page):
     rows = table_of(page, "edges")
     assert {row["layer"] for row in rows} == {"dry", "wet"}
     evidence = catalogue.results("adhesion").groupby("layer")["onsets"].sum()
@@ -121,7 +120,7 @@ def test_the_condition_is_that_of_the_maps(catalogue: Catalogue, page: Page) -> 
     assert np.all(np.diff(lowest) >= 0.0)
 
 
-def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> None:
+def test_findings_and_trains_without_a_result_are_listed_with_what_to_do():
     keys = [str(number) for number in range(8)]
     trips = pd.DataFrame(
         {
@@ -171,7 +170,7 @@ def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> No
     assert "record the speeds of its axles" in rows[3][2]
 
 
-def test_trips_whose_dates_contradict_each_other_are_named() -> None:
+def test_trips_whose_dates_contradict_each_other_are_named():
     """A train that runs to and fro; two recorders on one trip contradict nothing."""
     hour, day = pd.Timedelta("1h"), pd.Timedelta("1D")
     start = pd.Timestamp("2026-10-01T05:00Z") + np.arange(12) * hour
@@ -203,9 +202,7 @@ def test_trips_whose_dates_contradict_each_other_are_named() -> None:
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_writes_one_page_that_asks_for_nothing(
-    place: Path, network: Path, tmp_path: Path, shell: Shell
-) -> None:
+def test_the_command_writes_one_page_that_asks_for_nothing(place, network, tmp_path, shell):
     words = ("report", place, "--network", network, "-o", tmp_path / "fleet.html")
     assert shell(*words)[0] == 0
     html = (tmp_path / "fleet.html").read_text("utf-8")

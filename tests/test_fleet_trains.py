@@ -61,9 +61,7 @@ def faulty(seed: int = 1) -> FleetTrains:
 
 
 @pytest.mark.parametrize(("end", "share"), [(SINCE + 9, 1.0), (None, 0.5)])
-def test_a_fault_that_goes_again_or_comes_on_some_trips_is_one_finding(
-    end: int | None, share: float
-) -> None:
+def test_a_fault_that_goes_again_or_comes_on_some_trips_is_one_finding(end, share):
     faults = tuple(
         Fault(what, size, n, SINCE, end, share) for n, (what, size) in enumerate(FAULTS.items())
     )
@@ -105,7 +103,7 @@ def true_curves(kind: KindResistance, rows: pd.DataFrame) -> dict[str, np.ndarra
 # ------------------------------------------------------------------------------- resistance
 
 
-def test_bands_hold_the_true_curves_after_one_trip_and_after_many() -> None:
+def test_bands_hold_the_true_curves_after_one_trip_and_after_many():
     for trips in (1, 5):
         inside = []
         for seed in range(2):
@@ -120,7 +118,7 @@ def test_bands_hold_the_true_curves_after_one_trip_and_after_many() -> None:
         assert np.mean(inside) >= 0.9, trips
 
 
-def test_a_gain_that_many_trips_share_does_not_explain_their_noise() -> None:
+def test_a_gain_that_many_trips_share_does_not_explain_their_noise():
     rows = drawn_fleet(pool("flirt"), 12, trains=4, trips=150)
     # Two of them weigh no load: their efforts are as uncertain as a recorder's gain.
     unknown = rows["train"].isin(sorted(rows["train"].unique())[:2]).to_numpy()
@@ -139,7 +137,7 @@ def test_a_gain_that_many_trips_share_does_not_explain_their_noise() -> None:
 # -------------------------------------------------------------------------- unlike trains
 
 
-def test_faults_are_named_with_beginning_and_size_and_healthy_trains_raise_no_alarm() -> None:
+def test_faults_are_named_with_beginning_and_size_and_healthy_trains_raise_no_alarm():
     found = faulty()
     for number, (what, size) in enumerate(FAULTS.items(), start=1):
         for kind in KINDS:
@@ -170,7 +168,7 @@ def test_faults_are_named_with_beginning_and_size_and_healthy_trains_raise_no_al
 
 
 @pytest.mark.long
-def test_a_fleet_of_healthy_trains_raises_no_alarm() -> None:
+def test_a_fleet_of_healthy_trains_raises_no_alarm():
     healthy = fleet_trains(drawn_fleet(pool(), 9, trains=6, trips=60))
     assert healthy.unlike.findings == ()
     assert healthy.unlike.train_months == pytest.approx(12.0, abs=1.0)
@@ -185,8 +183,8 @@ def test_a_fleet_of_healthy_trains_raises_no_alarm() -> None:
     ],
 )
 def test_a_train_is_compared_with_its_own_past_and_with_its_kind(
-    fault: Fault, seed: int, trains: int, trips: int, against: str
-) -> None:
+    fault, seed, trains, trips, against
+):
     rows = drawn_fleet(pool("flirt"), seed, trains=trains, trips=trips, faults=(fault,))
     found = fleet_trains(rows)
     (finding,) = found.unlike.findings
@@ -195,7 +193,7 @@ def test_a_train_is_compared_with_its_own_past_and_with_its_kind(
     assert all(np.isnan(each.constant) for each in found.unlike.limits) == (trains == 1)
 
 
-def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_path: Path) -> None:
+def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_path):
     fault = Fault("dragging brake", 12000.0, 0, 0)
     found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=10, faults=(fault,)))
     assert found.unlike.findings == ()
@@ -224,8 +222,8 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
     ],
 )
 def test_a_gross_fault_of_one_of_two_trains_does_not_hide_itself_in_the_noise(
-    kind: str, what: str, size: float, trips: int, since: int
-) -> None:
+    kind, what, size, trips, since
+):
     fault = Fault(what, size, 1, since)
     found = fleet_trains(drawn_fleet(pool(kind), 37, trains=2, trips=trips, faults=(fault,)))
     (finding,) = found.unlike.findings
@@ -241,7 +239,7 @@ def test_a_gross_fault_of_one_of_two_trains_does_not_hide_itself_in_the_noise(
             assert each.change < 1.25 * limits[each.train, each.channel] + 1e-9
 
 
-def test_a_step_that_is_no_finding_is_stated() -> None:
+def test_a_step_that_is_no_finding_is_stated():
     fault = Fault("effort gain", 0.1, 1, 4)
     rows = drawn_fleet(pool("kiss"), 37, trains=2, trips=7, faults=(fault,))
     found = fleet_trains(rows)
@@ -259,7 +257,7 @@ def test_a_step_that_is_no_finding_is_stated() -> None:
     assert "step of +2 %" in " ".join(row["what"] for row in table.data)
 
 
-def test_what_is_not_recorded_is_not_judged_and_this_is_stated() -> None:
+def test_what_is_not_recorded_is_not_judged_and_this_is_stated():
     fault = Fault("wheel diameter", 0.01, 0, SINCE), Fault("effort gain", 0.05, 1, SINCE)
     rows = drawn_fleet(pool("flirt"), 7, trains=5, trips=60, faults=fault)
     blind = rows["train"].isin(["flirt-01", "flirt-02"])
@@ -276,7 +274,7 @@ def test_what_is_not_recorded_is_not_judged_and_this_is_stated() -> None:
     assert limits["flirt-03", "speed scale"].change < 0.01
 
 
-def test_a_single_bad_trip_is_not_a_fault_of_its_train() -> None:
+def test_a_single_bad_trip_is_not_a_fault_of_its_train():
     rows = drawn_fleet(pool("flirt"), 8, trains=5, trips=50)
     bad = rows.index[(rows["train"] == "flirt-01")][45]
     rows.loc[bad, "r0"] += 20e3
@@ -292,7 +290,7 @@ def drift(found: FleetTrains, train: str, channel: str) -> Drift:
 
 
 @pytest.mark.parametrize("trips", [60, pytest.param(180, marks=pytest.mark.long)])
-def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(trips: int) -> None:
+def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(trips):
     """Over a year, of few trips or of many."""
     rows = drawn_fleet(
         pool("flirt"), 11, trains=5, trips=trips, trips_a_day=trips / 360.0, wear=0.0, season=0.06
@@ -316,9 +314,7 @@ def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(t
 # -------------------------------------------------------------------------------- catalogue
 
 
-def test_stored_results_show_trains_and_stand_for_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stored_results_show_trains_and_stand_for_logs(tmp_path, monkeypatch):
     with open_catalogue(tmp_path) as catalogue:
         catalogue.add("sample_logs")
         for name in ("resistance", "passport"):

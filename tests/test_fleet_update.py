@@ -23,7 +23,7 @@ from refusals import refused
 import trainlog
 from analysis.adhesion.condition_map import update_map
 from analysis.fleet import maps
-from analysis.fleet.analyses import ANALYSES, FleetAnalysis, computation_of
+from analysis.fleet.analyses import ANALYSES, computation_of
 from analysis.fleet.engine import Processes
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
@@ -63,7 +63,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, fleet_logs: Path) -> d
 def updated(place: Path | str, *analyses: object, **options: object) -> FleetUpdate:
     given = {"workers": 0, **options}
     with open_catalogue(place) as catalogue:
-        return update_fleet(catalogue, analyses or None, UpdateOptions(**given))  # type: ignore[arg-type]
+        return update_fleet(catalogue, analyses or None, UpdateOptions(**given))
 
 
 def results(place: Path, analysis: str) -> pd.DataFrame:
@@ -71,17 +71,13 @@ def results(place: Path, analysis: str) -> pd.DataFrame:
         return catalogue.results(analysis)
 
 
-def test_two_workers_give_the_same_bytes_as_one_process(
-    place: Path, undisturbed: dict[str, bytes]
-) -> None:
+def test_two_workers_give_the_same_bytes_as_one_process(place, undisturbed):
     found = updated(place, workers=2, batch=1)
     assert (found.engine, found.workers, found.trips) == ("processes", 2, TRIPS)
     assert kept(place) == undisturbed
 
 
-def test_threads_as_any_executor_give_the_same_bytes(
-    place: Path, undisturbed: dict[str, bytes]
-) -> None:
+def test_threads_as_any_executor_give_the_same_bytes(place, undisturbed):
     with ThreadPoolExecutor(2) as executor:
         analyses = ("adhesion", "checks")
         found = updated(place, *analyses, workers=None, executor=executor, batch=2)
@@ -93,7 +89,7 @@ def test_threads_as_any_executor_give_the_same_bytes(
     }
 
 
-def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_computed_twice(place, monkeypatch):
     assert updated(place, "checks", where="weather = 'wet'").trips == TRIPS // 2
     assert updated(place, "checks").trips == TRIPS - TRIPS // 2
     monkeypatch.setattr("analysis.fleet.work.computed", None)
@@ -111,9 +107,7 @@ def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch)
     refused(InputError, "batch of 0 trips", UpdateOptions, batch=0)
 
 
-def test_other_code_and_other_parameters_are_computed_anew(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_code_and_other_parameters_are_computed_anew(place, monkeypatch):
     updated(place, "adhesion", "checks")
     coarse = ANALYSES["adhesion"].with_parameters(bin_length=100.0)
     assert updated(place, coarse).trips == TRIPS
@@ -123,7 +117,7 @@ def test_other_code_and_other_parameters_are_computed_anew(
     assert updated(place, "checks").trips == TRIPS
 
 
-def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> None:
+def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place):
     found = updated(place, WRONG)
     counts = found.counts["wrong"]
     assert (counts.done, counts.refused, counts.failed) == (TRIPS - 2, 1, 1)
@@ -147,9 +141,7 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> Non
     [DEADLY, pytest.param(DEADLY_AFTER, marks=pytest.mark.long)],
     ids=["deadly", "after"],
 )
-def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(
-    place: Path, analysis: FleetAnalysis, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(place, analysis, monkeypatch):
     monkeypatch.setattr("analysis.fleet.engine.PATIENCE", 1.0)
     found = updated(place, analysis, workers=2, batch=3)
     assert found.counts[analysis.name].done == TRIPS - 1
@@ -162,7 +154,7 @@ def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(
     ]
 
 
-def test_a_log_that_cannot_be_read_is_named_and_tried_again(place: Path, tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_read_is_named_and_tried_again(place, tmp_path):
     gone, changed = (tmp_path / "logs" / f"trip-00{number}.mcap" for number in (0, 3))
     gone.rename(tmp_path / "elsewhere.mcap")
     shutil.copy(tmp_path / "logs" / "trip-001.mcap", changed)
@@ -175,9 +167,7 @@ def test_a_log_that_cannot_be_read_is_named_and_tried_again(place: Path, tmp_pat
     assert updated(place, "checks").counts["checks"].done == 1
 
 
-def test_trips_whose_logs_are_gone_are_counted_apart(
-    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_trips_whose_logs_are_gone_are_counted_apart(place, tmp_path, capsys):
     first, *_ = sorted((tmp_path / "logs").rglob("*.mcap"))
     first.unlink()
     with open_catalogue(place) as catalogue:
@@ -195,11 +185,8 @@ def test_trips_whose_logs_are_gone_are_counted_apart(
 
 @pytest.mark.usefixtures("analysed_once")
 def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
-    place: Path,
-    undisturbed: dict[str, bytes],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    place, undisturbed, tmp_path, monkeypatch
+):
     """Also where its evidence was summed up."""
     monkeypatch.setattr(maps, "KEPT", 1)
     (name,) = (name for name in undisturbed if name.endswith(".map"))
@@ -236,8 +223,8 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
 
 
 def test_edges_are_brought_up_to_date_side_by_side_with_the_same_result(
-    place: Path, fleet_logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    place, fleet_logs, monkeypatch
+):
     """Of three lines, by one process and by two, of which one is killed."""
     logs = [trainlog.read(log) for log in sorted(fleet_logs.glob("*.mcap"))]
     for number, name in enumerate(("second", "third"), 1):
@@ -290,8 +277,8 @@ class Killing:
 
 
 def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
-    place: Path, undisturbed: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    place, undisturbed, monkeypatch
+):
     assert updated(place, "adhesion").maps is not None
     with open_catalogue(place) as catalogue:
         adhesion, folder = ANALYSES["adhesion"], maps_folder(catalogue)
@@ -342,8 +329,8 @@ def places(
     ],
 )
 def test_an_update_killed_at_random_moments_counts_each_trip_once(
-    server: str, kills: int, trips: int, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+    server, kills, trips, tmp_path, request
+):
     short_trips(tmp_path / "logs", trips)
     place = places(server, tmp_path, request, "one", "many")
     for at in place.values():
@@ -371,13 +358,8 @@ def test_an_update_killed_at_random_moments_counts_each_trip_once(
 @SERVERS
 @pytest.mark.parametrize(("each", "at_random", "together"), [(10, 20, 1), (3, 20, 2)])
 def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_gives(
-    server: str,
-    each: int,
-    at_random: int,
-    together: int,
-    tmp_path: Path,
-    request: pytest.FixtureRequest,
-) -> None:
+    server, each, at_random, together, tmp_path, request
+):
     short_trips(tmp_path / "logs", 6)
     place = places(server, tmp_path, request, "one", "many")
     with open_catalogue(place["one"]) as known:
@@ -406,9 +388,7 @@ def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_giv
 
 
 @pytest.mark.long
-def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
-    tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(tmp_path, request):
     short_trips(tmp_path / "logs", 4)
     disk = tmp_path / "disk"
     disk.mkdir()
@@ -442,13 +422,13 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
     assert all("free some space" in str(remedy) for _, _, remedy in full)
 
 
-def test_a_fleet_is_asked_for_page_by_page(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fleet_is_asked_for_page_by_page(place, monkeypatch):
     monkeypatch.setattr("analysis.fleet.update.PAGE", 2)
     asked = []
     pending = Catalogue.pending
 
     def noted(*given: object, **named: object) -> pd.DataFrame:
-        asked.append(pending(*given, **named))  # type: ignore[arg-type]
+        asked.append(pending(*given, **named))
         return asked[-1]
 
     monkeypatch.setattr(Catalogue, "pending", noted)

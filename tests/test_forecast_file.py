@@ -34,9 +34,7 @@ def written(folder: Path, *rows: str, header: str = HEADER) -> Path:
     return path
 
 
-def test_a_row_is_a_distribution_through_its_points(
-    tmp_path: Path, track: TrackConditionMap
-) -> None:
+def test_a_row_is_a_distribution_through_its_points(tmp_path, track):
     found = stated_forecast(read_forecast(written(tmp_path, ROW)), track)("wet", NOON)
     assert np.flatnonzero(found.observed).tolist() == list(range(40, 80))
     here = found.at_bins([50])
@@ -49,9 +47,7 @@ def test_a_row_is_a_distribution_through_its_points(
     assert upper == pytest.approx(expected, abs=0.05)
 
 
-def test_a_row_holds_in_its_time_and_rail_condition_and_the_last_issued_counts(
-    tmp_path: Path, track: TrackConditionMap
-) -> None:
+def test_a_row_holds_in_its_time_and_rail_condition_and_the_last_issued_counts(tmp_path, track):
     later = ROW.replace("2026-11-21T18:00Z", "2026-11-21T23:00Z").replace("0.12", "0.16")
     anyone = ROW.replace(",wet,", ",,").replace(",1,2,", ",0,5,").replace("0.12", "0.3")
     forecaster = stated_forecast(read_forecast(written(tmp_path, ROW, later, anyone)), track)
@@ -88,7 +84,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("header", "row", "place", "words"), BAD)
-def test_bad_rows_are_named(tmp_path: Path, header: str, row: str, place: str, words: str) -> None:
+def test_bad_rows_are_named(tmp_path, header, row, place, words):
     path = written(tmp_path, row, header=header)
     with pytest.raises(InputError) as refused:
         read_forecast(path)
@@ -96,7 +92,7 @@ def test_bad_rows_are_named(tmp_path: Path, header: str, row: str, place: str, w
         assert each in str(refused.value)
 
 
-def test_all_that_is_wrong_is_listed_at_once(tmp_path: Path) -> None:
+def test_all_that_is_wrong_is_listed_at_once(tmp_path):
     wrong = ROW.replace("0.08,0.12", "8,low").replace(",wet,", ",wett,").replace(",1,2,", ",2,1,")
     foo = ROW.replace("CH_StGallen_Wil", "Foo")
     path = written(tmp_path, wrong, foo, ROW.replace(",1,2,", ",1,99,"))
@@ -122,15 +118,13 @@ def test_all_that_is_wrong_is_listed_at_once(tmp_path: Path) -> None:
         read_forecast(path)
 
 
-def test_two_forecasts_of_one_place_and_time_are_refused(
-    tmp_path: Path, track: TrackConditionMap
-) -> None:
+def test_two_forecasts_of_one_place_and_time_are_refused(tmp_path, track):
     both = read_forecast(written(tmp_path, ROW, ROW.replace(",1,2,", ",1.5,3,")))
     with pytest.raises(InputError, match=r"line 3 and forecast.csv, line 2 both hold .* km 1\.500"):
         stated_forecast(both, track)("wet", NOON)
 
 
-def test_a_forecast_for_another_line_is_refused(tmp_path: Path, track: TrackConditionMap) -> None:
+def test_a_forecast_for_another_line_is_refused(tmp_path, track):
     other = read_forecast(written(tmp_path, ROW.replace("CH_StGallen_Wil", "A-B")))
     with pytest.raises(InputError, match="is for line 'A-B', the trips ran on 'CH_StGallen_Wil'"):
         stated_forecast(other, track)
@@ -139,7 +133,7 @@ def test_a_forecast_for_another_line_is_refused(tmp_path: Path, track: TrackCond
         stated_forecast(beyond, track)
 
 
-def test_what_a_map_expects_survives_the_file(tmp_path: Path, track: TrackConditionMap) -> None:
+def test_what_a_map_expects_survives_the_file(tmp_path, track):
     path = tmp_path / "forecast.csv"
     write_forecast(forecast_of(track, NOON, hours=6.0), path)
     read = stated_forecast(read_forecast(path), track)

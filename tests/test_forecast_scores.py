@@ -54,9 +54,7 @@ def normal(mean: FloatArray | float, std: FloatArray | float, bins: int = BINS) 
 
 @settings(max_examples=40)
 @given(st.floats(0.05, 0.4), st.floats(0.05, 0.5), st.floats(0.05, 0.4))
-def test_scores_of_a_normal_forecast_are_those_of_the_textbook(
-    median: float, std: float, met: float
-) -> None:
+def test_scores_of_a_normal_forecast_are_those_of_the_textbook(median, std, met):
     forecast, z = normal(np.log(median), std, 1), (np.log(met) - np.log(median)) / std
     if abs(z) < 2.5:
         known = stats.norm.logpdf(np.log(met), np.log(median), std)
@@ -77,7 +75,7 @@ def test_scores_of_a_normal_forecast_are_those_of_the_textbook(
         max_size=30,
     ).filter(lambda rows: any(row[1] + row[2] for row in rows))
 )
-def test_the_brier_score_is_its_parts_together(rows: list[tuple[float, int, int]]) -> None:
+def test_the_brier_score_is_its_parts_together(rows):
     chance = np.array([row[0] for row in rows])
     slips, others = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2))
     found = brier_score(brier_sums(chance, slips + others, slips))
@@ -87,7 +85,7 @@ def test_the_brier_score_is_its_parts_together(rows: list[tuple[float, int, int]
     assert parts == pytest.approx(direct, abs=1e-12)
 
 
-def test_censored_values_do_not_bend_the_observed_shares() -> None:
+def test_censored_values_do_not_bend_the_observed_shares():
     generator = np.random.default_rng(3)
     value, limit = generator.uniform(size=40_000), generator.beta(1.0, 2.0, 40_000)
     shown = value < limit
@@ -110,7 +108,7 @@ def evidence(day: int, met: dict[int, float], used: dict[int, int]) -> DailyEvid
     return DailyEvidence.of_bins(day, weight > 0, weight, log, levels)
 
 
-def test_demand_leaves_out_the_day_and_spreads_what_slipped_over_higher_demands() -> None:
+def test_demand_leaves_out_the_day_and_spreads_what_slipped_over_higher_demands():
     days = [
         evidence(1, {}, {0: 4, 1: 10}),
         evidence(2, {}, {0: 6, 1: 10}),
@@ -193,10 +191,10 @@ def others(rail: Drawn) -> dict[str, Forecaster]:
         "too wide": normal(true.log_mean, 3.0 * true.log_std),
         "the mean of the line": normal(np.mean(true.log_mean), 0.35),
     }
-    return {name: lambda layer, time, each=each: each for name, each in made.items()}  # type: ignore[misc]
+    return {name: lambda layer, time, each=each: each for name, each in made.items()}
 
 
-def test_a_forecaster_that_knows_the_rail_beats_those_that_do_not() -> None:
+def test_a_forecaster_that_knows_the_rail_beats_those_that_do_not():
     rail = drawn(2)
     best = scored(rail, rail.knows)
     assert best.log_score("onsets", over="prior").low > 0.5
@@ -210,7 +208,7 @@ def test_a_forecaster_that_knows_the_rail_beats_those_that_do_not() -> None:
 
 
 @pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 2])
-def test_calibrated_forecasts_are_reliable_and_others_are_not(seed: int) -> None:
+def test_calibrated_forecasts_are_reliable_and_others_are_not(seed):
     rail = drawn(seed)
     best = scored(rail, rail.knows)
     # An onset within a level of what another trip used without slip may be counted before it.
@@ -228,7 +226,7 @@ def test_calibrated_forecasts_are_reliable_and_others_are_not(seed: int) -> None
     assert high.brier_figure("reliability").low > best.brier_figure("reliability").value
 
 
-def test_the_probability_of_slip_is_that_of_asking_for_more_than_there_is() -> None:
+def test_the_probability_of_slip_is_that_of_asking_for_more_than_there_is():
     generator = np.random.default_rng(1)
     forecast = normal(np.log(0.1), 0.2, 1)
     share = np.zeros((1, LEVELS.size))
@@ -239,7 +237,7 @@ def test_the_probability_of_slip_is_that_of_asking_for_more_than_there_is() -> N
     assert slip_probability(forecast, share, asked)[0] == pytest.approx(counted, abs=0.005)
 
 
-def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored() -> None:
+def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored():
     rail = drawn(1)
     true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
     half = np.arange(BINS) < BINS // 2
@@ -257,7 +255,7 @@ def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored() -> No
     assert some.alarm().foreseen_known.value == pytest.approx(whole.alarm().foreseen.value, abs=0.1)
 
 
-def test_bands_need_some_days_and_hold_the_figure() -> None:
+def test_bands_need_some_days_and_hold_the_figure():
     rail = drawn(3)
     found = scored(rail, rail.knows).log_score("onsets")
     assert found.low < found.value < found.high

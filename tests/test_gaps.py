@@ -69,9 +69,7 @@ STATE, CONTROLS, AXLES, MOTION = "/train/state", "/train/controls", "/train/axle
         ((STATE, "speed", "position"), (AXLES,), 25.0, "no speed for 20 s, bridged by satellites'"),
     ],
 )
-def test_work_over_a_bridged_gap_is_that_of_the_true_motion(
-    lost: tuple[str, ...], topics: tuple[str, ...], first: float, words: str
-) -> None:
+def test_work_over_a_bridged_gap_is_that_of_the_true_motion(lost, topics, first, words):
     trip = less(without(whole(), *lost, first=first), *topics)
     found, own = compare(trip).trip("trip-03"), compared_whole()
     assert found.trip.sums["traction"][-1] == pytest.approx(true_work(trip), rel=0.01)
@@ -89,9 +87,7 @@ def test_work_over_a_bridged_gap_is_that_of_the_true_motion(
         ((CONTROLS, "tractive_effort"), (), "no effort for 20 s, not known there"),
     ],
 )
-def test_work_over_a_gap_that_nothing_bridges_is_not_stated(
-    lost: tuple[str, ...], topics: tuple[str, ...], words: str
-) -> None:
+def test_work_over_a_gap_that_nothing_bridges_is_not_stated(lost, topics, words):
     trip = less(without(whole(), *lost, first=600.0), *topics)
     cost = trip_cost(trip)
     assert np.isnan(cost.traction)
@@ -107,7 +103,7 @@ def test_work_over_a_gap_that_nothing_bridges_is_not_stated(
     assert words in compared._repr_html_()
 
 
-def test_a_trip_with_position_alone_has_its_speed_from_there() -> None:
+def test_a_trip_with_position_alone_has_its_speed_from_there():
     trip = whole().with_topic(whole()["/train/state"].assign(speed=np.nan))
     assert trip_cost(trip).traction == pytest.approx(true_work(trip), rel=0.01)
 
@@ -123,7 +119,7 @@ def calculated(trip: Trip) -> Calculation:
 
 
 @pytest.mark.parametrize("bridged", [True, False])
-def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
+def test_a_calculation_starts_anew_behind_a_gap(bridged):
     trip = without(simulated(), "/train/state", "speed", first=200.0)
     if not bridged:
         trip = without(trip, "/train/state", "position", first=200.0)
@@ -152,13 +148,13 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
     assert f"{trip.name}: no speed for 20 s" in found._repr_html_()
 
 
-def test_a_drive_given_twice_is_judged_once() -> None:
+def test_a_drive_given_twice_is_judged_once():
     found = calculated(simulated())
     assert judged_together([found, replace(found, notes=("copy",))]).judged_trips == 1
     assert "1 given twice, counted once" in together_words([found, found], found.diagnosis)
 
 
-def test_what_a_model_does_not_determine_is_said_so() -> None:
+def test_what_a_model_does_not_determine_is_said_so():
     found = calculated(simulated())
     first = found.table.index[0]
     table = found.table.copy()

@@ -175,9 +175,7 @@ def digest(values: ArrayLike) -> dict[str, object]:
 @pytest.mark.usefixtures("remembered")
 @pytest.mark.parametrize("log", LOGS)
 @pytest.mark.parametrize("name", REPLAYS)
-def test_replay_gives_what_it_gave(
-    name: str, log: str, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
+def test_replay_gives_what_it_gave(name, log, request, tmp_path):
     renew, path = request.config.getoption("--renew-golden"), path_of(name, log)
     made = path if renew else tmp_path / path.name
     found = replayed(REPLAYS[name], log)
@@ -187,6 +185,6 @@ def test_replay_gives_what_it_gave(
     assert not changed, f"{changed}; if it is meant: --renew-golden"
 
 
-def test_every_reference_belongs_to_a_replay() -> None:
+def test_every_reference_belongs_to_a_replay():
     wanted = {path_of(name, log) for name in REPLAYS for log in LOGS}
     assert set(GOLDEN.glob("*.json")) == wanted

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,7 +63,7 @@ def true_means(slopes: StepProfile, position: np.ndarray) -> np.ndarray:
     "line",
     ["hills", *(pytest.param(line, marks=pytest.mark.long) for line in ("long hills", "level"))],
 )
-def test_ten_rides_give_gradients_whose_band_holds(line: str) -> None:
+def test_ten_rides_give_gradients_whose_band_holds(line):
     length = 20_000.0 if line == "long hills" else 12_000.0
     errors, inside, stated = [], [], []
     for seed in range(2):
@@ -80,7 +79,7 @@ def test_ten_rides_give_gradients_whose_band_holds(line: str) -> None:
     assert rms < 1.25 * np.sqrt(np.mean(np.concatenate(stated) ** 2))
 
 
-def test_altitudes_of_a_cold_start_count_as_little_as_they_are_stated_to() -> None:
+def test_altitudes_of_a_cold_start_count_as_little_as_they_are_stated_to():
     """For five minutes a receiver is hundreds of metres off and says so; the others are sound."""
     slopes, length = hills(12_000.0, 3), 12_000.0
     rng = np.random.default_rng(8)
@@ -100,7 +99,7 @@ def test_altitudes_of_a_cold_start_count_as_little_as_they_are_stated_to() -> No
     assert weighed.gradient_std.mean() < 0.8 * blind.gradient_std.mean()
 
 
-def test_two_rides_do_not_show_how_they_err() -> None:
+def test_two_rides_do_not_show_how_they_err():
     with pytest.raises(InputError, match="2 rides with altitudes"):
         height_profile(rides_over(FLAT, 8_000.0, 2, 1), 8_000.0)
     refused(InputError, "too short", height_profile, rides_over(FLAT, 800.0, 4, 1), 800.0)
@@ -110,9 +109,9 @@ def with_altitudes(trip: Trip, truth: object, slopes: StepProfile, seed: int) ->
     """The trip's fixes with altitudes that err by half a metre, for a minute or so."""
     rng = np.random.default_rng(seed)
     fix = trip["/gnss/fix"].copy()
-    known = truth.index.as_unit("ns").asi8  # type: ignore[attr-defined]
+    known = truth.index.as_unit("ns").asi8
     at = fix.index.as_unit("ns").asi8
-    position = np.interp(at, known, truth["position"])  # type: ignore[index]
+    position = np.interp(at, known, truth["position"])
     places = np.arange(0.0, 13_000.0, 5.0)
     heights = np.concatenate(([0.0], np.cumsum(5.0 * slopes(places)[:-1])))
     time = (at - at[0]) / 1e9
@@ -132,9 +131,7 @@ def rides() -> tuple[list[Trip], StepProfile]:
     return found, slopes
 
 
-def test_a_line_built_from_rides_has_their_gradients(
-    rides: tuple[list[Trip], StepProfile], tmp_path: Path
-) -> None:
+def test_a_line_built_from_rides_has_their_gradients(rides, tmp_path):
     trips, slopes = rides
     centre_line = geometry_of(trips)
     line = line_of(centre_line, "built")
@@ -157,7 +154,7 @@ def test_a_line_built_from_rides_has_their_gradients(
     assert centre_line.summary()["gradients"].startswith("over 500 m")
 
 
-def test_without_altitudes_the_gradients_are_not_known() -> None:
+def test_without_altitudes_the_gradients_are_not_known():
     trips = [drive(winding(), Receiver(), seed)[0] for seed in range(3)]
     centre_line = geometry_of(trips)
     line = line_of(centre_line, "built")
@@ -166,7 +163,7 @@ def test_without_altitudes_the_gradients_are_not_known() -> None:
     assert line.reversed().assumed == line.assumed
 
 
-def test_what_needs_gradients_refuses_a_line_that_only_assumes_them() -> None:
+def test_what_needs_gradients_refuses_a_line_that_only_assumes_them():
     trip = read_log("sample_logs/nonstop.mcap")
     known = read_line(sample(DEFAULT_LINE))
     bare = replace(trip, attachments={**trip.attachments})

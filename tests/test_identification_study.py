@@ -45,7 +45,7 @@ def size(covariance: FloatArray, study: Study) -> float:
         "pieces of 0.3 to 2 km",
     ],
 )
-def test_a_trip_is_known_as_well_as_the_bound_allows(name: str) -> None:
+def test_a_trip_is_known_as_well_as_the_bound_allows(name):
     study = STUDIES[name]
     ratios = []
     for seed in range(5):
@@ -55,7 +55,7 @@ def test_a_trip_is_known_as_well_as_the_bound_allows(name: str) -> None:
     assert 0.9 < np.median(ratios) < 1.12, ratios
 
 
-def test_errors_are_as_large_as_the_fits_say() -> None:
+def test_errors_are_as_large_as_the_fits_say():
     """In the metric of the covariance the mean square of 36 errors is 1, give or take a quarter."""
     study = Study()
     truth = np.array([study.resistance.r0, study.resistance.r1, study.resistance.r2])
@@ -68,7 +68,7 @@ def test_errors_are_as_large_as_the_fits_say() -> None:
 
 
 @pytest.mark.long
-def test_the_study_in_full() -> None:
+def test_the_study_in_full():
     """What is asked for and can be reached; 1.2 % of ten trips and 0.35 % of a hundred lie below
     what the bound gives half of such groups (1.5 % and 0.47 %)."""
     study = Study()

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import Shell
 from refusals import refused
 
 from analysis.adhesion.slip import SlipAnalysis, slip
@@ -79,7 +78,7 @@ def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 Counted = tuple[Path, Line, Callable[[float], float]]
 
 
-def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(counted: Counted, shell: Shell) -> None:
+def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(counted, shell):
     folder, _, expected = counted
     log, out = folder / "trip.mcap", folder / "part.mcap"
     part = f"{expected(9_286.1):.3f}:{expected(FLAWIL):.3f}"
@@ -106,7 +105,7 @@ def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(counted: Counted, shel
 
 
 @pytest.mark.parametrize("name", KILOMETRES)
-def test_a_kilometre_gives_its_place_again(name: str) -> None:
+def test_a_kilometre_gives_its_place_again(name):
     reference, expected = KILOMETRES[name]
     line = replace(PLAIN, reference=reference)
     for place in np.linspace(0.0, LENGTH, 50).tolist():
@@ -116,15 +115,13 @@ def test_a_kilometre_gives_its_place_again(name: str) -> None:
     assert [float(each) for each in labels] == pytest.approx([expected(s) for s in places])
 
 
-def test_a_kilometre_that_a_jump_leaves_out_is_refused() -> None:
+def test_a_kilometre_that_a_jump_leaves_out_is_refused():
     line = replace(PLAIN, reference=KILOMETRES["jump"][0])
     refused(InputError, r"no km 52\.7; .* jump from 52\.000 to 53\.500", position_of, line, 52.7)
 
 
 @pytest.mark.parametrize("counted", ["jump"], indirect=True)
-def test_a_report_names_a_place_by_the_same_kilometre(
-    counted: Counted, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_report_names_a_place_by_the_same_kilometre(counted, monkeypatch):
     folder, _, expected = counted
     found = list[SlipAnalysis]()
     monkeypatch.setattr(report, "slip", lambda trip: found.append(slip(trip)) or found[-1])

@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Iterator
 from io import BytesIO
 from itertools import combinations
-from pathlib import Path
 
 import pytest
 from mcap import writer as official
@@ -121,13 +120,13 @@ def generated(records: list[McapRecord], features: frozenset[str]) -> bytes:
     return stream.getvalue()
 
 
-def test_the_suite_has_as_many_files_as_the_published_one() -> None:
+def test_the_suite_has_as_many_files_as_the_published_one():
     names = [name for name, _, _ in variants()]
     assert len(names) == len(set(names)) == 416
 
 
 @pytest.mark.parametrize("base", INPUTS)
-def test_valid_files_are_whole_and_give_all_they_hold(base: str, tmp_path: Path) -> None:
+def test_valid_files_are_whole_and_give_all_they_hold(base, tmp_path):
     path, again = tmp_path / "file.mcap", tmp_path / "again.mcap"
     for name, records, features in variants():
         if name.split("-")[0] != base:
@@ -163,7 +162,7 @@ def assert_holds(source: Source, contents: Contents, records: list[McapRecord]) 
     assert [attachment_at(source, at) for at, _ in contents.attachments] == written
 
 
-def test_a_message_index_need_not_follow_its_chunk(tmp_path: Path) -> None:
+def test_a_message_index_need_not_follow_its_chunk(tmp_path):
     """A record of another program may stand between them."""
     records = INPUTS["TenMessages"]
     data = generated(records, frozenset({"ch", "mx"}))

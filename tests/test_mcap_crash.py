@@ -129,7 +129,7 @@ def officially(path: Path) -> int:
 
 
 @pytest.mark.parametrize("kills", [3, pytest.param(1000, marks=pytest.mark.long)])
-def test_recorders_killed_at_many_moments(tmp_path: Path, kills: int) -> None:
+def test_recorders_killed_at_many_moments(tmp_path, kills):
     random = Random(kills)
     total = 0
     for number in range(kills):

@@ -56,9 +56,7 @@ def without_checksums(data: bytes) -> bytearray:
 
 
 @pytest.mark.parametrize("claimed", [2**29, 2**64 - 1])
-def test_forged_chunk_sizes_do_not_exhaust_the_memory(
-    claimed: int, data: bytes, tmp_path: Path
-) -> None:
+def test_forged_chunk_sizes_do_not_exhaust_the_memory(claimed, data, tmp_path):
     forged = without_checksums(data)
     for index in chunks_of(data):
         struct.pack_into("<Q", forged, index.chunk_start_offset + 9 + 16, claimed)
@@ -70,21 +68,19 @@ def test_forged_chunk_sizes_do_not_exhaust_the_memory(
     assert peak < 50e6
 
 
-def test_attachments_are_checked_on_their_own(trip: Trip, data: bytes, tmp_path: Path) -> None:
+def test_attachments_are_checked_on_their_own(trip, data, tmp_path):
     flipped = without_checksums(data)
     flipped[flipped.index(ATTACHMENTS["line.json"])] ^= 1
     (tmp_path / "flipped.mcap").write_bytes(flipped)
     with pytest.warns(DamageWarning) as caught:
         found = read_log(tmp_path / "flipped.mcap")
-    (loss,) = caught[0].message.account.losses  # type: ignore[union-attr]
+    (loss,) = caught[0].message.account.losses
     assert loss.reason == "attachment 'line.json' fails its checksum"
     assert found.attachments == {"notes": ATTACHMENTS["notes"]}
     assert found.topics.keys() == trip.topics.keys()
 
 
-def test_an_index_that_contradicts_its_chunk_is_not_followed(
-    trip: Trip, data: bytes, tmp_path: Path
-) -> None:
+def test_an_index_that_contradicts_its_chunk_is_not_followed(trip, data, tmp_path):
     """It lists too few messages, or one twice: the chunk's own records are asked instead."""
     path = tmp_path / "forged.mcap"
     offsets = chunks_of(data)[0].message_index_offsets
@@ -116,7 +112,7 @@ def test_an_index_that_contradicts_its_chunk_is_not_followed(
         (b"\x89MCAP", "not an MCAP file; expected a log"),
     ],
 )
-def test_files_that_are_no_log(content: bytes, said: str, tmp_path: Path) -> None:
+def test_files_that_are_no_log(content, said, tmp_path):
     (tmp_path / "trip.mcap").write_bytes(content)
     for read in (read_log, describe):
         refused(LogError, said, read, tmp_path / "trip.mcap")
@@ -126,9 +122,7 @@ def test_files_that_are_no_log(content: bytes, said: str, tmp_path: Path) -> Non
     ("conversion", "old", "new"),
     [("CRLF to LF", b"\r\n", b"\n"), ("LF to CRLF", b"\n", b"\r\n")],
 )
-def test_converted_line_ends_are_named(
-    conversion: str, old: bytes, new: bytes, data: bytes, tmp_path: Path
-) -> None:
+def test_converted_line_ends_are_named(conversion, old, new, data, tmp_path):
     """As git or a transfer in text mode does it; no byte behind the first is where it was."""
     path = tmp_path / "trip.mcap"
     path.write_bytes(data.replace(old, new))
@@ -140,7 +134,7 @@ def test_converted_line_ends_are_named(
 
 @settings(max_examples=20)
 @given(st.lists(st.tuples(st.integers(0, 210_000), st.integers(0, 100_000)), max_size=12))
-def test_any_part_of_a_file_is_read_as_it_stands(parts: list[tuple[int, int]]) -> None:
+def test_any_part_of_a_file_is_read_as_it_stands(parts):
     """Small pieces come by a window that is kept, large ones do not."""
     data = np.random.default_rng(6).bytes(200_000)
     with tempfile.TemporaryDirectory() as folder:

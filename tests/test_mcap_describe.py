@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from io import StringIO
-from pathlib import Path
 
 import pytest
 from mcap_mutations import CHUNK, records_of
@@ -24,7 +23,7 @@ def printed(description: LogDescription) -> str:
     return console.file.getvalue()
 
 
-def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
+def test_everything_in_a_log_is_found(tmp_path):
     trip, path = trip_of(rows=120, axles=3), tmp_path / "trip.mcap"
     write_log(trip, path)
     found = describe(path)
@@ -57,7 +56,7 @@ def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
     assert 0 < found.stored_size < found.content_size
 
 
-def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None:
+def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path):
     metadata = {"trip": "[red]night[/red]", "note": "a\x1b[2Jb\nc", "long": "x" * 500}
     write_log(Trip({}, metadata), tmp_path / "trip.mcap")
     text = printed(describe(tmp_path / "trip.mcap"))
@@ -66,7 +65,7 @@ def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None
     assert "x" * 500 not in text.replace("\n", "").replace(" ", "")
 
 
-def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path):
     trip = trip_of(rows=300, step=6 * 10**8)
     write_log(trip, tmp_path / "cut.mcap")
     data = (tmp_path / "cut.mcap").read_bytes()
@@ -81,7 +80,7 @@ def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path: Path) -> None:
     assert "damaged" in printed(found)
 
 
-def test_a_recording_that_was_not_closed_is_not_called_damaged(tmp_path: Path) -> None:
+def test_a_recording_that_was_not_closed_is_not_called_damaged(tmp_path):
     path = tmp_path / "live.mcap"
     with trainlog.record(path, flush=0.5) as log:
         log.write(TRAIN_STATE.name, 10**18, speed=1.0)

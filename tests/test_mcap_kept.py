@@ -95,7 +95,7 @@ def kept_trip() -> Trip:
     return Trip(frames, METADATA, PROVENANCE, ATTACHMENTS)
 
 
-def test_fields_keep_their_numbers(kept: Path) -> None:
+def test_fields_keep_their_numbers(kept):
     """A field that moves in the table would be misread by programs with an older descriptor."""
     summary = SeekingReader(BytesIO(kept.read_bytes())).get_summary()
     for channel in summary.channels.values():
@@ -108,9 +108,7 @@ def test_fields_keep_their_numbers(kept: Path) -> None:
             assert channel.metadata[f"unit.{field.name}"] == topic.field(field.name).unit
 
 
-def test_a_kept_file_opens_with_the_values_that_todays_writer_writes(
-    kept: Path, tmp_path: Path
-) -> None:
+def test_a_kept_file_opens_with_the_values_that_todays_writer_writes(kept, tmp_path):
     write_log(kept_trip(), tmp_path / "today.mcap")
     found = read_log(kept)
     assert_same(found, read_log(tmp_path / "today.mcap"))

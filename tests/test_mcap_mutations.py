@@ -46,14 +46,14 @@ def judged(folder: Path, seeds: range) -> tuple[list[str], int]:
     return wrong, most_memory() - before
 
 
-def test_damaged_files(tmp_path: Path) -> None:
+def test_damaged_files(tmp_path):
     wrong, memory = judged(tmp_path, range(200))
     assert not wrong
     assert memory < FLOOR
 
 
 @pytest.mark.long
-def test_a_hundred_thousand_damaged_files(tmp_path: Path) -> None:
+def test_a_hundred_thousand_damaged_files(tmp_path):
     """Each batch in a process that has made no other."""
     batches = [range(first, first + 500) for first in range(10_000, 110_000, 500)]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
@@ -63,7 +63,7 @@ def test_a_hundred_thousand_damaged_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", sorted(KEPT.glob("*.mcap")), ids=lambda path: path.stem)
-def test_files_that_were_once_judged_badly(path: Path, tmp_path: Path) -> None:
+def test_files_that_were_once_judged_badly(path, tmp_path):
     """Each gives the account that the list beside it holds, and is rebuilt."""
     expected = json.loads((KEPT / "accounts.json").read_text("utf-8"))[path.name]
     with time_limit(20):

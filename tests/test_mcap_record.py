@@ -64,7 +64,7 @@ def play(trip: Trip, log: Recording, block: int | None = None) -> None:
 
 
 @pytest.mark.parametrize("block", [None, 7])
-def test_what_is_recorded_reads_back(block: int | None, tmp_path: Path) -> None:
+def test_what_is_recorded_reads_back(block, tmp_path):
     topics = [name for name in TOPICS if block is None or name != EVENTS.name]
     trip = trip_of(rows=60, topics=topics)
     with trainlog.record(
@@ -85,7 +85,7 @@ def test_what_is_recorded_reads_back(block: int | None, tmp_path: Path) -> None:
     assert account.waiting == account.dropped == {}
 
 
-def test_the_file_is_whole_and_numbers_the_samples_as_they_came(tmp_path: Path) -> None:
+def test_the_file_is_whole_and_numbers_the_samples_as_they_came(tmp_path):
     rng = np.random.default_rng(1)
     order = rng.permutation(3000)
     with trainlog.record(tmp_path / "log.mcap", flush=0.02) as log:
@@ -104,7 +104,7 @@ def test_the_file_is_whole_and_numbers_the_samples_as_they_came(tmp_path: Path) 
     assert frame["speed"].tolist() == np.argsort(order).tolist()
 
 
-def test_times_of_every_kind(tmp_path: Path) -> None:
+def test_times_of_every_kind(tmp_path):
     at = pd.Timestamp(START, tz="Europe/Zurich")
     index = pd.DatetimeIndex([at, at])
     with trainlog.record(tmp_path / "log.mcap") as log:
@@ -151,9 +151,7 @@ def test_times_of_every_kind(tmp_path: Path) -> None:
         ((1, "x"), {"time": -5}, "not a time"),
     ],
 )
-def test_what_does_not_fit_is_refused_at_once(
-    arguments: tuple[Any, ...], values: dict[str, Any], said: str, tmp_path: Path
-) -> None:
+def test_what_does_not_fit_is_refused_at_once(arguments, values, said, tmp_path):
     with trainlog.record(tmp_path / "log.mcap") as log:
         log.write(STATE, START, speed=1.0)
         log.write(AXLES, START, wheel_speed=[1.0, 2.0, 3.0], wheel_effort=(4.0, 5.0, 6.0))
@@ -183,7 +181,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return opened
 
 
-def test_overload_is_counted_and_reported(gate: threading.Event, tmp_path: Path) -> None:
+def test_overload_is_counted_and_reported(gate, tmp_path):
     row = 8 * (2 + len(TRAIN_STATE.fields))
     log = trainlog.record(tmp_path / "log.mcap", flush=0.01, queue=100 * row)
     log.write(STATE, START, speed=0.0)
@@ -229,7 +227,7 @@ def test_overload_is_counted_and_reported(gate: threading.Event, tmp_path: Path)
     assert read_log(tmp_path / "derived.mcap").provenance[-1].items() >= closed.items()
 
 
-def test_many_threads_may_write(tmp_path: Path) -> None:
+def test_many_threads_may_write(tmp_path):
     def work(number: int) -> None:
         for row in range(500):
             log.write(STATE, START + row, speed=float(number))
@@ -246,7 +244,7 @@ def test_many_threads_may_write(tmp_path: Path) -> None:
     assert found[EVENTS.name]["message"].value_counts().to_dict() == dict.fromkeys("0123", 500)
 
 
-def test_a_file_that_exists_is_never_overwritten(tmp_path: Path) -> None:
+def test_a_file_that_exists_is_never_overwritten(tmp_path):
     (tmp_path / "log.mcap").write_text("precious")
     refused(InputError, "exists already", trainlog.record, tmp_path / "log.mcap")
     assert (tmp_path / "log.mcap").read_text() == "precious"
@@ -258,7 +256,7 @@ def test_a_file_that_exists_is_never_overwritten(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
 
 
-def test_an_exception_closes_the_file_properly(tmp_path: Path) -> None:
+def test_an_exception_closes_the_file_properly(tmp_path):
     with (
         pytest.raises(ZeroDivisionError),
         trainlog.record(tmp_path / "log.mcap", flush=60.0, sync=True) as log,
@@ -271,7 +269,7 @@ def test_an_exception_closes_the_file_properly(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="open files cannot be removed there")
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_file_taken_away_is_reported(replaced: bool, tmp_path: Path) -> None:
+def test_a_file_taken_away_is_reported(replaced, tmp_path):
     log = trainlog.record(tmp_path / "log.mcap", flush=0.01)
     (tmp_path / "log.mcap").unlink()
     if replaced:
@@ -317,7 +315,7 @@ print(account.written["/train/state"], account.waiting["/train/state"] > 0)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
-def test_a_full_disk_is_reported_and_what_was_written_stays(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_what_was_written_stays(tmp_path):
     """Of a recording; a log and a replay are written whole or leave what there was."""
     write_log(trip_of(rows=3), tmp_path / "trip.mcap")
     before = (tmp_path / "trip.mcap").read_bytes()
@@ -345,7 +343,7 @@ def test_a_full_disk_is_reported_and_what_was_written_stays(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("seconds", [1_735_689_600, [1_735_689_600, 1_735_689_601]])
-def test_times_in_seconds_are_recorded_with_one_warning(seconds: Any, tmp_path: Path) -> None:
+def test_times_in_seconds_are_recorded_with_one_warning(seconds, tmp_path):
     with trainlog.record(tmp_path / "log.mcap") as log:
         speed = 1.0 if isinstance(seconds, int) else [1.0, 2.0]
         with pytest.warns(UserWarning, match="1970-01-01.*nanoseconds"):

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tracemalloc
 from collections import Counter
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from random import Random
@@ -54,7 +53,7 @@ def zeroed(data: bytes, start: int, end: int) -> bytes:
 # ---------------------------------------------------------------------------------- the account
 
 
-def test_what_is_lost_is_stated_by_topic(whole: Specimen, tmp_path: Path) -> None:
+def test_what_is_lost_is_stated_by_topic(whole, tmp_path):
     """Each of the three chunks holds a third of both topics."""
     account = account_of(put(tmp_path, zeroed(whole.data, *spans_of(whole.data)[1])))
     assert account.topics == ((EVENTS.name, 20, 60), (TRAIN_STATE.name, 20, 60))
@@ -63,7 +62,7 @@ def test_what_is_lost_is_stated_by_topic(whole: Specimen, tmp_path: Path) -> Non
     assert account_of(put(tmp_path, whole.data)).topics == ()
 
 
-def test_random_byte_flips_are_accounted_for_to_the_message(tmp_path: Path) -> None:
+def test_random_byte_flips_are_accounted_for_to_the_message(tmp_path):
     """What comes back was written, and the account knows how many messages do not.
 
     Messages outside of chunks have no checksum of their own: which one it is, nothing says.
@@ -107,13 +106,8 @@ def _one_chunk_twice(data: bytes, _: bytes) -> bytes:
     ],
 )
 def test_what_is_there_twice_or_not_at_all_is_counted_once(
-    damaged: Callable[[bytes, bytes], bytes],
-    messages: int,
-    lost: int,
-    said: str,
-    whole: Specimen,
-    tmp_path: Path,
-) -> None:
+    damaged, messages, lost, said, whole, tmp_path
+):
     write_log(trip_of(rows=20, topics=[EVENTS.name]), tmp_path / "other.mcap")
     path = put(tmp_path, damaged(whole.data, (tmp_path / "other.mcap").read_bytes()))
     account = account_of(path)
@@ -124,7 +118,7 @@ def test_what_is_there_twice_or_not_at_all_is_counted_once(
             assert_same(whole.trip, read_log(path))
 
 
-def test_a_recording_that_was_not_closed(tmp_path: Path) -> None:
+def test_a_recording_that_was_not_closed(tmp_path):
     """The account has the last sample, and the most that can be missing."""
     path = tmp_path / "live.mcap"
     with trainlog.record(path, flush=0.5) as log:
@@ -148,7 +142,7 @@ def test_a_recording_that_was_not_closed(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------- bounded effort
 
 
-def test_chunks_inside_of_each_other_take_bounded_time(tmp_path: Path) -> None:
+def test_chunks_inside_of_each_other_take_bounded_time(tmp_path):
     """Each claims everything that follows; to try them all would take hours."""
     size = 4_000_000
     head = len(chunk_bytes("zstd", b"", 0, 1, bytes(16)))
@@ -163,7 +157,7 @@ def test_chunks_inside_of_each_other_take_bounded_time(tmp_path: Path) -> None:
         assert account_of(put(tmp_path, bytes(data[:size]))).messages == 0
 
 
-def test_nonsense_takes_bounded_time(tmp_path: Path) -> None:
+def test_nonsense_takes_bounded_time(tmp_path):
     head = b"\x89MCAP0\r\n"
     for unit in (b"\x05\x16" + bytes(7), b"\x0c\x08" + bytes(15), b"\x06" + bytes(8), bytes(9)):
         data = head + b"\x00" + unit * (500_000 // len(unit)) + head
@@ -171,7 +165,7 @@ def test_nonsense_takes_bounded_time(tmp_path: Path) -> None:
             account_of(put(tmp_path, data))
 
 
-def test_recovery_of_a_large_log_stays_small_in_memory(tmp_path: Path) -> None:
+def test_recovery_of_a_large_log_stays_small_in_memory(tmp_path):
     """Neither the file nor its messages are held: a chunk at a time is."""
     path = tmp_path / "large.mcap"
     write_log(trip_of(rows=40_000, topics=[TRAIN_STATE.name]), path)
@@ -197,7 +191,7 @@ def official(path: Path) -> list[tuple[str, int, int, bytes]]:
     ]
 
 
-def test_a_recovered_log_opens_everywhere(whole: Specimen, tmp_path: Path) -> None:
+def test_a_recovered_log_opens_everywhere(whole, tmp_path):
     start, end = spans_of(whole.data)[1]
     path, output = put(tmp_path, zeroed(whole.data, start + 50, end - 10)[:-30]), tmp_path / "again"
     account = recover(path, output)
@@ -218,7 +212,7 @@ def test_a_recovered_log_opens_everywhere(whole: Specimen, tmp_path: Path) -> No
     assert checked.returncode == 0, checked.stderr
 
 
-def test_the_account_stays_with_the_recovered_log(whole: Specimen, tmp_path: Path) -> None:
+def test_the_account_stays_with_the_recovered_log(whole, tmp_path):
     account = recover(put(tmp_path, whole.data[:-100]), tmp_path / "once.mcap")
     recover(tmp_path / "once.mcap", tmp_path / "twice.mcap")
     with Source(tmp_path / "twice.mcap") as source:
@@ -230,7 +224,7 @@ def test_the_account_stays_with_the_recovered_log(whole: Specimen, tmp_path: Pat
     assert steps["0002"]["account"]["losses"] == []
 
 
-def test_other_programs_logs_are_recovered_with_profile_and_attachments(tmp_path: Path) -> None:
+def test_other_programs_logs_are_recovered_with_profile_and_attachments(tmp_path):
     one = specimen("lz4", foreign(CompressionType.LZ4))
     # The declarations stand in the first chunk and in the summary; the cut takes the latter.
     recover(put(tmp_path, one.data[:-500]), tmp_path / "again.mcap")
@@ -241,9 +235,7 @@ def test_other_programs_logs_are_recovered_with_profile_and_attachments(tmp_path
     assert len(official(tmp_path / "again.mcap")) == 60
 
 
-def test_what_cannot_be_recovered_is_refused_and_the_input_never_overwritten(
-    whole: Specimen, tmp_path: Path
-) -> None:
+def test_what_cannot_be_recovered_is_refused_and_the_input_never_overwritten(whole, tmp_path):
     again = tmp_path / "again.mcap"
     # At last, all copies of a channel declare a unit that the table of topics does not have.
     other_unit = whole.data[:-100].replace(b"m/s^2", b"m/s^3")
@@ -263,7 +255,7 @@ def test_what_cannot_be_recovered_is_refused_and_the_input_never_overwritten(
     assert path.read_bytes() == whole.data[:-10]
 
 
-def test_what_is_recovered_can_be_read(whole: Specimen, tmp_path: Path) -> None:
+def test_what_is_recovered_can_be_read(whole, tmp_path):
     """Text of the provenance is zeroed: the step is left out, and the rest is a log."""
     at = whole.data.index(b'"step": "fit"')
     path = put(tmp_path, zeroed(whole.data, at, at + 10))

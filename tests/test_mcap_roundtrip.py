@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -36,13 +34,13 @@ ONE_FIELD_OF_AXLES = frame_of(TRAIN_AXLES, START + np.arange(3), {"wheel_speed":
 @example(trip=Trip({}, {"trip": "planned"}))
 @example(trip=fix(0.0))
 @example(trip=fix(np.nan))
-def test_any_trip_reads_back_as_it_was(trip: Trip, tmp_path: Path) -> None:
+def test_any_trip_reads_back_as_it_was(trip, tmp_path):
     path = tmp_path / "trip.mcap"
     trainlog.write(trip, path)
     assert_same(trip, trainlog.read(path))
 
 
-def test_samples_of_the_same_time_keep_their_order(tmp_path: Path) -> None:
+def test_samples_of_the_same_time_keep_their_order(tmp_path):
     number = np.arange(20_000.0)
     frames = {
         topic.name: frame_of(
@@ -60,7 +58,7 @@ def test_samples_of_the_same_time_keep_their_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back[TRAIN_AXLES.name]["wheel_speed_1"], number)
 
 
-def test_numbers_of_any_kind_become_doubles_and_local_time_utc(tmp_path: Path) -> None:
+def test_numbers_of_any_kind_become_doubles_and_local_time_utc(tmp_path):
     frame = frame_of(GNSS_MOTION, START + np.arange(3), {})
     local = frame.assign(
         speed=np.array([1, 2, 3], dtype=np.int16),
@@ -75,7 +73,7 @@ def test_numbers_of_any_kind_become_doubles_and_local_time_utc(tmp_path: Path) -
     assert set(back.dtypes) == {np.dtype(np.float64)}
 
 
-def test_same_trip_same_bytes(tmp_path: Path) -> None:
+def test_same_trip_same_bytes(tmp_path):
     trip = trip_of(rows=200)
     shuffled = Trip(
         dict(reversed(trip.topics.items())),
@@ -115,15 +113,13 @@ FRAMES = (
     [
         *((Trip({}).with_topic(frame), said) for frame, said in FRAMES),
         (Trip({"/train/mood": STATE}), "no topic /train/mood"),
-        (Trip({}, {"load": 12000}), "metadata 'load' is 12000, not text"),  # type: ignore[dict-item]
+        (Trip({}, {"load": 12000}), "metadata 'load' is 12000, not text"),
         (Trip({}, {"trip": "\ud800"}), "UTF-8"),
         (Trip({}, provenance=({"step": float("nan")},)), "step 1 of the provenance is not JSON"),
         (Trip({}, provenance=({"step": object()},)), "step 1 of the provenance is not JSON"),
     ],
 )
-def test_what_cannot_be_written_is_refused_and_leaves_no_file(
-    trip: Trip, said: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_written_is_refused_and_leaves_no_file(trip, said, tmp_path):
     """Nor does an older one suffer."""
     older = tmp_path / "older.mcap"
     older.write_bytes(b"older")

@@ -90,12 +90,7 @@ def whole_of(path: Path) -> Trip:
     pair=st.tuples(limits, limits),
     chosen=st.sets(st.sampled_from([TRAIN_STATE.name, TRAIN_AXLES.name, EVENTS.name]), min_size=1),
 )
-def test_a_span_of_time_is_the_slice_of_the_whole(
-    seed: int,
-    pair: tuple[float | None, float | None],
-    chosen: set[str],
-    logs: Callable[[int], Path],
-) -> None:
+def test_a_span_of_time_is_the_slice_of_the_whole(seed, pair, chosen, logs):
     whole = whole_of(logs(seed))
     span = in_time(whole, pair)
     part = read_log(logs(seed), chosen, time=span)
@@ -106,12 +101,7 @@ def test_a_span_of_time_is_the_slice_of_the_whole(
 
 @settings(max_examples=16)
 @given(seed=st.integers(0, 5), pair=st.tuples(limits, limits), indexed=st.booleans())
-def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
-    seed: int,
-    pair: tuple[float | None, float | None],
-    indexed: bool,
-    logs: Callable[[int], Path],
-) -> None:
+def test_a_stretch_of_the_line_is_the_slice_of_the_whole(seed, pair, indexed, logs):
     whole = whole_of(logs(seed))
     known = whole[TRAIN_STATE.name]["position"].dropna()
     least, greatest = known.min(), known.max()
@@ -125,7 +115,7 @@ def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
     assert_same(whole.within(*stretch), part)
 
 
-def test_little_of_the_file_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_little_of_the_file_is_read(tmp_path, monkeypatch):
     rows = 60_000
     time = START + np.arange(rows) * 10**7
     random = np.random.default_rng(2)
@@ -151,7 +141,7 @@ def test_little_of_the_file_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert sum(counts) < 0.1 * size
 
 
-def test_only_the_columns_asked_for(tmp_path: Path) -> None:
+def test_only_the_columns_asked_for(tmp_path):
     trip, path = trip_of(rows=50, axles=3), tmp_path / "trip.mcap"
     write_log(trip, path)
     axles = ["wheel_effort_2", "wheel_speed_3", "wheel_speed_9"]
@@ -180,15 +170,13 @@ def test_only_the_columns_asked_for(tmp_path: Path) -> None:
         ({"rows": 0}, InputError, "rows is 0"),
     ],
 )
-def test_what_cannot_be_asked_for(
-    asked: dict[str, Any], error: type[Exception], said: str, logs: Callable[[int], Path]
-) -> None:
+def test_what_cannot_be_asked_for(asked, error, said, logs):
     if "rows" not in asked:
         refused(error, said, read_log, logs(0), **asked)
     refused(error, said, lambda: next(stream_log(logs(0), **asked)))
 
 
-def test_a_log_without_positions_says_so(tmp_path: Path) -> None:
+def test_a_log_without_positions_says_so(tmp_path):
     path = tmp_path / "trip.mcap"
     write_log(trip_of(rows=30, topics=[GNSS_FIX.name]), path)
     said = "does not know where the train was"
@@ -211,13 +199,7 @@ def together(pieces: list[Trip]) -> Trip:
     by_time=st.one_of(st.none(), st.tuples(limits, limits)),
     by_position=st.booleans(),
 )
-def test_the_pieces_are_the_whole(
-    seed: int,
-    rows: int,
-    by_time: tuple[float | None, float | None] | None,
-    by_position: bool,
-    logs: Callable[[int], Path],
-) -> None:
+def test_the_pieces_are_the_whole(seed, rows, by_time, by_position, logs):
     path = logs(seed)
     span = None if by_time is None else in_time(read_log(path), by_time)
     stretch = (250.0, 340.0) if by_position else None
@@ -232,7 +214,7 @@ def test_the_pieces_are_the_whole(
         end = max((int(each[-1]) for each in times), default=end)
 
 
-def test_pieces_end_where_chunks_do(tmp_path: Path) -> None:
+def test_pieces_end_where_chunks_do(tmp_path):
     path = tmp_path / "trip.mcap"
     write_log(trip_of(rows=3000, topics=[TRAIN_STATE.name]), path)
     with Source(path) as source:
@@ -254,14 +236,12 @@ def flipped(path: Path, number: int, folder: Path) -> tuple[Path, int]:
     return folder / "flipped.mcap", place.messages
 
 
-def test_damage_is_reported_behind_the_last_piece(
-    logs: Callable[[int], Path], tmp_path: Path
-) -> None:
+def test_damage_is_reported_behind_the_last_piece(logs, tmp_path):
     path, lost = flipped(logs(2), 5, tmp_path)
     pieces = []
     with pytest.warns(DamageWarning) as caught:
         pieces += stream_log(path, rows=50)
-    account = caught[0].message.account  # type: ignore[union-attr]
+    account = caught[0].message.account
     assert account.messages_lost == lost
     assert account.messages == sum(len(f) for piece in pieces for f in piece.topics.values())
     with pytest.warns(DamageWarning):
@@ -269,7 +249,7 @@ def test_damage_is_reported_behind_the_last_piece(
     assert_same(whole, together(pieces))
 
 
-def test_damage_outside_of_the_part_is_not_met(logs: Callable[[int], Path], tmp_path: Path) -> None:
+def test_damage_outside_of_the_part_is_not_met(logs, tmp_path):
     path, _ = flipped(logs(2), 5, tmp_path)
     whole = whole_of(logs(2))
     span = (whole.start, whole.start + pd.Timedelta("1 s"))

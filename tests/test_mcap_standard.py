@@ -75,7 +75,7 @@ def row_of(topic: Topic, message: Any) -> list[float]:
     return row
 
 
-def test_the_official_reader_reads_every_value_in_order(trip: Trip, log: Path) -> None:
+def test_the_official_reader_reads_every_value_in_order(trip, log):
     rows: dict[str, list[list[float]]] = {name: [] for name in trip.topics}
     times: dict[str, list[int]] = {name: [] for name in trip.topics}
     sequences: dict[str, int] = {}
@@ -103,7 +103,7 @@ def test_the_official_reader_reads_every_value_in_order(trip: Trip, log: Path) -
             np.testing.assert_array_equal(np.array(rows[name]), frame.to_numpy())
 
 
-def test_descriptors_and_channels_equal_the_table(log: Path) -> None:
+def test_descriptors_and_channels_equal_the_table(log):
     summary = SeekingReader(BytesIO(log.read_bytes())).get_summary()
     for topic in TOPICS.values():
         channel = next(c for c in summary.channels.values() if c.topic == topic.name)
@@ -166,7 +166,7 @@ def with_field(place: int, /, **values: object) -> Callable[[Any], None]:
     return change
 
 
-def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path: Path) -> None:
+def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path):
     axles, nan = message_class(TRAIN_AXLES), np.nan
     first = [
         (START + 5, axles(wheel_speed=[1.0, 2.0])),
@@ -187,7 +187,7 @@ def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path: Path) -> 
     pd.testing.assert_frame_equal(read_log(path)[TRAIN_AXLES.name], expected, check_freq=False)
 
 
-def test_columns_that_a_file_does_not_have_are_nan(tmp_path: Path) -> None:
+def test_columns_that_a_file_does_not_have_are_nan(tmp_path):
     """Of two channels of a topic one lacks a field: NaN in its rows, not what the memory held."""
     rows = 5_000
     numbers = np.arange(float(rows))
@@ -208,7 +208,7 @@ def test_columns_that_a_file_does_not_have_are_nan(tmp_path: Path) -> None:
         assert frame["speed"][1::2].isna().all()
 
 
-def test_foreign_location_fixes(tmp_path: Path) -> None:
+def test_foreign_location_fixes(tmp_path):
     fix = message_class(GNSS_FIX)
     unknown = fix(latitude=47.0, longitude=9.0, position_covariance=[0.0] * 9)
     known = fix(
@@ -227,18 +227,14 @@ def test_foreign_location_fixes(tmp_path: Path) -> None:
     )
 
 
-def test_slow_and_fast_path_agree(
-    trip: Trip, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_and_fast_path_agree(trip, log, tmp_path, monkeypatch):
     """As arrays, and message by message with the official decoder."""
     assert_same(trip, read_log(log))
     monkeypatch.setattr(tables.TopicChannel, "arrays", lambda *_: None)
     assert_same(trip, read_log(log))
 
 
-def test_fields_are_found_by_name_not_by_number_and_numbers_of_any_kind_are_read(
-    tmp_path: Path,
-) -> None:
+def test_fields_are_found_by_name_not_by_number_and_numbers_of_any_kind_are_read(tmp_path):
     """A file of another version: one field less, one unknown, numbers moved."""
 
     def moved(message: Any) -> None:
@@ -279,15 +275,13 @@ def test_fields_are_found_by_name_not_by_number_and_numbers_of_any_kind_are_read
         (descriptor_set(TRAIN_STATE), b"", {"unit.speed": "km/h"}, "in 'km/h', not in 'm/s'"),
     ],
 )
-def test_broken_and_contradicting_schemas_are_refused(
-    schema: bytes, data: bytes, metadata: dict[str, str], said: str, tmp_path: Path
-) -> None:
+def test_broken_and_contradicting_schemas_are_refused(schema, data, metadata, said, tmp_path):
     path = tmp_path / "trip.mcap"
     write_elsewhere(path, [(START, data)], schemas=(schema,), metadata=metadata)
     assert refused(LogError, said, read_log, path).file == path
 
 
-def test_later_versions_and_times_beyond_pandas_are_refused(tmp_path: Path) -> None:
+def test_later_versions_and_times_beyond_pandas_are_refused(tmp_path):
     for version in (str(SCHEMA_VERSION + 1), "9" * 5000, "next", ""):
         with (tmp_path / "trip.mcap").open("wb") as stream:
             writer = Writer(stream)
@@ -300,7 +294,7 @@ def test_later_versions_and_times_beyond_pandas_are_refused(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("axles", ["9" * 5000, "-1", "two", "4096", "0"])
-def test_a_wrong_number_of_axles_is_not_followed(axles: str, tmp_path: Path) -> None:
+def test_a_wrong_number_of_axles_is_not_followed(axles, tmp_path):
     message = message_class(TRAIN_AXLES)(wheel_speed=[1.0, 2.0], wheel_effort=[3.0, 4.0])
     metadata = {"axles.wheel_speed": axles, "axles.wheel_effort": "2"}
     path = tmp_path / "trip.mcap"

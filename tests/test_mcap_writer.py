@@ -64,16 +64,14 @@ def write_pieces(path: Path, *pieces: Trip) -> None:
 
 @settings(max_examples=8)
 @given(st.lists(st.integers(-(10**9), 301 * 10**9), max_size=6))
-def test_any_pieces_give_the_same_bytes(
-    whole: Path, tmp_path_factory: pytest.TempPathFactory, cuts: list[int]
-) -> None:
+def test_any_pieces_give_the_same_bytes(whole, tmp_path_factory, cuts):
     path = tmp_path_factory.getbasetemp() / "pieces.mcap"
     times = [pd.Timestamp(START + cut, tz="UTC") for cut in sorted(cuts)]
     write_pieces(path, *pieces(long_trip(), times))
     assert path.read_bytes() == whole.read_bytes()
 
 
-def test_chunks_are_full_but_neither_too_long_nor_too_large(whole: Path) -> None:
+def test_chunks_are_full_but_neither_too_long_nor_too_large(whole):
     summary = SeekingReader(BytesIO(whole.read_bytes())).get_summary()
     chunks = summary.chunk_indexes
     assert len(chunks) >= 5
@@ -85,7 +83,7 @@ def test_chunks_are_full_but_neither_too_long_nor_too_large(whole: Path) -> None
         assert full or following.message_start_time - index.message_start_time >= 60 * 10**9
 
 
-def test_a_topic_may_come_late_and_without_a_piece_there_is_an_empty_log(tmp_path: Path) -> None:
+def test_a_topic_may_come_late_and_without_a_piece_there_is_an_empty_log(tmp_path):
     first, second = pieces(trip_of(rows=50), [pd.Timestamp(START + 2 * 10**9, tz="UTC")])
     late = {name: frame for name, frame in first.topics.items() if name != EVENTS.name}
     write_pieces(tmp_path / "trip.mcap", Trip(late), second)
@@ -96,7 +94,7 @@ def test_a_topic_may_come_late_and_without_a_piece_there_is_an_empty_log(tmp_pat
     assert read_log(tmp_path / "none.mcap").topics == {}
 
 
-def test_pieces_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None:
+def test_pieces_that_do_not_follow_each_other_are_refused(tmp_path):
     first, second = pieces(trip_of(rows=50), [pd.Timestamp(START + 2 * 10**9, tz="UTC")])
     other = Trip({TRAIN_AXLES.name: second[TRAIN_AXLES.name].iloc[:, :0]})
     caught = refused(LogError, "begins before", write_pieces, tmp_path / "trip.mcap", second, first)
@@ -105,7 +103,7 @@ def test_pieces_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_block_that_fails_leaves_the_older_file(tmp_path: Path) -> None:
+def test_a_block_that_fails_leaves_the_older_file(tmp_path):
     older = trip_of(rows=3)
     write_log(older, tmp_path / "trip.mcap")
     with pytest.raises(ZeroDivisionError), LogWriter(tmp_path / "trip.mcap") as log:

@@ -34,9 +34,7 @@ def written(trip: Trip, path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("cuts", "backwards"), [((0.5,), False), ((0.2, 0.21, 0.9), True)])
-def test_parts_in_any_order_are_the_whole(
-    cuts: tuple[float, ...], backwards: bool, whole: Trip, tmp_path: Path
-) -> None:
+def test_parts_in_any_order_are_the_whole(cuts, backwards, whole, tmp_path):
     """Each instant of a cut is in both parts, and once in the whole."""
     length = whole.end - whole.start
     edges = [None, *(whole.start + share * length for share in cuts), None]
@@ -56,7 +54,7 @@ def test_parts_in_any_order_are_the_whole(
     ]
 
 
-def test_topics_of_several_recorders_come_together(whole: Trip, tmp_path: Path) -> None:
+def test_topics_of_several_recorders_come_together(whole, tmp_path):
     axles = trip_of(rows=150, topics=[TRAIN_AXLES.name, EVENTS.name])
     second = Trip(axles.topics, whole.metadata | {"clock": "another"}, ({"step": "its own"},))
     paths = [written(whole, tmp_path / "a.mcap"), written(second, tmp_path / "b.mcap")]
@@ -72,9 +70,7 @@ def test_topics_of_several_recorders_come_together(whole: Trip, tmp_path: Path) 
     assert other["metadata"]["clock"] == "another"
 
 
-def test_different_samples_of_a_topic_are_refused_or_one_log_is_preferred(
-    whole: Trip, tmp_path: Path
-) -> None:
+def test_different_samples_of_a_topic_are_refused_or_one_log_is_preferred(whole, tmp_path):
     state = whole[STATE].copy()
     state["speed"] = state["speed"] + 1.0
     other = replace(whole.with_topic(state), provenance=())
@@ -91,7 +87,7 @@ def test_different_samples_of_a_topic_are_refused_or_one_log_is_preferred(
         assert done.left_out[STATE] > 100
 
 
-def test_logs_of_two_trips_are_refused(whole: Trip, tmp_path: Path) -> None:
+def test_logs_of_two_trips_are_refused(whole, tmp_path):
     for key in ("train", "line", "direction"):
         first = replace(whole, metadata=whole.metadata | {key: "one"})
         second = replace(whole, metadata=whole.metadata | {key: "two"})
@@ -103,9 +99,7 @@ def test_logs_of_two_trips_are_refused(whole: Trip, tmp_path: Path) -> None:
     refused(InputError, "would be overwritten", merge, paths, paths[0])
 
 
-def test_what_logs_disagree_on_is_left_out_and_attachments_are_kept(
-    whole: Trip, tmp_path: Path
-) -> None:
+def test_what_logs_disagree_on_is_left_out_and_attachments_are_kept(whole, tmp_path):
     first = replace(whole, metadata=whole.metadata | {"load": "1000"}, attachments={"n": b"1"})
     second = Trip({}, {"load": "2000"}, (), {"n": b"2", "m": b"3"})
     paths = [written(first, tmp_path / "a.mcap"), written(second, tmp_path / "b.mcap")]
@@ -119,7 +113,7 @@ def test_what_logs_disagree_on_is_left_out_and_attachments_are_kept(
     ]
 
 
-def test_the_commands_cut_and_merge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_commands_cut_and_merge(tmp_path, capsys):
     log = "sample_logs/nonstop.mcap"
     parts = [str(tmp_path / f"{number}.mcap") for number in range(2)]
     assert run(["convert", log, "-o", parts[0], "--to", "600s"]) == 0

@@ -36,21 +36,21 @@ FREE = np.full((1, CELLS + 1), np.inf)
 
 @settings(max_examples=40)
 @given(st.floats(0.1, 2.0), st.floats(0.0, 0.09), st.sampled_from([1, 4]))
-def test_constant_effort_gives_constant_acceleration(a: float, drag: float, order: int) -> None:
+def test_constant_effort_gives_constant_acceleration(a, drag, order):
     pull = Traction.of(np.full(CELLS, a), np.array([np.inf]))
     z, stalled = pull_forwards(FREE, 0.0, pull, motion(drag), order, 0.0)
     np.testing.assert_allclose(z[0], (a - drag) * POSITIONS, rtol=1e-9, atol=1e-9)
     assert stalled[0] == -1
 
 
-def test_constant_power_lets_the_cube_of_the_speed_grow_with_the_distance() -> None:
+def test_constant_power_lets_the_cube_of_the_speed_grow_with_the_distance():
     power, begin = 20.0, 10.0
     pull = Traction.of(np.full(CELLS, np.inf), np.array([power]))
     z, _ = pull_forwards(FREE, 0.5 * begin**2, pull, motion(), 4, 0.0)
     np.testing.assert_allclose(np.sqrt(2.0 * z[0]) ** 3, begin**3 + 3.0 * power * POSITIONS, 1e-6)
 
 
-def test_an_effort_that_falls_with_the_speed_follows_its_curve() -> None:
+def test_an_effort_that_falls_with_the_speed_follows_its_curve():
     """``dv/dt = a (1 - v/w)``: the distance to a speed is ``-w/a (v + w ln(1 - v/w))``."""
     a, w = 0.8, 40.0
     curve = EffortCurve(np.array([0.0, w]), np.array([a, 0.0]))
@@ -62,7 +62,7 @@ def test_an_effort_that_falls_with_the_speed_follows_its_curve() -> None:
     assert needed[-1] == pytest.approx(LENGTH, rel=1e-4)
 
 
-def test_steps_of_first_order_converge_to_those_of_fourth() -> None:
+def test_steps_of_first_order_converge_to_those_of_fourth():
     pull = Traction.of(np.full(CELLS, 0.9), np.array([15.0]))
     ends = [
         pull_forwards(FREE, 0.0, pull, motion(0.02, 1e-3, 1e-4), order, 0.0)[0][0, -1]
@@ -72,7 +72,7 @@ def test_steps_of_first_order_converge_to_those_of_fourth() -> None:
     assert ends[0] != ends[1]
 
 
-def test_a_train_that_drag_overcomes_stalls_or_crawls() -> None:
+def test_a_train_that_drag_overcomes_stalls_or_crawls():
     pull = Traction.of(np.full(CELLS, 0.1), np.array([np.inf]))
     z, stalled = pull_forwards(FREE, 10.0, pull, motion(0.2), 4, 0.0)
     assert stalled[0] == np.flatnonzero(z[0] == 0.0)[0] - 1 == 19
@@ -83,14 +83,14 @@ def test_a_train_that_drag_overcomes_stalls_or_crawls() -> None:
 
 @settings(max_examples=40)
 @given(st.floats(0.2, 1.5), st.floats(0.0, 0.1), st.floats(0.0, 0.1))
-def test_full_braking_backwards_adds_brake_and_drag(b: float, drag: float, pull: float) -> None:
+def test_full_braking_backwards_adds_brake_and_drag(b, drag, pull):
     most = np.full((1, CELLS), b)
     brakes = Brakes(most, most, np.zeros_like(most), 0.0)
     z = brake_backwards(FREE, 0.0, np.full(CELLS, pull), brakes, motion(drag))
     np.testing.assert_allclose(z[0], (b + drag - pull) * (LENGTH - POSITIONS), rtol=1e-9, atol=1e-9)
 
 
-def test_a_dynamic_brake_is_limited_by_its_power() -> None:
+def test_a_dynamic_brake_is_limited_by_its_power():
     """Power is force times speed, here that of the beginning of each cell."""
     none, power = np.zeros((1, CELLS)), 10.0
     brakes = Brakes(none + 9.0, none, none + 1.0, power)
@@ -100,7 +100,7 @@ def test_a_dynamic_brake_is_limited_by_its_power() -> None:
     np.testing.assert_allclose(braked, np.minimum(1.0, power / v[:-1]), rtol=1e-3)
 
 
-def test_the_braking_curve_of_one_deceleration_meets_the_limits() -> None:
+def test_the_braking_curve_of_one_deceleration_meets_the_limits():
     limits = np.where(POSITIONS < 2_000.0, 30.0, 10.0)
     curve = braking_curve(POSITIONS, limits, 0.5)
     before = POSITIONS < 2_000.0

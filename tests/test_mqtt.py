@@ -15,7 +15,6 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from command import Shell
 from killed import PATIENCE
 from refusals import refused
 
@@ -126,9 +125,7 @@ def recorded(source: Subscription, path: Path, idle: float) -> Trip:
 
 
 @pytest.mark.long
-def test_a_broker_that_is_killed_and_started_again_loses_nothing(
-    broker: Broker, tmp_path: Path
-) -> None:
+def test_a_broker_that_is_killed_and_started_again_loses_nothing(broker, tmp_path):
     """Of 600 messages at 200 a second; the broker is killed twice, the recorder is left alone."""
     with Subscription(f"127.0.0.1:{broker.port}/trains/17") as source:
         train = Publisher(broker.port, "trains/17")
@@ -150,9 +147,7 @@ def test_a_broker_that_is_killed_and_started_again_loses_nothing(
     assert state.position.to_numpy().tolist() == [20.0 * second for second in range(600)]
 
 
-def test_what_comes_while_the_recorder_is_away_is_kept_for_it(
-    broker: Broker, tmp_path: Path
-) -> None:
+def test_what_comes_while_the_recorder_is_away_is_kept_for_it(broker, tmp_path):
     address = f"127.0.0.1:{broker.port}/trains/%2B/reports"
     with Subscription(address):
         pass
@@ -164,9 +159,7 @@ def test_what_comes_while_the_recorder_is_away_is_kept_for_it(
         assert len(recorded(source, tmp_path / "a.mcap", 1.0)["/train/state"]) == 30
 
 
-def test_status_reports_of_sfera_are_recorded_as_they_come(
-    broker: Broker, tmp_path: Path, shell: Shell
-) -> None:
+def test_status_reports_of_sfera_are_recorded_as_they_come(broker, tmp_path, shell):
     """The command, with the sample's journey; the same as ingesting the archive of the reports."""
     (journey,) = read_sfera(JOURNEY)
     log, topic = tmp_path / "a.mcap", f"127.0.0.1:{broker.port}/trains/17"
@@ -193,9 +186,7 @@ def test_status_reports_of_sfera_are_recorded_as_they_come(
     assert trip.metadata["line"] == journey.line.name
 
 
-def test_a_trip_is_published_as_it_ran_and_recorded_again(
-    broker: Broker, tmp_path: Path, shell: Shell
-) -> None:
+def test_a_trip_is_published_as_it_ran_and_recorded_again(broker, tmp_path, shell):
     topic = f"127.0.0.1:{broker.port}/trains/17"
     with Subscription(topic):
         pass
@@ -213,7 +204,7 @@ def test_a_trip_is_published_as_it_ran_and_recorded_again(
     assert state.position.iloc[-1] == pytest.approx(own.position.dropna().iloc[-1], abs=300.0)
 
 
-def test_what_is_no_broker_or_cannot_be_published_is_one_line(tmp_path: Path) -> None:
+def test_what_is_no_broker_or_cannot_be_published_is_one_line(tmp_path):
     for address, said in (
         ("", "'' is not a topic of a broker"),
         ("localhost", "'localhost' is not a topic of a broker"),

@@ -53,7 +53,7 @@ def run(seed: int = 0) -> Run:
     )  # fmt: skip
 
 
-def test_a_minute_without_satellites_is_bridged_and_the_deviation_grows() -> None:
+def test_a_minute_without_satellites_is_bridged_and_the_deviation_grows():
     for seed in range(2):
         trip = run(seed)
         lost = (trip.time > 130.0) & (trip.time < 190.0)
@@ -72,7 +72,7 @@ def test_a_minute_without_satellites_is_bridged_and_the_deviation_grows() -> Non
 
 
 @pytest.mark.parametrize("missing", ["acceleration", "wheel_speed", "satellite_speed", "balise"])
-def test_deviations_are_honest_whatever_is_missing(missing: str) -> None:
+def test_deviations_are_honest_whatever_is_missing(missing):
     inside = []
     for seed in range(2):
         trip = run(seed)
@@ -87,7 +87,7 @@ def test_deviations_are_honest_whatever_is_missing(missing: str) -> None:
     assert np.all(np.mean(inside, axis=0) > 0.8), inside
 
 
-def test_an_axle_that_locks_does_not_make_the_train_stand() -> None:
+def test_an_axle_that_locks_does_not_make_the_train_stand():
     """For 20 s all of the wheel's samples are 0 while the train runs at speed."""
     for missing in (None, "satellite_speed"):
         trip = run(1)
@@ -107,9 +107,7 @@ def test_an_axle_that_locks_does_not_make_the_train_stand() -> None:
     ("wrong", "missing", "within"),
     [(5.0, (), 10.0), (-8.0, (), 10.0), (5.0, ("satellite_speed",), 35.0)],
 )
-def test_a_filter_that_lost_the_train_follows_it_again(
-    wrong: float, missing: tuple[str, ...], within: float
-) -> None:
+def test_a_filter_that_lost_the_train_follows_it_again(wrong, missing, within):
     """It begins with a wrong speed of which it is sure; all that is measured contradicts it."""
     trip = run(2)
     late = trip.time > 150.0
@@ -132,7 +130,7 @@ def test_a_filter_that_lost_the_train_follows_it_again(
     assert np.mean(np.abs(astray[moving]) <= 1.96 * std[moving]) > 0.9
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_refused():
     refused(InputError, "wheel_noise must be positive", OdometryFilter, wheel_noise=0.0)
     estimator = OdometryFilter()
     estimator.update(1.0, wheel_speed=0.0)

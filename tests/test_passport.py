@@ -39,7 +39,7 @@ def scaled(trip: Trip, factor: float) -> Trip:
     return trip.with_topic(controls.assign(**efforts))
 
 
-def test_late_efforts_with_a_wrong_gain_are_found(stopping: Trip) -> None:
+def test_late_efforts_with_a_wrong_gain_are_found(stopping):
     clean = estimated_passport(stopping)
     defect = estimated_passport(with_effort_delay(scaled(stopping, 1.1), -0.33))
 
@@ -52,7 +52,7 @@ def test_late_efforts_with_a_wrong_gain_are_found(stopping: Trip) -> None:
     assert defect.mass.value == pytest.approx(clean.mass.value)
 
 
-def test_a_stated_load_that_the_motion_contradicts_is_stated_by_the_fit() -> None:
+def test_a_stated_load_that_the_motion_contradicts_is_stated_by_the_fit():
     trip = trainlog.read("sample_logs/nonstop.mcap")
     true = float(trip.metadata["load"])
     for error in (-15e3, 0.0, 15e3):
@@ -66,7 +66,7 @@ def test_a_stated_load_that_the_motion_contradicts_is_stated_by_the_fit() -> Non
             assert float(found[1]) == pytest.approx(true / 1e3, abs=2.0)
 
 
-def test_creep_of_unrecorded_wheels_is_in_the_band_of_the_delay() -> None:
+def test_creep_of_unrecorded_wheels_is_in_the_band_of_the_delay():
     line, train = sample(DEFAULT_LINE), sample(DEFAULT_TRAIN)
     drawn = draw_scenarios(trainlog.read_line(line), trainlog.read_train(train), 2, seed=4)[1]
     trip = simulate(replace(drawn, characteristic=polach_curve("wet")))
@@ -82,7 +82,7 @@ def test_creep_of_unrecorded_wheels_is_in_the_band_of_the_delay() -> None:
     assert thing_from_bytes(Passport, thing_to_bytes(found)).creep_lead == found.creep_lead
 
 
-def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping: Trip) -> None:
+def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping):
     known = {key: value for key, value in stopping.metadata.items() if key != "load"}
     found = estimated_passport(replace(stopping, metadata=known))
     weighed = estimated_passport(stopping)
@@ -99,9 +99,7 @@ def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping:
     assert any(each.startswith("no load recorded") for each in found.findings)
 
 
-def test_ingest_stores_the_passport_and_info_shows_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ingest_stores_the_passport_and_info_shows_it(tmp_path, monkeypatch, capsys):
     recording, profile = sample("recorder.csv"), sample("recorder.profile.toml")
     command: list[str | Path] = ["ingest", recording, "-o", tmp_path, "--profile", profile]
     command += ["--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN)]
@@ -121,9 +119,7 @@ def test_ingest_stores_the_passport_and_info_shows_it(
 
 
 @pytest.mark.parametrize(("step", "noise"), [(1.0 / 3.6, 0.0), (0.1 / 3.6, 0.03)])
-def test_wheel_factors_of_rounded_speeds_are_within_their_bands(
-    stopping: Trip, step: float, noise: float
-) -> None:
+def test_wheel_factors_of_rounded_speeds_are_within_their_bands(stopping, step, noise):
     """Other wheels on the true motion of a trip, displayed in steps of up to 1 km/h."""
     speed = stopping["/truth"]["speed"].to_numpy()
     speed = speed[speed > 3.0]

@@ -64,7 +64,7 @@ def runs() -> Runs:
     return Runs((first, Run("train 1", 21.0, Band(80e3, 1e3), adhesion)))
 
 
-def test_a_notebook_shows_title_tables_and_notes_escaped() -> None:
+def test_a_notebook_shows_title_tables_and_notes_escaped():
     html = runs()._repr_html_()
     assert all(words in html for words in ("<b>2 runs</b>", "top speed, km/h", "95 % band"))
     hostile = Runs((Run("<script>", 1.0, None, None),))
@@ -72,7 +72,7 @@ def test_a_notebook_shows_title_tables_and_notes_escaped() -> None:
     refused(InputError, "Runs has no plot; print it, or use its attributes", runs().plot)
 
 
-def test_csv_and_frame_hold_the_rows_in_si_units() -> None:
+def test_csv_and_frame_hold_the_rows_in_si_units():
     found = runs()
     read = pd.read_csv(io.StringIO(found.to_csv()))
     assert read["top_speed_m_s"].tolist() == [20.0, 21.0]
@@ -82,7 +82,7 @@ def test_csv_and_frame_hold_the_rows_in_si_units() -> None:
         found.to_csv(name="days")
 
 
-def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_names_them() -> None:
+def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_names_them():
     (table,) = runs().tables()
     for width, shown, left_out in (
         (80, "80.0 ± 2.0", ""),

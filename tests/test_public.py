@@ -18,7 +18,7 @@ HEAVY = ("pandas", "cvxpy", "rerun", "numba")
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_every_public_name_is_there_documented_and_has_an_example(name: str) -> None:
+def test_every_public_name_is_there_documented_and_has_an_example(name):
     package = importlib.import_module(name)
     assert set(package.__all__) <= set(dir(package))
     public = {each: getattr(package, each) for each in package.__all__}
@@ -26,7 +26,7 @@ def test_every_public_name_is_there_documented_and_has_an_example(name: str) -> 
     assert [each for each, it in public.items() if callable(it) and ">>> " not in it.__doc__] == []
 
 
-def test_importing_the_packages_loads_neither_pandas_nor_a_solver() -> None:
+def test_importing_the_packages_loads_neither_pandas_nor_a_solver():
     code = f"import sys, {', '.join(PACKAGES)}; print([m for m in {HEAVY} if m in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"
@@ -48,7 +48,7 @@ def public_examples() -> list[Any]:
     return [(name, text) for name, text in found if ">>> " in text]
 
 
-def test_examples_use_only_public_names_and_what_they_import() -> None:
+def test_examples_use_only_public_names_and_what_they_import():
     """What a reader of the reference can type: no names of the module that defines it."""
     examples = public_examples()
     assert len(examples) > 100

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -52,7 +51,7 @@ def without_rain(rail: Rail) -> Rail:
 
 
 class TestSpots:
-    def test_half_of_a_spot_is_left_after_its_life_and_little_long_after(self, rail: Rail) -> None:
+    def test_half_of_a_spot_is_left_after_its_life_and_little_long_after(self, rail):
         dry = without_rain(rail)
         for number, spot in dry.spots.iloc[::25].iterrows():
             life = int(spot["life"] * 1e9)
@@ -68,7 +67,7 @@ class TestSpots:
             assert shares[2] > 0.92
             assert shares[4] < 0.08
 
-    def test_rain_shortens_the_life_of_what_it_washes_off(self, rail: Rail) -> None:
+    def test_rain_shortens_the_life_of_what_it_washes_off(self, rail):
         rainy = np.flatnonzero(rail.drawn.table.precipitation > 0.0)
         after = int(rail.drawn.table.ends[rainy[rainy.size // 2]]) + 3 * HOUR
         wet, dry = rail.left(after), without_rain(rail).left(after)
@@ -79,9 +78,7 @@ class TestSpots:
         assert np.array_equal(wet[lasts], dry[lasts])
 
     @pytest.mark.parametrize("kind", ["leaves", "contamination"])
-    def test_lives_are_lognormal_with_the_median_that_is_stated(
-        self, line: Line, kind: str
-    ) -> None:
+    def test_lives_are_lognormal_with_the_median_that_is_stated(self, line, kind):
         spots = [Rail.draw(line, 40, "2026-10-10", seed).spots for seed in range(6)]
         lives = pd.concat([each[each["kind"] == kind] for each in spots])["life"] / 3600.0
         median, spread, shortest, longest = KINDS[kind].life
@@ -93,7 +90,7 @@ class TestSpots:
         scores = np.log(inside / median) / spread
         assert kstest(scores, "norm").pvalue > 1e-3
 
-    def test_leaves_fall_in_autumn_and_frost_comes_in_cold_nights(self, line: Line) -> None:
+    def test_leaves_fall_in_autumn_and_frost_comes_in_cold_nights(self, line):
         summer = Rail.draw(line, 30, "2026-06-15", 3)
         assert set(summer.spots["kind"]) == {"contamination"}
         winter = Rail.draw(line, 60, "2026-11-20", 3)
@@ -104,7 +101,7 @@ class TestSpots:
 
 
 class TestRail:
-    def test_the_same_seed_draws_the_same_rail(self, line: Line, rail: Rail) -> None:
+    def test_the_same_seed_draws_the_same_rail(self, line, rail):
         again = Rail.draw(line, days=40, start="2026-10-10", seed=2)
         pd.testing.assert_frame_equal(rail.spots, again.spots)
         time = rail.start + 5 * DAY + 7 * HOUR
@@ -115,7 +112,7 @@ class TestRail:
 
 
 class TestChanges:
-    def test_adhesion_in_the_section_is_changed_from_the_date_on(self, line: Line) -> None:
+    def test_adhesion_in_the_section_is_changed_from_the_date_on(self, line):
         change = Change(10e3, 14e3, at("2026-10-20T02:00"), factor=0.7)
         rail = Rail.draw(line, 30, "2026-10-10", 2, [change])
         for name in rail.base:
@@ -126,7 +123,7 @@ class TestChanges:
             np.testing.assert_allclose(after[inside] / before[inside], 0.7)
             assert np.array_equal(after[~inside], before[~inside])
 
-    def test_passing_spots_come_more_or_less_often_afterwards(self, line: Line) -> None:
+    def test_passing_spots_come_more_or_less_often_afterwards(self, line):
         def share(births: float) -> float:
             change = Change(0.0, 15e3, at("2026-10-25"), births=births)
             before = after = 0
@@ -143,7 +140,7 @@ class TestChanges:
 
 
 class TestTrips:
-    def test_trains_run_from_five_to_eleven_on_every_day(self, few: Rail) -> None:
+    def test_trains_run_from_five_to_eleven_on_every_day(self, few):
         trips = draw_days(few, [read_train(sample(DEFAULT_TRAIN))], 7)
         assert len(trips) == len({trip.name for trip in trips}) == 42
         starts = pd.DatetimeIndex([trip.start for trip in trips])
@@ -156,7 +153,7 @@ class TestTrips:
         for trip in trips:
             assert trip.weather == few.weather(trip.start).condition
 
-    def test_the_log_carries_what_the_trip_met_and_what_lasts(self, few: Rail) -> None:
+    def test_the_log_carries_what_the_trip_met_and_what_lasts(self, few):
         scenario = draw_days(few, [read_train(sample(DEFAULT_TRAIN))], 2)[11]
         truth = truth_of(simulate(scenario))
         assert truth.lasting_adhesion == few.lasting(scenario.weather, scenario.start)
@@ -164,7 +161,7 @@ class TestTrips:
         assert truth.weather == few.weather(scenario.start).condition
 
 
-def test_what_cannot_be_drawn_is_refused(line: Line, few: Rail) -> None:
+def test_what_cannot_be_drawn_is_refused(line, few):
     days = (line, 30, "2026-10-10", 1)
     for words, call, given in (
         ("is not one of the days drawn", few.weather, (few.start + 50 * DAY,)),
@@ -184,7 +181,7 @@ SAMPLES = ("--line", "sample", "--train", "sample")
 
 
 class TestCommand:
-    def test_days_are_simulated_with_their_weather(self, tmp_path: Path) -> None:
+    def test_days_are_simulated_with_their_weather(self, tmp_path):
         given = ["simulate", "days", *SAMPLES, "--days", "1", "--trips-per-day", "1"]
         change = ["--start", "2026-10-20", "--change", "km=10:14,date=2026-10-20,factor=0.5"]
         for folder in ("first", "second"):
@@ -202,9 +199,7 @@ class TestCommand:
             there = weather.at(pd.Timestamp(trip.metadata["start"]).value)
             assert there.condition == trip.metadata["weather"]
 
-    def test_a_train_that_is_stopped_for_good_does_not_end_the_month(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_train_that_is_stopped_for_good_does_not_end_the_month(self, tmp_path, monkeypatch):
         slippery = Rail.lasting
 
         def met(rail: Rail, condition: str, time: int) -> StepProfile:
@@ -231,16 +226,14 @@ class TestCommand:
             (["--days", "2", "--change", "km=1:2,date=2027-10-01,factor=2"], "not one of the days"),
         ],
     )
-    def test_what_does_not_fit_is_refused(
-        self, tmp_path: Path, words: list[str], message: str
-    ) -> None:
+    def test_what_does_not_fit_is_refused(self, tmp_path, words, message):
         command = ["simulate", "days", *SAMPLES, *words, "-o", str(tmp_path / "out")]
         result = CliRunner().invoke(app, command)
         assert result.exit_code != 0
         assert message in str(result.exception)
 
 
-def test_a_rail_without_stations_or_spots_is_drawn(line: Line) -> None:
+def test_a_rail_without_stations_or_spots_is_drawn(line):
     """An edge of a network may be a hundred metres of track between two switches."""
     short = replace(line.section(12_000.0, 12_100.0), stations=())
     drawn = [Rail.draw(short, days=2, start="2026-06-15", seed=seed) for seed in range(5)]

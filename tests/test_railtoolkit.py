@@ -73,7 +73,7 @@ def shortest_time(line: Line, train: Train, step: float) -> float:
 
 @SHARED
 @pytest.mark.parametrize(("train", "path"), CASES)
-def test_running_times_of_trainruns(train: str, path: str) -> None:
+def test_running_times_of_trainruns(train, path):
     line = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")[path]
     expected, given = published(train, path), train_of(train)
     # With the step of 20 m that TrainRuns takes.
@@ -83,7 +83,7 @@ def test_running_times_of_trainruns(train: str, path: str) -> None:
 
 
 @SHARED
-def test_a_share_of_the_load_beyond_all_of_it_is_refused() -> None:
+def test_a_share_of_the_load_beyond_all_of_it_is_refused():
     with pytest.raises(InputError, match=r"a share of 1\.5 of the load is not between 0 and 1"):
         train_of("local", 1.5)
 
@@ -92,7 +92,7 @@ def test_a_share_of_the_load_beyond_all_of_it_is_refused() -> None:
 @pytest.mark.parametrize(
     "file", sorted((DATA / "railtoolkit_schema" / "test").glob("*/invalid/*.yaml")), ids=str
 )
-def test_every_invalid_case_is_refused_with_what_is_wrong(file: Path) -> None:
+def test_every_invalid_case_is_refused_with_what_is_wrong(file):
     read = read_rolling_stock if "rolling-stock" in file.parts else read_running_paths
     expected = {
         "length": "'length' is missing",
@@ -119,7 +119,7 @@ def test_every_invalid_case_is_refused_with_what_is_wrong(file: Path) -> None:
 
 
 @SHARED
-def test_every_valid_case_is_read() -> None:
+def test_every_valid_case_is_read():
     folder = DATA / "railtoolkit_schema"
     for file in sorted((folder / "test" / "rolling-stock" / "valid").glob("*.yaml")):
         read_rolling_stock(file)
@@ -133,7 +133,7 @@ def test_every_valid_case_is_read() -> None:
     assert line.gradient(2_500.0) == pytest.approx(2e-3)
 
 
-def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
+def test_strahl_and_sauthoff_say_what_wende_prints():
     speed = np.linspace(0.0, 50.0, 11)
     strahl = GRAVITY * 84e3 * (1.4 + 3.9 * (3.6 * speed / 100.0) ** 2) / 1e3
     assert WAGON.resistance(59e3)(speed) == pytest.approx(strahl)
@@ -154,7 +154,7 @@ def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
     assert UNIT.resistance(0.0)(speed) == pytest.approx(expected)
 
 
-def test_a_formation_adds_its_vehicles_up() -> None:
+def test_a_formation_adds_its_vehicles_up():
     wagon = replace(WAGON, speed_limit=27.0)
     empty, half = (coupled("train", (UNIT, wagon, wagon), share) for share in (0.0, 0.5))
     assert empty.length == 78.0
@@ -190,7 +190,7 @@ def path_file(folder: Path, sections: str) -> Path:
         ("[" * 1_000, "is not YAML"),
     ],
 )
-def test_other_files_are_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_other_files_are_refused(tmp_path, text, words):
     file = tmp_path / "odd.yaml"
     file.write_text(text)
     refused(InputError, words, read_running_paths, file)
@@ -219,9 +219,7 @@ LOCOMOTIVE = (
     ],
     ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",
 )
-def test_what_an_import_cannot_use_is_refused(
-    words: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
+def test_what_an_import_cannot_use_is_refused(words, message, tmp_path):
     (tmp_path / "v90.yaml").write_text(LOCOMOTIVE)
     (tmp_path / "train.yaml").write_text(
         STOCK.replace("vehicles:", "trains: [{id: ore, name: ore, formation: [V90, F]}]")

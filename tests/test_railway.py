@@ -1,7 +1,5 @@
 """Lines, trains, resistance and creep curves as data and pure functions."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -44,8 +42,8 @@ TRAIN = Train(
 )
 
 
-def test_profiles_take_lists_and_refuse_what_is_no_number() -> None:
-    made = StepProfile([0.0, 400.0], [20.0, 30.0])  # type: ignore[arg-type]
+def test_profiles_take_lists_and_refuse_what_is_no_number():
+    made = StepProfile([0.0, 400.0], [20.0, 30.0])
     assert made == LINE.speed_limits
     refused(InputError, "values must be numbers", StepProfile, [0.0], ["fast"])
 
@@ -63,14 +61,12 @@ def test_profiles_take_lists_and_refuse_what_is_no_number() -> None:
         (TRAIN.tractive_effort_limit, [0.0, 5.0, 20.0], [200e3, 200e3, 100e3]),
     ],
 )
-def test_quantities_are_those_that_a_hand_calculation_gives(
-    quantity: Callable[[list[float]], object], at: list[float], expected: list[float]
-) -> None:
+def test_quantities_are_those_that_a_hand_calculation_gives(quantity, at, expected):
     np.testing.assert_allclose(quantity(at), expected)
 
 
 @given(st.floats(0.001, 999.9))
-def test_the_reversed_line_is_the_same_line(position: float) -> None:
+def test_the_reversed_line_is_the_same_line(position):
     other = LINE.reversed()
     if np.min(np.abs(LINE.breakpoints - position)) < 1e-6:
         return
@@ -85,11 +81,11 @@ def test_the_reversed_line_is_the_same_line(position: float) -> None:
 @pytest.mark.parametrize(
     "curve", [(1.2, 0.54, 1.0, 1.0), (0.5, 1.2, 1.0, 0.9), (-0.1, 1.0, 1.0, 1.0)]
 )
-def test_curves_that_do_not_rise_from_zero_are_refused(curve: tuple[float, ...]) -> None:
+def test_curves_that_do_not_rise_from_zero_are_refused(curve):
     refused(InputError, "creep curve", CreepCurve, *curve)
 
 
-def test_nonsensical_lines_are_refused_with_the_place() -> None:
+def test_nonsensical_lines_are_refused_with_the_place():
     def line(**changes: object) -> Line:
         fields = {
             "name": "L",
@@ -98,7 +94,7 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
             "speed_limits": StepProfile(np.array([0.0]), np.array([20.0])),
             "gradients": StepProfile(np.array([0.0]), np.array([0.0])),
         }
-        return Line(**{**fields, **changes})  # type: ignore[arg-type]
+        return Line(**{**fields, **changes})
 
     with pytest.raises(InputError, match=r"speed limit at km 0\.400 is not positive"):
         line(speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([20.0, 0.0])))
@@ -120,6 +116,6 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
     refused(InputError, "finite", StepProfile, np.array([0.0]), np.array([np.nan]))
 
 
-def test_a_configuration_with_negative_resistance_is_refused() -> None:
+def test_a_configuration_with_negative_resistance_is_refused():
     with pytest.raises(InputError, match="running resistance is negative at"):
         Configuration("c", 1e5, 1e4, RunningResistance(1000.0, -200.0, 0.1), 1e6)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -46,11 +44,7 @@ def made(rows: int = 40) -> Trip:
     st.integers(0, 5),
 )
 @settings(max_examples=15)
-def test_whatever_a_recorder_has_reads_back_as_it_was(
-    tmp_path_factory: pytest.TempPathFactory,
-    described: dict[str, dict[str, tuple[str, str]]],
-    rows: int,
-) -> None:
+def test_whatever_a_recorder_has_reads_back_as_it_was(tmp_path_factory, described, rows):
     time = START + np.arange(rows) * 10**8
     topics = [
         recorded_topic(name, [Field(field, *each) for field, each in fields.items()])
@@ -71,7 +65,7 @@ def test_whatever_a_recorder_has_reads_back_as_it_was(
             assert back[name].attrs == frame.attrs
 
 
-def test_cut_converted_recovered_and_streamed_it_stays(tmp_path: Path) -> None:
+def test_cut_converted_recovered_and_streamed_it_stays(tmp_path):
     trip = made()
     trainlog.write(trip, tmp_path / "whole.mcap")
     part = trainlog.read(tmp_path / "whole.mcap", position=(200.0, 400.0))
@@ -92,7 +86,7 @@ def test_cut_converted_recovered_and_streamed_it_stays(tmp_path: Path) -> None:
     assert sum(len(piece[PANTOGRAPH.name]) for piece in pieces) == 40
 
 
-def test_the_replay_draws_a_plot_a_unit(tmp_path: Path) -> None:
+def test_the_replay_draws_a_plot_a_unit(tmp_path):
     trainlog.write_replay([made()], tmp_path / "own.rrd")
     store = RrdReader(tmp_path / "own.rrd").stream().collect()
     entities = {str(chunk.entity_path) for chunk in store.stream().to_chunks()}
@@ -100,7 +94,7 @@ def test_the_replay_draws_a_plot_a_unit(tmp_path: Path) -> None:
     assert "/trips/own/recorded_2/pantograph/raised" in entities
 
 
-def test_a_profile_keeps_any_column_in_si(tmp_path: Path) -> None:
+def test_a_profile_keeps_any_column_in_si(tmp_path):
     rows = [f"2024-05-01T06:00:{i:02d}Z,{60 + i},{300 + i},{25.1},{i % 2},x{i}" for i in range(30)]
     path = tmp_path / "run.csv"
     path.write_text("t,v,T,U,pump,note\n" + "\n".join(rows) + "\n", "utf-8")
@@ -128,7 +122,7 @@ def test_a_profile_keeps_any_column_in_si(tmp_path: Path) -> None:
     assert report_of(trip).not_used == {"columns that the profile does not map: note": 1}
 
 
-def test_names_units_and_descriptions_that_cannot_be_are_refused(tmp_path: Path) -> None:
+def test_names_units_and_descriptions_that_cannot_be_are_refused(tmp_path):
     for name, fields in (
         ("/recorded/Oil", ["a"]),
         ("/recorded/", ["a"]),
@@ -153,7 +147,7 @@ def test_names_units_and_descriptions_that_cannot_be_are_refused(tmp_path: Path)
     refused(LogError, "does not describe its columns", trainlog.write, bare, tmp_path / "bare.mcap")
 
 
-def test_a_recording_under_way_takes_what_was_declared(tmp_path: Path) -> None:
+def test_a_recording_under_way_takes_what_was_declared(tmp_path):
     with trainlog.record(tmp_path / "live.mcap") as recording:
         with pytest.raises(TrainlogError, match="has not been declared"):
             recording.write(PANTOGRAPH.name, START, contact_force=70.0)

@@ -51,14 +51,14 @@ def solved() -> shooting.Reference:
     return reference(section(200.0, slippery, slope=0.012))
 
 
-def test_the_train_arrives_in_time_and_stands(solved: shooting.Reference) -> None:
+def test_the_train_arrives_in_time_and_stands(solved):
     assert solved.duration == 200.0
     assert solved.fine[-1, 0] == pytest.approx(2_500.0, abs=0.3)
     assert solved.fine[-1, 1] < 0.1
     assert solved.rollout_error < 0.3
 
 
-def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved: shooting.Reference) -> None:
+def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved):
     assert solved.worst.max() <= 0.0
     track = solved.section.line
     for position, speed, lever in solved.fine:
@@ -73,7 +73,7 @@ def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved: shooting.
         assert speed <= float(track.speed_limit(position))
 
 
-def test_on_the_level_without_limits_the_answer_is_the_analytic_one() -> None:
+def test_on_the_level_without_limits_the_answer_is_the_analytic_one():
     """With constant effort and no resistance the lever falls on a straight line: cubic motion."""
     train = PUBLISHED_TRAIN._replace(k1=0.0, k3=60e3, drag=0.0, rolling=0.0)
     track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
@@ -86,9 +86,7 @@ def test_on_the_level_without_limits_the_answer_is_the_analytic_one() -> None:
     assert found.cost == pytest.approx(6.0 * (mass / 60e3 * way) ** 2 / time**3, rel=1e-3)
 
 
-def test_a_timetable_that_cannot_be_kept_is_explained_before_any_solver(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_timetable_that_cannot_be_kept_is_explained_before_any_solver(monkeypatch):
     def never(*_: object) -> None:
         raise AssertionError("a solver was asked")
 
@@ -98,13 +96,13 @@ def test_a_timetable_that_cannot_be_kept_is_explained_before_any_solver(
     assert "later or more" in e.remedy
 
 
-def test_a_train_that_stalls_is_refused_with_the_place() -> None:
+def test_a_train_that_stalls_is_refused_with_the_place():
     icy = StepProfile(np.array([0.0, 650.0, 1_500.0]), np.array([0.3, 0.003, 0.3]))
     with pytest.raises(InfeasibleError, match=r"comes to a stand at km 1\.[0-4]\d\d"):
         check_timetable((section(600.0, icy, slope=0.03),))
 
 
-def test_the_fastest_run_bounds_every_reference_and_is_slower_with_more_mass() -> None:
+def test_the_fastest_run_bounds_every_reference_and_is_slower_with_more_mass():
     planned = section(200.0, slope=0.01)
     assert fastest_unweighed(planned).duration < fastest(planned).duration
     light, heavy = (
@@ -114,7 +112,7 @@ def test_the_fastest_run_bounds_every_reference_and_is_slower_with_more_mass() -
     assert light.duration < fastest_unweighed(planned, PUBLISHED_TRAIN.light, 4_800.0).duration
 
 
-def test_what_the_lightest_train_may_do_bounds_the_fastest_run() -> None:
+def test_what_the_lightest_train_may_do_bounds_the_fastest_run():
     """On the level without a limit: comfort of the light train, until it may run a little on."""
     c = PUBLISHED_TRAIN._replace(drag=0.0, rolling=0.0)
     track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
@@ -125,9 +123,7 @@ def test_what_the_lightest_train_may_do_bounds_the_fastest_run() -> None:
     assert found.duration == pytest.approx(2.0 * np.sqrt(80.0 * c.heavy / c.light), rel=0.03)
 
 
-def test_what_breaks_a_constraint_between_its_checks_is_solved_with_more_of_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_breaks_a_constraint_between_its_checks_is_solved_with_more_of_them(monkeypatch):
     spot = StepProfile(np.array([0.0, 230.0, 238.0]), np.array([0.3, 0.02, 0.3]))
     asked = section(95.0, spot, slope=0.012, length=1_500.0)
     monkeypatch.setattr(shooting, "CHECKS", (1,))

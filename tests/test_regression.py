@@ -22,7 +22,7 @@ def rows(seed: int, count: int = 60) -> tuple[FloatArray, FloatArray]:
     return columns, columns @ TRUE + generator.standard_normal(count)
 
 
-def test_data_and_prior_weigh_as_their_variances_say() -> None:
+def test_data_and_prior_weigh_as_their_variances_say():
     columns, left = rows(1)
     found = regress(left, free(columns, mean=1.5))
     precision = columns.T @ columns + np.diag([3.0**-2, 0.5**-2])
@@ -34,7 +34,7 @@ def test_data_and_prior_weigh_as_their_variances_say() -> None:
     assert found.std("b") == pytest.approx(0.5, rel=1e-4)
 
 
-def test_rows_far_off_are_left_out_and_no_others() -> None:
+def test_rows_far_off_are_left_out_and_no_others():
     columns, left = rows(2)
     off = [7, 9, 30]
     left[off] = columns[off] @ TRUE + [40.0, 30.0, -9.0]
@@ -49,7 +49,7 @@ def test_rows_far_off_are_left_out_and_no_others() -> None:
     assert larger.kept.sum() >= 55
 
 
-def test_rows_that_err_together_widen_what_is_known() -> None:
+def test_rows_that_err_together_widen_what_is_known():
     """Twenty clusters of thirty rows with an error in common: as much as estimates scatter."""
     errors, stated = [], []
     for seed in range(200):
@@ -66,7 +66,7 @@ def test_rows_that_err_together_widen_what_is_known() -> None:
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.std(errors), rel=0.15)
 
 
-def test_a_ratio_has_the_spread_of_both() -> None:
+def test_a_ratio_has_the_spread_of_both():
     columns = np.random.default_rng(3).standard_normal((200, 2))
     columns[:, 1] += 0.8 * columns[:, 0]
     ratios = []
@@ -79,7 +79,7 @@ def test_a_ratio_has_the_spread_of_both() -> None:
 
 
 @pytest.mark.parametrize("rounds", [None, 1, 2, 3])
-def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds: int | None) -> None:
+def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds):
     """Rows one by one, where only the worst of all is left out in a round."""
     values = np.zeros(20)
     values[[3, 8, 11, 17]] = 1e3, 2e3, 3e3, 4e3

@@ -69,7 +69,7 @@ def curve(path: Path, entity: str, component: str = "Scalars:scalars") -> np.nda
     return values[1:]
 
 
-def test_curves_are_the_samples_in_units_of_the_railway(trip: Trip, recording: Path) -> None:
+def test_curves_are_the_samples_in_units_of_the_railway(trip, recording):
     """Braking downwards, a band of one deviation, a line for each axle."""
     state, own, effort = (
         trip[name] for name in ("/train/state", "/estimates/state", "/train/controls")
@@ -99,7 +99,7 @@ def test_curves_are_the_samples_in_units_of_the_railway(trip: Trip, recording: P
     assert (np.diff(phases["time"]) > 0).all()
 
 
-def test_timelines_tell_when_and_where(trip: Trip, recording: Path) -> None:
+def test_timelines_tell_when_and_where(trip, recording):
     assert {frozenset(each) for each in entities(recording).values() if each} == {
         frozenset({"time", "elapsed", "position_m"})
     }
@@ -113,7 +113,7 @@ def test_timelines_tell_when_and_where(trip: Trip, recording: Path) -> None:
 
 @settings(max_examples=50)
 @given(arrays(np.float64, 30, elements=st.floats(0.0, 1e5)))
-def test_a_train_that_only_goes_on_is_where_it_said(position: np.ndarray) -> None:
+def test_a_train_that_only_goes_on_is_where_it_said(position):
     forward = np.sort(position)
     time = START + np.arange(30) * 10**8
     trip = Trip({"/train/state": frame_of(topics.TRAIN_STATE, time, {"position": forward})})
@@ -121,7 +121,7 @@ def test_a_train_that_only_goes_on_is_where_it_said(position: np.ndarray) -> Non
     assert clock.position_at(time) == pytest.approx(forward, abs=1e-9)
 
 
-def test_unknown_values_and_missing_rows_break_the_line(trip: Trip, tmp_path: Path) -> None:
+def test_unknown_values_and_missing_rows_break_the_line(trip, tmp_path):
     state = trip["/train/state"].copy()
     state.iloc[100:150, state.columns.get_loc("speed")] = np.nan
     kept = trip["/train/state"].drop(state.index[100:150])
@@ -138,7 +138,7 @@ def test_unknown_values_and_missing_rows_break_the_line(trip: Trip, tmp_path: Pa
 
 @settings(max_examples=100)
 @given(arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 2.0, np.nan])))
-def test_a_held_value_is_the_same_at_every_instant_after_thinning(values: np.ndarray) -> None:
+def test_a_held_value_is_the_same_at_every_instant_after_thinning(values):
     time = np.arange(40, dtype=np.int64)
     kept = thinned(Samples(time, values[:, None]))
     held = kept.ordinates[np.searchsorted(kept.time, time, side="right") - 1, 0]
@@ -146,7 +146,7 @@ def test_a_held_value_is_the_same_at_every_instant_after_thinning(values: np.nda
     assert kept.time[-1] == time[-1]
 
 
-def test_places_lie_on_the_line(trip: Trip, tiled: Path) -> None:
+def test_places_lie_on_the_line(trip, tiled):
     found = rows(tiled, "/trips/up/place/train")
     latitude, longitude = LINE.geometry.at(clock_of(trip).position_at(found["time"]))
     assert found["GeoPoints:positions"] == pytest.approx(
@@ -157,7 +157,7 @@ def test_places_lie_on_the_line(trip: Trip, tiled: Path) -> None:
     assert fixes == pytest.approx(frame[["latitude", "longitude"]].to_numpy())
 
 
-def test_without_tiles_places_are_drawn_to_scale(trip: Trip, recording: Path) -> None:
+def test_without_tiles_places_are_drawn_to_scale(trip, recording):
     """The line of the example runs east for 2 km; no geographic entity asks for a map."""
     found = rows(recording, "/trips/up/place/train")
     driven = clock_of(trip).position_at(found["time"])
@@ -171,7 +171,7 @@ def test_without_tiles_places_are_drawn_to_scale(trip: Trip, recording: Path) ->
     assert static(recording, station, "Points2D:labels") == ["B town"]
 
 
-def test_a_line_without_coordinates_is_drawn_straight(tmp_path: Path) -> None:
+def test_a_line_without_coordinates_is_drawn_straight(tmp_path):
     bare = line_to_bytes(replace(LINE, geometry=None))
     both = [
         replace(made_trip(name, direction), attachments={LINE_ATTACHMENT: bare})
@@ -187,7 +187,7 @@ def test_a_line_without_coordinates_is_drawn_straight(tmp_path: Path) -> None:
     assert np.ptp(np.array(ends)[:, 0]) == pytest.approx(LENGTH, rel=1e-3)
 
 
-def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Path) -> None:
+def test_topics_that_are_missing_or_empty_are_left_out(trip, tmp_path):
     bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})
     for empty in (topics.EVENTS, topics.TRAIN_CONTROLS, topics.GNSS_FIX, topics.TRUTH):
         bare = bare.with_topic(frame_of(empty, np.empty(0, np.int64), {}))
@@ -199,7 +199,7 @@ def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Pat
     }
 
 
-def test_without_a_chainage_receivers_give_the_distance(trip: Trip, tmp_path: Path) -> None:
+def test_without_a_chainage_receivers_give_the_distance(trip, tmp_path):
     motion = trip["/gnss/motion"]
     covered = np.trapezoid(motion["speed"], (motion.index.asi8 - START) / 1e9)
     assert clock_of(Trip({"/gnss/motion": motion})).position[-1] == pytest.approx(covered)
@@ -210,7 +210,7 @@ def test_without_a_chainage_receivers_give_the_distance(trip: Trip, tmp_path: Pa
     assert set(rows(tmp_path / "air.rrd", "/trips/unnamed/gradient")["position_m"]) == {0}
 
 
-def test_the_map_lies_under_a_trip_in_its_own_direction(mapped: Path) -> None:
+def test_the_map_lies_under_a_trip_in_its_own_direction(mapped):
     condition = condition_of()
     up = rows(mapped, "/trips/up/adhesion/map/dots")
     down = rows(mapped, "/trips/down/adhesion/map/dots")
@@ -223,7 +223,7 @@ def test_the_map_lies_under_a_trip_in_its_own_direction(mapped: Path) -> None:
     assert (down["Scalars:scalars"] == up["Scalars:scalars"][::-1]).all()
 
 
-def test_the_map_of_other_weather_is_not_shown(trip: Trip, tmp_path: Path) -> None:
+def test_the_map_of_other_weather_is_not_shown(trip, tmp_path):
     known = {key: value for key, value in trip.metadata.items() if key != "weather"}
     legends = {"dry": ["map, dry"], "wet": None, "snow": None, "": ["map, dry"]}
     trips = [
@@ -240,7 +240,7 @@ def test_the_map_of_other_weather_is_not_shown(trip: Trip, tmp_path: Path) -> No
             assert static(path, dots, "SeriesPoints:names") == legend
 
 
-def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
+def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path):
     plan = trajectory_of()
     path = tmp_path / "plan.rrd"
     write_replay([made_trip(), made_trip("again")], path, trajectory=plan)
@@ -254,8 +254,8 @@ def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
 
 
 def test_a_trip_is_compared_with_what_is_planned_unless_it_followed_or_ran_backwards(
-    trip: Trip, tmp_path: Path
-) -> None:
+    trip, tmp_path
+):
     path, down = tmp_path / "plan.rrd", made_trip("down", "reverse")
     own, back = (
         replace(each, topics={k: v for k, v in each.topics.items() if k != "/reference"})
@@ -273,7 +273,7 @@ def test_a_trip_is_compared_with_what_is_planned_unless_it_followed_or_ran_backw
     assert middle.max() > 70.0
 
 
-def test_the_same_trips_give_the_same_content(trip: Trip, recording: Path, tmp_path: Path) -> None:
+def test_the_same_trips_give_the_same_content(trip, recording, tmp_path):
     write_replay([trip], tmp_path / "again.rrd")
     paths = recording, tmp_path / "again.rrd"
     one, other = (RrdReader(path).recordings()[0] for path in paths)
@@ -282,9 +282,7 @@ def test_the_same_trips_give_the_same_content(trip: Trip, recording: Path, tmp_p
     assert _drawn(paths[0]) == _drawn(paths[1])
 
 
-def test_what_cannot_be_replayed_is_refused_and_leaves_what_there_was(
-    trip: Trip, tmp_path: Path
-) -> None:
+def test_what_cannot_be_replayed_is_refused_and_leaves_what_there_was(trip, tmp_path):
     older = tmp_path / "replay.rrd"
     older.write_bytes(b"older")
     dale = {"condition_map": replace(condition_of(), line="dale")}
@@ -299,7 +297,7 @@ def test_what_cannot_be_replayed_is_refused_and_leaves_what_there_was(
         assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"older"]
 
 
-def test_pieces_are_drawn_as_the_whole(trip: Trip, tmp_path: Path) -> None:
+def test_pieces_are_drawn_as_the_whole(trip, tmp_path):
     """Of a held value, samples beside the seams may be more, none of them other."""
     whole, parts = tmp_path / "whole.rrd", tmp_path / "parts.rrd"
     write_replay([trip], whole)
@@ -358,7 +356,7 @@ def spotted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_expected_condition_lies_beside_the_lasting_one(spotted: Path) -> None:
+def test_the_expected_condition_lies_beside_the_lasting_one(spotted):
     path = spotted
     for trip in ("up", "down"):
         lasting = rows(path, f"/trips/{trip}/adhesion/map/dots")
@@ -374,7 +372,7 @@ def test_the_expected_condition_lies_beside_the_lasting_one(spotted: Path) -> No
     assert "/lines/hill/maximum_adhesion/dry/expected/dots" in entities(path)
 
 
-def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(spotted: Path) -> None:
+def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(spotted):
     path = spotted
     up = rows(path, "/trips/up/adhesion/spots/dots")
     assert up["position_m"].tolist() == [325, 1_550]

@@ -78,8 +78,8 @@ def trips() -> list[Trip]:
 
 @pytest.mark.parametrize(("count", "beside"), [(1, False), (3, True)])
 def test_every_view_has_something_to_show_and_everything_recorded_is_shown(
-    trips: list[Trip], tmp_path: Path, count: int, beside: bool
-) -> None:
+    trips, tmp_path, count, beside
+):
     path = tmp_path / "replay.rrd"
     given = {"trajectory": trajectory_of(), "condition_map": condition_of()} if beside else {}
     write_replay(trips[:count], path, **given)
@@ -111,7 +111,7 @@ def test_every_view_has_something_to_show_and_everything_recorded_is_shown(
     assert top < 0.0 < bottom
 
 
-def test_views_without_what_they_are_about_are_refused(tmp_path: Path) -> None:
+def test_views_without_what_they_are_about_are_refused(tmp_path):
     trip, path = made_trip(), tmp_path / "replay.rrd"
     bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})
     for view, said in (

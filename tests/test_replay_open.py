@@ -46,7 +46,7 @@ def without_display() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in hidden}
 
 
-def test_the_viewer_is_given_no_way_to_the_network() -> None:
+def test_the_viewer_is_given_no_way_to_the_network():
     made = offline({"HTTPS_PROXY": "http://proxy.example", "HOME": "/home/me"})
     assert {made[name] for name in ("https_proxy", "HTTPS_PROXY", "http_proxy")} == {NOWHERE}
     assert "127.0.0.1" in made["no_proxy"]
@@ -55,7 +55,7 @@ def test_the_viewer_is_given_no_way_to_the_network() -> None:
     assert offline({"HTTPS_PROXY": "p"}, tiles=True) == {"HTTPS_PROXY": "p", "CI": "true"}
 
 
-def test_a_page_in_the_browser_reaches_this_machine_alone(recording: Path) -> None:
+def test_a_page_in_the_browser_reaches_this_machine_alone(recording):
     with web_viewer(recording) as (address, process):
         with direct.open(address) as answer:
             policy = answer.headers["Content-Security-Policy"]
@@ -75,7 +75,7 @@ def test_a_page_in_the_browser_reaches_this_machine_alone(recording: Path) -> No
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs a list of processes")
-def test_ctrl_c_ends_the_viewer_and_leaves_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_viewer_and_leaves_nothing(tmp_path):
     with subprocess.Popen(
         [sys.executable, "-m", "trainlog", "replay", str(sample("nonstop.mcap")), "--web"],
         env={**without_display(), "TMPDIR": str(tmp_path)},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ def reached(trip: Trip, position: np.ndarray) -> np.ndarray:
     return np.interp(position, state["position"].to_numpy()[moving], seconds[moving])
 
 
-def test_a_trip_is_behind_another_by_the_difference_of_their_passing_times(tmp_path: Path) -> None:
+def test_a_trip_is_behind_another_by_the_difference_of_their_passing_times(tmp_path):
     fast, slow = unlike("fast", 25.0), unlike("slow", 16.0)
     path = tmp_path / "both.rrd"
     made = write_replay([fast, slow], path)
@@ -53,7 +52,7 @@ def test_a_trip_is_behind_another_by_the_difference_of_their_passing_times(tmp_p
     assert not [name for name in entities(path) if name.startswith("/trips/fast/behind")]
 
 
-def test_the_reference_is_the_trip_that_is_chosen(tmp_path: Path) -> None:
+def test_the_reference_is_the_trip_that_is_chosen(tmp_path):
     trips = [unlike("a", 25.0), unlike("b", 16.0), made_trip("c", "reverse"), unlike("d", 20.0)]
     path = tmp_path / "four.rrd"
     made = write_replay(trips, path, options=ReplayOptions(reference=1))
@@ -65,7 +64,7 @@ def test_the_reference_is_the_trip_that_is_chosen(tmp_path: Path) -> None:
         write_replay(trips, path, options=ReplayOptions(reference=4))
 
 
-def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path: Path) -> None:
+def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path):
     path, plan = tmp_path / "plan.rrd", trajectory_of()
     trip = unlike("up", 20.0)
     made = write_replay([trip, made_trip("down", "reverse")], path, trajectory=plan)
@@ -90,9 +89,7 @@ def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path: Path)
     arrays(np.float64, 60, elements=st.floats(-1e3, 1e3) | st.just(np.nan)),
     arrays(np.int64, 60, elements=st.integers(0, 2)),
 )
-def test_thinning_keeps_the_least_and_the_greatest_of_each_piece(
-    values: np.ndarray, steps: np.ndarray
-) -> None:
+def test_thinning_keeps_the_least_and_the_greatest_of_each_piece(values, steps):
     piece = np.cumsum(steps)
     kept = extremes(values, piece)
     assert (np.diff(kept) > 0).all()
@@ -105,7 +102,7 @@ def test_thinning_keeps_the_least_and_the_greatest_of_each_piece(
             assert np.nanmax(left) == np.nanmax(whole)
 
 
-def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
+def test_a_thinned_trip_is_where_it_was(tmp_path):
     trip = made_trip()
     ((known, _),) = thinned_trips([lambda: [trip]])
     whole = clock_of(trip)
@@ -124,7 +121,7 @@ def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
     assert {"/trips/up/speed/satellites", "/trips/up/place/path"} <= set(entities(path))
 
 
-def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path: Path) -> None:
+def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path):
     log, asked = tmp_path / "up.mcap", []
     write_log(made_trip(), log)
 
@@ -153,7 +150,7 @@ def bare_trip(**changes: object) -> Trip:
     return replace(trip, **{"topics": kept, **changes})
 
 
-def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path: Path) -> None:
+def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path):
     path, trip = tmp_path / "line.rrd", bare_trip(attachments={})
     geometry = replace(LINE.geometry, latitudes=LINE.geometry.latitudes + 0.1)
     short = replace(LINE, length=1500.0, stations=LINE.stations[:1], geometry=None)
@@ -172,9 +169,7 @@ def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------- the command
 
 
-def test_the_command_states_with_what_trips_are_compared(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_states_with_what_trips_are_compared(tmp_path, capsys):
     for name, top in (("a", 25.0), ("b", 16.0)):
         write_log(unlike(name, top), tmp_path / f"{name}.mcap")
     command, target = ["replay", str(tmp_path / "a.mcap")], tmp_path / "ab.rrd"

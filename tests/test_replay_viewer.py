@@ -69,16 +69,14 @@ def log(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("linux", {"DISPLAY": ":0", "CI": "true"}, False),
     ],
 )
-def test_where_a_window_can_be_opened(
-    platform: str, variables: dict[str, str], display: bool
-) -> None:
+def test_where_a_window_can_be_opened(platform, variables, display):
     assert has_display(variables, platform) is display
 
 
 @pytest.mark.parametrize("display", [True, False])
 def test_the_viewer_listens_on_this_machine_alone_and_sends_no_usage_data(
-    display: bool, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    display, recording, tmp_path, monkeypatch
+):
     """Without a display it states how to open the file, or what else there is."""
     calls: list[tuple[Any, Any]] = []
     monkeypatch.setattr(viewer, "has_display", lambda: display)
@@ -121,7 +119,7 @@ def coloured(pixels: np.ndarray) -> int:
 VIEWS = ["overview", "driving", "traction", "identification", "map", "recorder"]
 
 
-def test_every_view_is_drawn(shown: HeadlessViewer, tmp_path: Path) -> None:
+def test_every_view_is_drawn(shown, tmp_path):
     assert shown.views() == VIEWS
     for view in VIEWS:
         shown.show(view)
@@ -135,9 +133,7 @@ def test_every_view_is_drawn(shown: HeadlessViewer, tmp_path: Path) -> None:
         assert found > ENOUGH, view
 
 
-def test_a_picture_of_a_view_is_taken_whole_or_not_at_all(
-    shown: HeadlessViewer, tmp_path: Path
-) -> None:
+def test_a_picture_of_a_view_is_taken_whole_or_not_at_all(shown, tmp_path):
     shown.show("driving")
     shown.picture(tmp_path / "driving.png")
     with Image.open(tmp_path / "driving.png") as picture:
@@ -152,7 +148,7 @@ def test_a_picture_of_a_view_is_taken_whole_or_not_at_all(
     assert [path.name for path in tmp_path.iterdir()] == ["driving.png"]
 
 
-def test_rerun_takes_the_fields_out_of_a_log(trip: Trip, log: Path) -> None:
+def test_rerun_takes_the_fields_out_of_a_log(trip, log):
     for topic in DRAWN:
         frame = trip[topic.name]
         for field in topic.fields:
@@ -167,7 +163,7 @@ def test_rerun_takes_the_fields_out_of_a_log(trip: Trip, log: Path) -> None:
 
 
 @pytest.mark.usefixtures("shown")
-def test_a_log_opens_as_it_is_with_its_layout(log: Path, tmp_path: Path) -> None:
+def test_a_log_opens_as_it_is_with_its_layout(log, tmp_path):
     layout = tmp_path / "hill-up.rbl"
     write_layout(layout, log.stem)
     for settle in (SETTLE, 2 * SETTLE, 6 * SETTLE):  # a busy machine may need longer
@@ -177,7 +173,7 @@ def test_a_log_opens_as_it_is_with_its_layout(log: Path, tmp_path: Path) -> None
     assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= names
 
 
-def test_the_layout_names_every_field_of_the_log(tmp_path: Path) -> None:
+def test_the_layout_names_every_field_of_the_log(tmp_path):
     path = tmp_path / "trainlog.rbl"
     write_layout(path, "trainlog")
     content = path.read_bytes()

@@ -114,9 +114,7 @@ def dark(browser: Any, page_file: Path) -> Iterator[Opened]:
     opened.context.close()
 
 
-def test_every_picture_is_drawn_light_and_dark_and_nothing_is_asked_for(
-    light: Opened, dark: Opened, page_file: Path
-) -> None:
+def test_every_picture_is_drawn_light_and_dark_and_nothing_is_asked_for(light, dark, page_file):
     assert SCRIPT in light.page.inner_text("main"), "a name that is a script is only shown"
     grounds = {}
     for name, opened in (("light", light), ("dark", dark)):
@@ -141,7 +139,7 @@ def test_every_picture_is_drawn_light_and_dark_and_nothing_is_asked_for(
     assert grounds["dark"] == {(22, 24, 28, 255)}
 
 
-def test_the_pointer_shows_values_and_a_name_in_the_legend_hides_its_curve(light: Opened) -> None:
+def test_the_pointer_shows_values_and_a_name_in_the_legend_hides_its_curve(light):
     plot = light.page.locator(".plot").first
     plot.scroll_into_view_if_needed()
     box = plot.bounding_box()
@@ -162,7 +160,7 @@ def test_the_pointer_shows_values_and_a_name_in_the_legend_hides_its_curve(light
     assert light.page.evaluate(visible) == before
 
 
-def test_printed_pages_cut_no_row_and_no_picture(light: Opened) -> None:
+def test_printed_pages_cut_no_row_and_no_picture(light):
     light.page.set_viewport_size({"width": PAGE_WIDTH, "height": PAGE_HEIGHT})
     light.page.emulate_media(media="print")
     whole = light.page.locator("figure, tr").evaluate_all(
@@ -191,7 +189,7 @@ def test_printed_pages_cut_no_row_and_no_picture(light: Opened) -> None:
     light.page.set_viewport_size({"width": 1200, "height": 900})
 
 
-def test_on_a_narrow_screen_tables_scroll_and_charts_are_drawn_to_the_width(light: Opened) -> None:
+def test_on_a_narrow_screen_tables_scroll_and_charts_are_drawn_to_the_width(light):
     light.page.set_viewport_size({"width": 390, "height": 800})
     light.page.evaluate("() => document.querySelectorAll('details').forEach(d => d.open = true)")
     light.page.wait_for_timeout(1_500)
@@ -212,7 +210,7 @@ def test_on_a_narrow_screen_tables_scroll_and_charts_are_drawn_to_the_width(ligh
         light.page.wait_for_timeout(500)
 
 
-def test_details_are_folded_on_a_screen_and_open_in_print(light: Opened) -> None:
+def test_details_are_folded_on_a_screen_and_open_in_print(light):
     seen = "all => all.map(each => each.checkVisibility())"
     folded = light.page.locator("details .inner")
     assert not any(folded.evaluate_all(seen))

@@ -7,12 +7,10 @@ import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from command import Shell
 from refusals import refused
 from report_folder import SCRIPT, hostile_trip, planned
 
@@ -64,7 +62,7 @@ def trip_page(tmp_path_factory: pytest.TempPathFactory) -> str:
     return (folder / "run.html").read_text("utf-8")
 
 
-def test_a_page_refers_to_nothing_outside_and_names_from_a_log_stay_text(trip_page: str) -> None:
+def test_a_page_refers_to_nothing_outside_and_names_from_a_log_stay_text(trip_page):
     outline = _Outline(trip_page)
     tags = [tag for tag, _ in outline.tags]
     references = outline.values("src", "href", "xlink:href", "action", "data")
@@ -83,7 +81,7 @@ def test_a_page_refers_to_nothing_outside_and_names_from_a_log_stay_text(trip_pa
     assert tags.count("script") == 4
 
 
-def test_headings_pictures_and_identifiers_are_for_all_readers(trip_page: str) -> None:
+def test_headings_pictures_and_identifiers_are_for_all_readers(trip_page):
     outline = _Outline(trip_page)
     pictures = [known for tag, known in outline.tags if tag in ("svg", "img")]
     assert all(known.get("aria-label") or known.get("alt") for known in pictures)
@@ -104,7 +102,7 @@ def _luminance(colour: str) -> float:
 
 
 @pytest.mark.parametrize("colours", [LIGHT, DARK], ids=["light", "dark"])
-def test_text_has_the_contrast_that_wcag_asks_for(colours: dict[str, str]) -> None:
+def test_text_has_the_contrast_that_wcag_asks_for(colours):
     least = {"ink": 7.0, "soft": 4.5, "link": 4.5, "blue": 3.0, "red": 3.0}
     for ground in ("paper", "shade"):
         for name in least:
@@ -112,9 +110,7 @@ def test_text_has_the_contrast_that_wcag_asks_for(colours: dict[str, str]) -> No
             assert (high + 0.05) / (low + 0.05) >= least[name], (name, ground)
 
 
-def test_a_report_begins_with_five_answers_and_states_what_the_command_line_states(
-    trip_page: str,
-) -> None:
+def test_a_report_begins_with_five_answers_and_states_what_the_command_line_states(trip_page):
     first = trip_page[trip_page.index('id="section-1"') : trip_page.index('id="section-2"')]
     assert "<h2>Summary</h2>" in first
     questions = re.findall(r'<th scope="row"[^>]*>([^<]*)</th>', first)
@@ -135,7 +131,7 @@ def test_a_report_begins_with_five_answers_and_states_what_the_command_line_stat
     assert "10:06:58" in row
 
 
-def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
+def test_calls_at_stations_agree_with_the_events_of_the_log():
     trip = read_log(sample("stopping.mcap"))
     calls = station_calls(Motion.of(trip), line_of(trip))
     assert [call.name for call in calls] == [each.name for each in line_of(trip).stations]
@@ -154,7 +150,7 @@ def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
 
 
 @pytest.mark.usefixtures("unpainted_page")
-def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path: Path) -> None:
+def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path):
     fits = fit(sample("nonstop.mcap"))
     write_parameters(fits.parameters, tmp_path / "set.json")
     alone = write_report(tmp_path / "set.json", tmp_path / "alone.html")
@@ -176,7 +172,7 @@ def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path: 
 
 
 @pytest.mark.usefixtures("unpainted_page")
-def test_a_damaged_log_is_shown_as_far_as_it_is_readable_and_says_so(tmp_path: Path) -> None:
+def test_a_damaged_log_is_shown_as_far_as_it_is_readable_and_says_so(tmp_path):
     data = sample("nonstop.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: 2 * len(data) // 3])
     with pytest.warns(UserWarning, match=r"cut\.mcap"):
@@ -186,7 +182,7 @@ def test_a_damaged_log_is_shown_as_far_as_it_is_readable_and_says_so(tmp_path: P
     assert "Speed and efforts" in text
 
 
-def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
+def test_what_is_no_result_is_one_error_and_no_page(tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(99))
@@ -208,9 +204,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("unpainted_page")
-def test_a_bad_file_of_a_folder_is_stated_by_its_name_with_status_1(
-    tmp_path: Path, shell: Shell
-) -> None:
+def test_a_bad_file_of_a_folder_is_stated_by_its_name_with_status_1(tmp_path, shell):
     pages = []
     for place in ("here", "there"):
         folder = tmp_path / place / "results"
@@ -228,9 +222,7 @@ def test_a_bad_file_of_a_folder_is_stated_by_its_name_with_status_1(
     assert str(tmp_path).encode() not in pages[0]
 
 
-def test_without_bokeh_the_page_has_still_pictures_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_bokeh_the_page_has_still_pictures_and_says_so(tmp_path, monkeypatch):
     for module in (build, pages):
         monkeypatch.setattr(module, "find_spec", lambda _: None)
     write_trajectory(planned(), tmp_path / "plan.json")
@@ -243,9 +235,7 @@ def test_without_bokeh_the_page_has_still_pictures_and_says_so(
     assert len(text) < 1_000_000
 
 
-def test_a_page_that_would_be_too_large_stands_still(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_would_be_too_large_stands_still(tmp_path, monkeypatch):
     x = np.linspace(0.0, 10.0, 50)
     curves = [Curve("speed", x, x**2, hover={"km": ["1"] * 50})]
     page = Page("Curve", "", [Section("Chart", [Chart("km", [Panel("km/h", curves)])])])
@@ -259,7 +249,7 @@ def test_a_page_that_would_be_too_large_stands_still(
     assert (tmp_path / "page.html").read_text("utf-8") == text
 
 
-def test_thinning_keeps_every_peak_and_both_ends() -> None:
+def test_thinning_keeps_every_peak_and_both_ends():
     rng = np.random.default_rng(1)
     values = rng.normal(size=200_000)
     values[[123_456, 7]] = 50.0, -50.0
@@ -272,7 +262,7 @@ def test_thinning_keeps_every_peak_and_both_ends() -> None:
 
 
 @pytest.mark.usefixtures("unpainted_page")
-def test_a_summary_states_what_is_not_known_and_why(tmp_path: Path) -> None:
+def test_a_summary_states_what_is_not_known_and_why(tmp_path):
     trip = read_log(sample("stopping.mcap"))
     controls = trip["/train/controls"]
     kept = (controls.index < controls.index[6_000]) | (controls.index > controls.index[6_200])
@@ -294,7 +284,7 @@ def test_a_summary_states_what_is_not_known_and_why(tmp_path: Path) -> None:
     assert "fit the running resistance: " not in page
 
 
-def test_the_verdict_on_a_recording_gives_its_reasons() -> None:
+def test_the_verdict_on_a_recording_gives_its_reasons():
     trip = read_log(sample("stopping.mcap"))
     state = trip["/train/state"]
 
@@ -316,7 +306,7 @@ def test_the_verdict_on_a_recording_gives_its_reasons() -> None:
     assert str(damaged) == "usable with reservations: 12 messages are lost"
 
 
-def test_a_speed_is_off_against_what_it_was_compared_with_unless_the_clock_is_doubtful() -> None:
+def test_a_speed_is_off_against_what_it_was_compared_with_unless_the_clock_is_doubtful():
     """Without satellites, and with speeds that are 3 % too high."""
     trip = read_log(sample("stopping.mcap"))
     state = trip["/train/state"]
@@ -338,7 +328,7 @@ def test_a_speed_is_off_against_what_it_was_compared_with_unless_the_clock_is_do
 
 
 @pytest.mark.usefixtures("unpainted_page")
-def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_path: Path) -> None:
+def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_path):
     (tmp_path / "trips").mkdir()
     for name in ("a.mcap", "b.mcap"):
         shutil.copy(sample("nonstop.mcap"), tmp_path / "trips" / name)
@@ -359,7 +349,7 @@ def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_
     assert not any("{" in cell for row in made_of.rows for cell in row)
 
 
-def test_a_trip_with_a_course_is_drawn() -> None:
+def test_a_trip_with_a_course_is_drawn():
     trip = read_log(sample("stopping.mcap"))
     assert all(axes.has_data() for axes in trip.plot().axes)
     with pytest.raises(InputError, match="no speed with a position is recorded"):

@@ -43,7 +43,7 @@ def printed(width: int) -> list[str]:
 
 
 @given(width=st.integers(30, 220))
-def test_however_narrow_the_page_words_stay_whole_and_what_is_left_out_is_named(width: int) -> None:
+def test_however_narrow_the_page_words_stay_whole_and_what_is_left_out_is_named(width):
     lines = printed(width)
     assert max(map(len, lines)) <= width
     shown = " ".join(lines).replace(",", " ").split()
@@ -55,7 +55,7 @@ def test_however_narrow_the_page_words_stay_whole_and_what_is_left_out_is_named(
         assert kept or head in " ".join(left_out.split())
 
 
-def test_what_cannot_be_compared_is_stated_among_the_results(tmp_path: Path) -> None:
+def test_what_cannot_be_compared_is_stated_among_the_results(tmp_path):
     trip = read_log(sample("nonstop.mcap"))
     backwards = {**trip.metadata, "direction": "reverse"}
     followed = {**trip.metadata, "trip": "driven", "configuration": "nominal"}
@@ -68,7 +68,7 @@ def test_what_cannot_be_compared_is_stated_among_the_results(tmp_path: Path) -> 
     assert "not summed up: trip 'driven' followed no trajectory" in rows["following"]
 
 
-def test_results_of_any_name_are_summed_up_by_their_format(tmp_path: Path) -> None:
+def test_results_of_any_name_are_summed_up_by_their_format(tmp_path):
     log = sample("nonstop.mcap")
     found = fit(log)
     write_parameters(found.parameters, tmp_path / "campaign.json")
@@ -87,7 +87,7 @@ def test_results_of_any_name_are_summed_up_by_their_format(tmp_path: Path) -> No
     assert rows["ours.json"] == ("line", "CH_StGallen_Wil, 29.56 km")
 
 
-def test_truth_belongs_to_a_trip_by_what_was_recorded(tmp_path: Path) -> None:
+def test_truth_belongs_to_a_trip_by_what_was_recorded(tmp_path):
     """Not by its name: unrelated simulated logs are called trip-01, too."""
     log = sample("nonstop.mcap")
     write_parameters(fit(log).parameters, tmp_path / "parameters.json")
@@ -113,7 +113,7 @@ def test_truth_belongs_to_a_trip_by_what_was_recorded(tmp_path: Path) -> None:
     refused(InputError, "truth is given", true_adhesion, track, "wet", [])
 
 
-def test_a_drive_counts_once_and_its_copies_beside_it(tmp_path: Path) -> None:
+def test_a_drive_counts_once_and_its_copies_beside_it(tmp_path):
     place = tmp_path / "october"
     place.mkdir()
     for name in ("nonstop", "stopping"):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -56,7 +54,7 @@ some_times = st.lists(st.integers(0, 4 * 10**18 + 12 * 10**13), max_size=12).map
 
 @settings(max_examples=40)
 @given(drawn)
-def test_at_its_own_times_a_topic_is_what_it_was(frame: pd.DataFrame) -> None:
+def test_at_its_own_times_a_topic_is_what_it_was(frame):
     again = resampled_frame(frame, pd.DatetimeIndex(frame.index), max_gap=0.001)
     pd.testing.assert_frame_equal(again, frame, check_exact=True)
     assert again.attrs == frame.attrs
@@ -75,9 +73,7 @@ def frames_and_times(draw: st.DrawFn) -> tuple[pd.DataFrame, pd.DatetimeIndex]:
 
 @settings(max_examples=40)
 @given(frames_and_times(), st.one_of(st.none(), st.floats(1e-9, 1e4)))
-def test_no_value_lies_beyond_its_neighbours_nor_outside_the_record(
-    given_: tuple[pd.DataFrame, pd.DatetimeIndex], max_gap: float | None
-) -> None:
+def test_no_value_lies_beyond_its_neighbours_nor_outside_the_record(given_, max_gap):
     frame, times = given_
     found = resampled_frame(frame, times, max_gap=max_gap)
     known, wanted = frame.index.asi8, times.asi8
@@ -96,7 +92,7 @@ def test_no_value_lies_beyond_its_neighbours_nor_outside_the_record(
                 assert gap <= max_gap * SECOND
 
 
-def test_lines_are_followed_and_held_values_held() -> None:
+def test_lines_are_followed_and_held_values_held():
     times = clock(-1.0, 0.0, 0.5, 1.5, 2.0, 3.0)
     speed = interpolated(state([0, 1, 2], [0.0, 10.0, 20.0]), "speed", times)
     np.testing.assert_array_equal(speed, [np.nan, 0.0, 5.0, 15.0, 20.0, np.nan])
@@ -104,7 +100,7 @@ def test_lines_are_followed_and_held_values_held() -> None:
     np.testing.assert_array_equal(lever, [np.nan, 0.0, 0.0, 0.5, 1.0, np.nan])
 
 
-def test_gaps_and_unknown_samples_are_not_bridged() -> None:
+def test_gaps_and_unknown_samples_are_not_bridged():
     frame = state([0, 1, 11, 12, 13], [0.0, 1.0, 11.0, np.nan, 13.0])
     times = clock(0.5, 1.0, 6.0, 11.0, 11.5, 12.5, 13.0)
     np.testing.assert_array_equal(
@@ -116,7 +112,7 @@ def test_gaps_and_unknown_samples_are_not_bridged() -> None:
     np.testing.assert_array_equal(held, [0.5, np.nan, 1.0])
 
 
-def test_a_trip_on_one_clock_keeps_its_events_where_they_were() -> None:
+def test_a_trip_on_one_clock_keeps_its_events_where_they_were():
     trip = trip_of(rows=21)
     again = resampled(trip, 0.05, max_gap=1.0)
     for name, frame in again.topics.items():
@@ -131,7 +127,7 @@ def test_a_trip_on_one_clock_keeps_its_events_where_they_were() -> None:
     assert again.metadata == trip.metadata
 
 
-def test_columns_of_several_topics_stand_side_by_side_with_their_units() -> None:
+def test_columns_of_several_topics_stand_side_by_side_with_their_units():
     trip = Trip({}).with_topic(state([0, 1], [0.0, 10.0]))
     trip = trip.with_topic(controls([0, 0.4, 2], [0.0, 0.5, 1.0]))
     trip = trip.with_topic(
@@ -169,15 +165,13 @@ def test_columns_of_several_topics_stand_side_by_side_with_their_units() -> None
         (["/train/state.speed"], clock(1.0, 0.0), InputError, "do not increase"),
     ],
 )
-def test_what_cannot_be_joined_is_named(
-    columns: list[str], on: str | float | pd.DatetimeIndex, error: type[Exception], said: str
-) -> None:
+def test_what_cannot_be_joined_is_named(columns, on, error, said):
     trip = Trip({}).with_topic(state([0, 1], [0.0, 10.0]))
     trip = trip.with_topic(frame_of(EVENTS, clock(0.0), {"message": ["departure"]}))
     refused(error, said, joined, trip, columns, on, max_gap=None)
 
 
-def test_a_clock_of_a_slipped_unit_is_refused() -> None:
+def test_a_clock_of_a_slipped_unit_is_refused():
     start = pd.Timestamp("2025-01-01", tz="UTC")
     with pytest.raises(InputError, match=r"steps of 1e-09 s has 3,600,000,000,000 instants"):
         regular_clock(start, start + pd.Timedelta(hours=1), 1e-9)
@@ -191,7 +185,7 @@ def two_topics() -> Trip:
 @pytest.mark.parametrize(
     "step", [pd.Timedelta("500ms"), np.timedelta64(500, "ms"), 0.5, np.float32(0.5)]
 )
-def test_a_step_is_a_duration_or_seconds(step: Any) -> None:
+def test_a_step_is_a_duration_or_seconds(step):
     steady = resampled(two_topics(), step, max_gap=None)
     assert len(steady["/train/state"]) == 5
     assert len(joined(two_topics(), ["/train/state.speed"], on=step, max_gap=None)) == 5
@@ -206,7 +200,7 @@ def test_a_step_is_a_duration_or_seconds(step: Any) -> None:
         *((0.5, gap, "max_gap is") for gap in (-1, 0, float("nan"), "1", pd.Timedelta("1s"))),
     ],
 )
-def test_what_is_no_clock_or_no_longest_gap_is_refused(on: Any, gap: Any, said: str) -> None:
+def test_what_is_no_clock_or_no_longest_gap_is_refused(on, gap, said):
     refused(InputError, said, resampled, two_topics(), on, max_gap=gap)
     if not isinstance(on, str):
         refused(InputError, said, joined, two_topics(), ["/train/state.speed"], on, max_gap=gap)
@@ -216,14 +210,14 @@ def curve(seconds: np.ndarray, position: np.ndarray) -> TimeDistance:
     return TimeDistance(0, np.rint(seconds * NANOSECONDS).astype(np.int64), position)
 
 
-def test_a_stop_lies_between_arrival_and_departure() -> None:
+def test_a_stop_lies_between_arrival_and_departure():
     stopping = curve(np.array([0.0, 10.0, 40.0, 50.0]), np.array([0.0, 200.0, 200.0, 400.0]))
     at = np.array([0.0, 100.0, 200.0, 300.0, 400.0])
     assert stopping.arrival_at(at) == pytest.approx([0.0, 5.0, 10.0, 45.0, 50.0])
     assert stopping.departure_at(at) == pytest.approx([0.0, 5.0, 40.0, 45.0, 50.0])
 
 
-def test_places_passed_in_a_gap_of_the_recording_are_unknown() -> None:
+def test_places_passed_in_a_gap_of_the_recording_are_unknown():
     seconds = np.array([0.0, 1.0, 31.0, 32.0, 132.0, 133.0])
     position = np.array([0.0, 20.0, 620.0, 640.0, 640.0, 660.0])
     passed = on_grid(curve(seconds, position), np.arange(0.0, 661.0, 20.0))
@@ -233,7 +227,7 @@ def test_places_passed_in_a_gap_of_the_recording_are_unknown() -> None:
     assert passed.time[-1] == 133.0
 
 
-def test_stops_a_few_metres_apart_make_no_spike_of_lateness() -> None:
+def test_stops_a_few_metres_apart_make_no_spike_of_lateness():
     seconds = np.arange(241.0)
     one, other = (
         curve(seconds, np.interp(seconds, [0.0, 100.0, 140.0, 240.0], [0.0, stop, stop, 2_000.0]))
@@ -245,7 +239,7 @@ def test_stops_a_few_metres_apart_make_no_spike_of_lateness() -> None:
         assert np.abs(behind.time).max() < 3.0
 
 
-def test_a_plan_is_passed_as_constant_effort_moves_a_train() -> None:
+def test_a_plan_is_passed_as_constant_effort_moves_a_train():
     train = read_train(sample(DEFAULT_TRAIN))
     plan = Trajectory(
         "line",
@@ -264,7 +258,7 @@ def test_a_plan_is_passed_as_constant_effort_moves_a_train() -> None:
     assert found.covered == (0.0, 1000.0)
 
 
-def test_grids_that_cannot_be_are_refused() -> None:
+def test_grids_that_cannot_be_are_refused():
     refused(InputError, "no trip has a position", grid_over, [curve(np.empty(0), np.empty(0))])
     refused(InputError, "steps of 0 m", grid_over, [curve(np.array([0.0]), np.array([0.0]))], 0.0)
     one = on_grid(curve(np.array([0.0, 1.0]), np.array([0.0, 10.0])), np.array([0.0, 10.0]))

@@ -63,7 +63,7 @@ def in_band(fit: TripFit, true: RunningResistance) -> bool:
     return bool(np.all((low <= true(speed)) & (true(speed) <= high)))
 
 
-def test_truth_of_simulated_trips_is_found(simulated: list[Trip], fitted: list[TripFit]) -> None:
+def test_truth_of_simulated_trips_is_found(simulated, fitted):
     for one, fit in zip(simulated, fitted, strict=True):
         true, mass = truth(one)
         assert curve_error(fit, true) < 0.05
@@ -81,9 +81,7 @@ def test_truth_of_simulated_trips_is_found(simulated: list[Trip], fitted: list[T
     tail=st.sampled_from([1.2, 2.0, 4.0, 100.0]),
 )
 @example(seed=5, duration=1500.0, noise=0.02, tail=1.2)
-def test_any_trip_is_fitted_or_refused(
-    seed: int, duration: float, noise: float, tail: float
-) -> None:
+def test_any_trip_is_fitted_or_refused(seed, duration, noise, tail):
     """However many outliers there are: the residuals are those of the windows that were kept."""
     made = trip(duration=duration, noise=0.0)
     speed = made["/train/state"]["speed"].to_numpy()
@@ -100,7 +98,7 @@ def test_any_trip_is_fitted_or_refused(
     assert np.max(np.abs(fit.residuals.value)) < 5.0 or fit.windows["outlier"] >= 59
 
 
-def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[TripFit]) -> None:
+def test_fitting_does_not_read_the_truth(simulated, fitted):
     blind = replace(
         simulated[0],
         topics={name: frame for name, frame in simulated[0].topics.items() if name != "/truth"},
@@ -113,7 +111,7 @@ def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[Tri
     np.testing.assert_array_equal(again.covariance, fitted[0].covariance)
 
 
-def test_wrong_wheels_are_found_by_satellites_and_charged_without_them() -> None:
+def test_wrong_wheels_are_found_by_satellites_and_charged_without_them():
     made = with_exact_efforts(trip(noise=0.03))
     worn = changed(made, "/train/state", speed=1.004 * made["/train/state"]["speed"])
     stamps = made["/train/state"].index[::2]
@@ -134,7 +132,7 @@ FLIRT = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
 
 
 @pytest.mark.parametrize("lever", [1.0, 0.8])
-def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(lever: float) -> None:
+def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(lever):
     train, share = FLIRT, 0.93
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     (scenario,) = draw_scenarios(line, train, 1, seed=2)
@@ -152,7 +150,7 @@ def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(lever:
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.25, 3.6])
-def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], factor: float) -> None:
+def test_speeds_that_chainage_contradicts_are_refused(simulated, factor):
     kept = ("/train/state", "/train/controls")
     made = replace(simulated[0], topics={name: simulated[0][name] for name in kept})
     wrong = changed(made, "/train/state", speed=factor * made["/train/state"]["speed"].to_numpy())
@@ -163,7 +161,7 @@ def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], fac
     refused(NotIdentifiableError, said, coast_down, [wrong])
 
 
-def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
+def test_band_holds_the_whole_curve_as_often_as_it_says():
     generator = np.random.default_rng(1)
     root = np.array([[300.0, 0.0, 0.0], [-18.0, 6.0, 0.0], [0.4, -0.12, 0.03]])
     covariance = root @ root.T
@@ -178,7 +176,7 @@ def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
         assert np.mean(np.abs(draws[:, 60]) < factor) > 0.95
 
 
-def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line() -> None:
+def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line():
     made = trip(noise=0.03)
     effort = made["/train/controls"]["tractive_effort"]
     cases = {
@@ -196,7 +194,7 @@ def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line() -> No
         assert caught.reason in ("not recorded", "contradiction")
 
 
-def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
+def test_slip_is_masked_where_no_axle_speeds_are_recorded():
     """Wheels of another adhesion than any estimator knows slip; the effort alone shows it."""
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
@@ -224,7 +222,7 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
     assert used > 0.8 * all_time
 
 
-def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded() -> None:
+def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded():
     """On another creep curve than the fit knows; the file's momentum of the axles may be wrong.
 
     Masked, slip leaves 11 % of uncertainty at 36 km/h and the trip is refused.
@@ -245,7 +243,7 @@ def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded() -> N
         fit_trip(fewer)
 
 
-def test_a_brake_that_drags_through_half_of_a_trip_is_named_with_place_and_time() -> None:
+def test_a_brake_that_drags_through_half_of_a_trip_is_named_with_place_and_time():
     """A force that no term of the equation of motion knows."""
     whole = trip()
     controls = whole["/train/controls"]
@@ -263,7 +261,7 @@ def test_a_brake_that_drags_through_half_of_a_trip_is_named_with_place_and_time(
     assert "2.5 ± 0." in str(error)
 
 
-def test_without_a_recorded_wind_the_band_of_still_air_holds_the_truth() -> None:
+def test_without_a_recorded_wind_the_band_of_still_air_holds_the_truth():
     """A steady head wind of 8 m/s: r2 (v + w)² for r2 v²."""
     blown = RunningResistance(
         RESISTANCE.r0 + RESISTANCE.r2 * 64.0, RESISTANCE.r1 + 16.0 * RESISTANCE.r2, RESISTANCE.r2

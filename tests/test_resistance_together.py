@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,7 +93,7 @@ def beta_of(resistance: RunningResistance) -> FloatArray:
 
 @settings(max_examples=8)
 @given(order=st.permutations(range(6)))
-def test_order_does_not_matter(order: list[int]) -> None:
+def test_order_does_not_matter(order):
     fits, _ = drawn(6, 0.05, (150.0, 60.0, 100.0), seed=1)
     one, other = combine(fits), combine([fits[k] for k in order])
     assert one.resistance == other.resistance
@@ -103,7 +102,7 @@ def test_order_does_not_matter(order: list[int]) -> None:
     np.testing.assert_array_equal(one.betas, other.betas)
 
 
-def test_band_of_the_common_curve_covers() -> None:
+def test_band_of_the_common_curve_covers():
     inside = []
     for seed in range(15):
         fits, _ = drawn(12, 0.06, (200.0, 80.0, 200.0), seed)
@@ -118,7 +117,7 @@ def test_band_of_the_common_curve_covers() -> None:
     r1=st.floats(-300.0, 300.0),
     r2=st.floats(1.0, 30.0),
 )
-def test_nearest_physical_resistance(r0: float, r1: float, r2: float) -> None:
+def test_nearest_physical_resistance(r0, r1, r2):
     covariance = covariance_of((300.0, 50.0, 100.0))
     beta = np.array([r0, r1, r2])
     nearest = beta_of(nearest_physical(beta, covariance))
@@ -132,7 +131,7 @@ def test_nearest_physical_resistance(r0: float, r1: float, r2: float) -> None:
         assert distance <= (other - beta) @ weight @ (other - beta) * (1.0 + 1e-9)
 
 
-def test_what_cannot_be_combined_is_refused() -> None:
+def test_what_cannot_be_combined_is_refused():
     covariance = covariance_of((50.0, 50.0, 50.0))
     one = fit_of("a", TRUE, covariance)
     with pytest.raises(NotIdentifiableError, match="no trip"):
@@ -144,7 +143,7 @@ def test_what_cannot_be_combined_is_refused() -> None:
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
+def test_logs_to_parameters_and_pictures(tmp_path):
     trips = [trip(name=f"made-{k}", noise=0.03, seed=k) for k in range(3)]
     trips.append(trip(constant_speed, name="dull", noise=0.03))
     logs = [tmp_path / f"{one.name}.mcap" for one in trips]
@@ -170,7 +169,7 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
     assert all((tmp_path / f"{name}.png").is_file() for name in ("fits", "dull", "blind"))
 
 
-def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
+def test_logs_that_say_nothing_are_refused_together(tmp_path):
     write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
     with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as stated:
         fit([tmp_path / "dull.mcap"])
@@ -182,7 +181,7 @@ def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
         fit([])
 
 
-def test_an_assumed_gain_of_the_efforts_does_not_average_out() -> None:
+def test_an_assumed_gain_of_the_efforts_does_not_average_out():
     """All trips of one recorder err alike; what each weighed load shows errs anew."""
     fits, _ = drawn(12, 0.02, (60.0, 60.0, 60.0), seed=4)
     unknown = Quantity(np.nan, np.nan, "assumed")
@@ -205,7 +204,7 @@ def test_an_assumed_gain_of_the_efforts_does_not_average_out() -> None:
     assert found["assumed"].spread(speed) < 1.5 * combine(fits).spread(speed)
 
 
-def test_trips_on_different_routes_share_the_errors_of_their_edges() -> None:
+def test_trips_on_different_routes_share_the_errors_of_their_edges():
     """Of an edge that all ran over for half of their way half of the errors do not average out."""
     survey = np.zeros((4, 4))
     survey[:3, :3] = covariance_of((200.0, 200.0, 200.0))
@@ -224,7 +223,7 @@ def test_trips_on_different_routes_share_the_errors_of_their_edges() -> None:
     assert shared - independent == pytest.approx(0.5 * (same - independent), rel=0.05)
 
 
-def test_options_that_state_nothing_are_refused() -> None:
+def test_options_that_state_nothing_are_refused():
     cases: dict[tuple[str, str], tuple[Any, ...]] = {
         ("cover", "must be a fraction above 0 and below 1"): (95.0, 1.0, "95 %"),
         ("most", "must be a whole number .* 1 or more"): (0, 2.5),
@@ -236,7 +235,7 @@ def test_options_that_state_nothing_are_refused() -> None:
             refused(InputError, words, fit, sample("nonstop.mcap"), **{name: value})
 
 
-def test_logs_that_cannot_be_fitted_are_refused() -> None:
+def test_logs_that_cannot_be_fitted_are_refused():
     made = trip()
     refused(LogError, "has no line", fit_trip, replace(made, attachments={}))
     state = made["/train/state"]
@@ -260,7 +259,7 @@ def bounded(trips: FloatArray, chosen: FloatArray) -> FloatArray:
     return np.asarray(np.mean(trips @ DIRECTIONS.T <= worst, axis=0))
 
 
-def test_the_worst_case_of_few_bounds_the_stated_share_of_trips_not_yet_seen() -> None:
+def test_the_worst_case_of_few_bounds_the_stated_share_of_trips_not_yet_seen():
     shares = []
     for seed in range(5):
         trips, others = features(300, seed), features(2000, 100 + seed)
@@ -276,7 +275,7 @@ def test_the_worst_case_of_few_bounds_the_stated_share_of_trips_not_yet_seen() -
 
 
 @pytest.mark.parametrize("most", [1, 3, 8])
-def test_so_many_at_most_and_the_level_says_what_they_reach(most: int) -> None:
+def test_so_many_at_most_and_the_level_says_what_they_reach(most):
     trips, others = features(300, 2), features(3000, 3)
     chosen = choose(trips, 0.95, most)
     assert 1 <= chosen.rows.size <= most
@@ -284,7 +283,7 @@ def test_so_many_at_most_and_the_level_says_what_they_reach(most: int) -> None:
     assert bounded(others, trips[chosen.rows]).min() > chosen.level - 0.06
 
 
-def test_the_set_differs_as_much_as_the_trips_do() -> None:
+def test_the_set_differs_as_much_as_the_trips_do():
     """Best estimates are drawn to the mean; the set is spread out again."""
     estimated, spread, true_spread = [], [], []
     for seed in range(8):
@@ -300,7 +299,7 @@ def test_the_set_differs_as_much_as_the_trips_do() -> None:
     assert np.mean(spread) == pytest.approx(np.mean(true_spread), rel=0.2)
 
 
-def test_the_set_says_where_each_configuration_comes_from() -> None:
+def test_the_set_says_where_each_configuration_comes_from():
     fits, _ = drawn(60, 0.05, (150.0, 60.0, 100.0), seed=7)
     digests = {fit.trip: f"{number:064x}" for number, fit in enumerate(fits)}
     summaries = summarised(fits, digests=digests)
@@ -323,7 +322,7 @@ def test_the_set_says_where_each_configuration_comes_from() -> None:
     assert thing_from_bytes(ParameterSet, json.dumps(older).encode()).cover == {}
 
 
-def test_trips_of_one_name_become_configurations_of_two_names() -> None:
+def test_trips_of_one_name_become_configurations_of_two_names():
     fits, _ = drawn(4, 0.05, (150.0, 60.0, 100.0), seed=8)
     one, other = (
         summarised(fits, digests={fit.trip: f"{k}{number:063x}" for number, fit in enumerate(fits)})

@@ -38,9 +38,7 @@ NOISE = NoiseModel(speed=0.01, gradient=4e-4, position=8.0, effort=0.01)
     r2=st.floats(1.0, 30.0),
     mass=st.floats(50e3, 500e3),
 )
-def test_the_equation_of_motion_holds_in_every_window(
-    r0: float, r1: float, r2: float, mass: float
-) -> None:
+def test_the_equation_of_motion_holds_in_every_window(r0, r1, r2, mass):
     """Averaged ends and integrals are averaged alike: exact but for the trapezoidal rule."""
     exact = recording(mass=mass, resistance=RunningResistance(r0, r1, r2))
     windows = build_windows(exact)
@@ -48,7 +46,7 @@ def test_the_equation_of_motion_holds_in_every_window(
     np.testing.assert_allclose(windows.x @ theta, windows.y, atol=5e-5)
 
 
-def test_windows_fill_the_usable_stretches_and_nothing_else() -> None:
+def test_windows_fill_the_usable_stretches_and_nothing_else():
     made = recording(duration=300.0)
     usable = (made.time > 50.0) & ((made.time < 120.0) | (made.time > 127.0)) & (made.time < 150.0)
     usable &= ~((made.time > 140.0) & (made.time < 142.0))
@@ -89,9 +87,7 @@ def rough(windows: Windows) -> Windows:
     gaps=st.lists(st.integers(0, 3900), max_size=6),
     seed=st.integers(0, 1000),
 )
-def test_whitening_turns_the_noise_into_white_noise(
-    shortest: float, gaps: list[int], seed: int
-) -> None:
+def test_whitening_turns_the_noise_into_white_noise(shortest, gaps, seed):
     """Whatever pieces a window crosses, however long they last, wherever it is interrupted."""
     made = recording(duration=400.0)
     generator = np.random.default_rng(seed)
@@ -123,7 +119,7 @@ def drawn_errors(windows: Windows, noise: NoiseModel, seed: int, mass: float = 1
     return np.asarray(errors)
 
 
-def test_noise_is_found_as_large_as_it_is() -> None:
+def test_noise_is_found_as_large_as_it_is():
     windows = rough(build_windows(recording(duration=8000.0)))
     parts = NoiseParts.of(windows, 130e3)
     found = []
@@ -135,7 +131,7 @@ def test_noise_is_found_as_large_as_it_is() -> None:
     assert np.all((ratio > 0.75) & (ratio < 1.35)), ratio
 
 
-def test_outliers_are_left_out() -> None:
+def test_outliers_are_left_out():
     windows = build_windows(recording(noise=0.03))
     spoilt = windows.y.copy()
     spoilt[[100, 400]] += np.array([0.5, -0.8])
@@ -160,9 +156,7 @@ def test_outliers_are_left_out() -> None:
         (0.0, 500.0, -0.02),
     ],
 )
-def test_a_stretch_with_a_force_of_its_own_is_found(
-    first: float, last: float, force: float
-) -> None:
+def test_a_stretch_with_a_force_of_its_own_is_found(first, last, force):
     """Over mass, of a part of 20 min. A long one may be the right part: the band holds both."""
     windows = build_windows(recording(noise=0.02, seed=4))
     inside = (windows.start >= first) & (windows.end <= last)
@@ -192,7 +186,7 @@ def test_a_stretch_with_a_force_of_its_own_is_found(
     np.testing.assert_allclose(again.beta, found.beta)
 
 
-def test_a_force_that_surveys_err_by_is_no_stretch() -> None:
+def test_a_force_that_surveys_err_by_is_no_stretch():
     windows = build_windows(recording(noise=0.005, seed=4))
     inside = (windows.start >= 300.0) & (windows.end <= 420.0)
     for force, count in ((0.7 * LEAST_FORCE, 0), (1.6 * LEAST_FORCE, 1)):
@@ -201,7 +195,7 @@ def test_a_force_that_surveys_err_by_is_no_stretch() -> None:
 
 
 @pytest.mark.parametrize("name", ["effort_change", "braking", "tunnel"])
-def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name: str) -> None:
+def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name):
     """Where it looks like a coefficient of the curve, that errs by all of it, as often as stated.
 
     Efforts are late by half a sample at 10 Hz, brakes wrong by 2 %, tunnels resist by 0.3 to 1.7
@@ -231,7 +225,7 @@ def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name: s
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), z
 
 
-def test_what_the_survey_brings_in_is_what_its_errors_do() -> None:
+def test_what_the_survey_brings_in_is_what_its_errors_do():
     """Against least squares with dense matrices, the map's errors propagated one by one."""
     windows = rough(build_windows(recording(duration=1500.0)))
     windows = replace(windows, y=windows.y + drawn_errors(windows, NOISE, seed=4))
@@ -274,7 +268,7 @@ def distance(fit: TripFit) -> float:
     return float(off @ np.linalg.solve(fit.covariance[:3, :3], off)) / 3.0
 
 
-def test_errors_that_reach_over_several_elements_are_reported_by_the_lines_file() -> None:
+def test_errors_that_reach_over_several_elements_are_reported_by_the_lines_file():
     stated = [on_wrong_map(1000.0, Survey(2e-4, 1000.0), seed) for seed in range(4)]
     unstated = [on_wrong_map(1000.0, None, seed) for seed in range(4)]
     assert np.mean([distance(fit) for fit in stated]) < 1.3
@@ -292,7 +286,7 @@ def residuals(value: FloatArray, speed: FloatArray | None = None) -> Residuals:
     return Residuals(time, 20.0 * time, np.sin(time) if speed is None else speed, value)
 
 
-def test_probabilities_of_good_residuals_are_spread_evenly() -> None:
+def test_probabilities_of_good_residuals_are_spread_evenly():
     """Of few windows, too: half of the trips have less than one half."""
     found = [
         diagnosed(residuals(np.random.default_rng(seed).standard_normal(40))) for seed in range(500)
@@ -302,7 +296,7 @@ def test_probabilities_of_good_residuals_are_spread_evenly() -> None:
         assert below == pytest.approx(0.5, abs=0.07), name
 
 
-def test_each_defect_is_reported() -> None:
+def test_each_defect_is_reported():
     noise = np.random.default_rng(1).standard_normal(300)
     wind = np.convolve(noise, np.ones(5) / np.sqrt(5.0), mode="same")
     assert "err together" in " ".join(diagnosed(residuals(wind)).doubts)
@@ -319,7 +313,7 @@ def test_each_defect_is_reported() -> None:
     assert (nothing.normality, nothing.flatness, nothing.independence) == (1.0, 1.0, 1.0)
 
 
-def test_refusals_say_why_in_a_word_and_show_where() -> None:
+def test_refusals_say_why_in_a_word_and_show_where():
     made = trip(noise=0.03)
     every_two_seconds = {name: frame.iloc[::20] for name, frame in made.topics.items()}
     cases = {

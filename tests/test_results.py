@@ -44,11 +44,11 @@ DATA = Path(__file__).parent / "data"
 
 
 @pytest.fixture(scope="module")
-def fitted():  # type: ignore[no-untyped-def]
+def fitted():
     return analysis.fit([LOG])
 
 
-def test_a_fit_goes_straight_into_set_and_calculation(fitted) -> None:  # type: ignore[no-untyped-def]
+def test_a_fit_goes_straight_into_set_and_calculation(fitted):
     (fit,) = fitted.trips
     wanted = analysis.parameter_set([fit])
     expected = analysis.calculate(LOG, wanted)
@@ -65,7 +65,7 @@ def test_a_fit_goes_straight_into_set_and_calculation(fitted) -> None:  # type: 
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[no-untyped-def]
+def results(tmp_path_factory, fitted) -> dict[type, Presented]:
     """One result of each class that is presented, made of the samples."""
     folder = tmp_path_factory.mktemp("results")
     shutil.copy(LOG, folder / "nonstop.mcap")
@@ -147,13 +147,11 @@ def presented() -> list[type]:
     return [each for each in found if not issubclass(each, Declared)]
 
 
-def test_every_result_is_looked_at(results) -> None:  # type: ignore[no-untyped-def]
+def test_every_result_is_looked_at(results):
     assert not {each.__qualname__ for each in presented()} - {each.__qualname__ for each in results}
 
 
-def test_every_result_prints_few_lines_and_is_json_of_its_schema_and_equals_its_copy(
-    results,
-) -> None:  # type: ignore[no-untyped-def]
+def test_every_result_prints_few_lines_and_is_json_of_its_schema_and_equals_its_copy(results):
     for kind, result in results.items():
         lines = repr(result).splitlines()
         assert 1 <= len(lines) <= 10, kind
@@ -172,7 +170,7 @@ def test_every_result_prints_few_lines_and_is_json_of_its_schema_and_equals_its_
         jsonschema.validate(document, result.schema())
 
 
-def test_every_table_of_a_result_is_the_same_read_again_from_csv(results) -> None:  # type: ignore[no-untyped-def]
+def test_every_table_of_a_result_is_the_same_read_again_from_csv(results):
     for kind, result in results.items():
         for table in result.tables():
             rows = table.data
@@ -186,7 +184,7 @@ def test_every_table_of_a_result_is_the_same_read_again_from_csv(results) -> Non
                         assert text_of_cell(row[key]) == value, (kind, table.name, key)
 
 
-def test_every_result_with_charts_has_a_figure_with_data(results) -> None:  # type: ignore[no-untyped-def]
+def test_every_result_with_charts_has_a_figure_with_data(results):
     for kind, result in results.items():
         if kind.charts_by:
             assert all(each.has_data() for each in result.plot().axes), kind

@@ -51,7 +51,7 @@ def assert_same(
     )
 
 
-def test_equals_weighted_least_squares() -> None:
+def test_equals_weighted_least_squares():
     rows, values = davis_samples(300, seed=1)
     variance = np.random.default_rng(2).uniform(0.001, 0.01, 300)
     estimator = RecursiveLeastSquares(PRIOR)
@@ -59,7 +59,7 @@ def test_equals_weighted_least_squares() -> None:
     assert_same(estimator.result(), *batch(rows, values, variance))
 
 
-def test_forgetting_weighs_samples_exponentially() -> None:
+def test_forgetting_weighs_samples_exponentially():
     """Amirhosseini et al. (2024), eqs. (19), (20): the sample k updates ago counts gamma^k."""
     gamma, count = 0.9, 400
     rows, values = davis_samples(count, seed=4)
@@ -72,7 +72,7 @@ def test_forgetting_weighs_samples_exponentially() -> None:
     assert_same(estimator.result(), covariance @ (rows.T @ (weights * values)), covariance)
 
 
-def test_random_walk_equals_the_kalman_recursion() -> None:
+def test_random_walk_equals_the_kalman_recursion():
     rows, values = davis_samples(200, seed=5)
     walk = np.array([1e-2, 1e-4, 1e-6])
     estimator = RecursiveLeastSquares(PRIOR, random_walk_std=walk)
@@ -97,15 +97,7 @@ def test_random_walk_equals_the_kalman_recursion() -> None:
     seed=st.integers(0, 2**31),
     resets=st.sampled_from([None, [1], [0, 2], [0, 1, 2]]),
 )
-def test_never_loses_positive_definiteness(
-    dtype: type,
-    forgetting: float,
-    walk: float,
-    constant: bool,
-    scale: float,
-    seed: int,
-    resets: list[int] | None,
-) -> None:
+def test_never_loses_positive_definiteness(dtype, forgetting, walk, constant, scale, seed, resets):
     """Where the conventional recursion does after some hundred samples (equations.md: 750)."""
     rng = np.random.default_rng(seed)
     count = 20_000
@@ -155,11 +147,9 @@ TWO_SPEEDS = np.repeat([20.0, 40.0], 5_000)
     ],
     ids=["constant", "constant, measured", "two speeds", "two, measured", "speeding up", "varied"],
 )
-def test_a_trip_is_valid_where_its_speed_varies(
-    speed: FloatArray, valid: bool, settings: dict[str, object]
-) -> None:
+def test_a_trip_is_valid_where_its_speed_varies(speed, valid, settings):
     rows = np.column_stack([np.ones(speed.size), speed, speed**2])
-    estimator = RecursiveLeastSquares(PRIOR, **settings)  # type: ignore[arg-type]
+    estimator = RecursiveLeastSquares(PRIOR, **settings)
     noise = 0.05 * np.random.default_rng(3).standard_normal(speed.size)
     estimator.update(rows, rows @ TRUE + noise, 0.05**2)
     assert estimator.result().valid is valid
@@ -176,11 +166,11 @@ def test_a_trip_is_valid_where_its_speed_varies(
         ({"prior_std": [1.0, 1.0], "prior_mean": [0.0]}, "one value a parameter"),
     ],
 )
-def test_bad_settings_are_refused(arguments: dict[str, object], message: str) -> None:
+def test_bad_settings_are_refused(arguments, message):
     refused(InputError, message, RecursiveLeastSquares, **arguments)
 
 
-def test_bad_samples_are_refused_and_change_nothing() -> None:
+def test_bad_samples_are_refused_and_change_nothing():
     estimator = RecursiveLeastSquares(PRIOR)
     before = estimator.state()
     for rows, values, variance in (
@@ -212,13 +202,13 @@ def trip(slopes: FloatArray, period: float = 0.5) -> tuple[FloatArray, FloatArra
     return position, rows, slope + rows[:, 1:] @ DAVIS
 
 
-def test_an_edge_that_was_passed_while_the_position_was_unknown_is_not_lost() -> None:
+def test_an_edge_that_was_passed_while_the_position_was_unknown_is_not_lost():
     found = edges_crossed(EDGES, [390.0, np.nan, np.nan, 420.0, np.nan, 430.0])
     assert found.tolist() == [False, False, False, True, False, False]
     assert edges_crossed(EDGES, [np.nan, 420.0]).tolist() == [False, False]
 
 
-def test_time_resets_fall_on_multiples_of_the_period_despite_rounding() -> None:
+def test_time_resets_fall_on_multiples_of_the_period_despite_rounding():
     times = 0.1 * np.arange(12_001)
     found = periods_elapsed(30.0, times)
     assert np.flatnonzero(found).tolist() == list(range(300, 12_001, 300))
@@ -229,7 +219,7 @@ def test_time_resets_fall_on_multiples_of_the_period_despite_rounding() -> None:
     st.lists(st.floats(0.0, 1_100.0), min_size=2, max_size=40),
     st.integers(1, 39),
 )
-def test_blocks_do_not_matter(positions: list[float], cut: int) -> None:
+def test_blocks_do_not_matter(positions, cut):
     cut = min(cut, len(positions) - 1)
     whole = edges_crossed(EDGES, positions)
     parts = (
@@ -245,7 +235,7 @@ def test_blocks_do_not_matter(positions: list[float], cut: int) -> None:
 
 
 @pytest.mark.parametrize("parameters", [None, [0]])
-def test_a_trip_at_once_equals_sample_by_sample(parameters: list[int] | None) -> None:
+def test_a_trip_at_once_equals_sample_by_sample(parameters):
     position, rows, values = trip(np.array([1.0, 5.0, -3.0, 2.0]))
     whole, single = RecursiveLeastSquares(PRIOR), RecursiveLeastSquares(PRIOR)
     due = edges_crossed(EDGES, position)
@@ -263,8 +253,8 @@ def test_a_trip_at_once_equals_sample_by_sample(parameters: list[int] | None) ->
     assert whole.result().resets == np.count_nonzero(due) == 3
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_what_cannot_be_is_refused():
     refused(InputError, "increase", edges_crossed, [10.0, 5.0], [1.0])
     refused(InputError, "period", periods_elapsed, 0.0, [1.0])
     with pytest.raises(InputError, match="do not fit"):
-        record_with_resets(RecursiveLeastSquares(PRIOR), [True], np.ones((2, 3)), np.ones(2))  # type: ignore[arg-type]
+        record_with_resets(RecursiveLeastSquares(PRIOR), [True], np.ones((2, 3)), np.ones(2))

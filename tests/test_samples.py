@@ -29,9 +29,7 @@ MADE = ("nonstop.mcap", "stopping.mcap", "recorder.csv", "gnss.csv", "CH_StGalle
 
 
 @pytest.mark.parametrize("script", ["make_logs", "make_consists"])
-def test_the_scripts_make_them_again(
-    script: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_scripts_make_them_again(script, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(SCRIPTS))  # as where they are run by their paths
     runpy.run_path(str(SCRIPTS / f"{script}.py"))["make"](tmp_path)
     consists = [name for name in names() if name.endswith(".consist.json")]
@@ -41,9 +39,7 @@ def test_the_scripts_make_them_again(
 
 
 @pytest.mark.skipif(not TRACK.is_file(), reason="the TTOBench library is not here")
-def test_line_and_train_are_made_again_byte_for_byte(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_line_and_train_are_made_again_byte_for_byte(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["make_line", str(TRACK), str(TRAIN), "-o", str(tmp_path)])
     runpy.run_path(str(SCRIPTS / "make_line.py"))["main"]()
     for name in (DEFAULT_LINE, DEFAULT_TRAIN):
@@ -51,7 +47,7 @@ def test_line_and_train_are_made_again_byte_for_byte(
     assert "scale 1.000" in capsys.readouterr().out
 
 
-def test_a_difference_beyond_rounding_is_reported(tmp_path: Path) -> None:
+def test_a_difference_beyond_rounding_is_reported(tmp_path):
     trip = trainlog.read(folder() / "nonstop.mcap")
     frame = trip["/truth"]
     for share in (0.1, 10.0):
@@ -62,7 +58,7 @@ def test_a_difference_beyond_rounding_is_reported(tmp_path: Path) -> None:
         assert (found or "none").startswith("//truth/speed: row 7 is" if share > 1.0 else "none")
 
 
-def test_they_are_what_the_readme_and_their_names_say() -> None:
+def test_they_are_what_the_readme_and_their_names_say():
     text = (folder() / "README.md").read_text("utf-8")
     assert [name for name in names() if f"`{name}`" not in text and name != "README.md"] == []
     nonstop, stopping = (trainlog.read(folder() / f"{n}.mcap") for n in ("nonstop", "stopping"))
@@ -73,7 +69,7 @@ def test_they_are_what_the_readme_and_their_names_say() -> None:
     assert truth_of(nonstop) is not None
 
 
-def test_the_line_is_in_canonical_form_and_drawn_within_half_a_metre_of_its_curve() -> None:
+def test_the_line_is_in_canonical_form_and_drawn_within_half_a_metre_of_its_curve():
     line = read_line(sample(DEFAULT_LINE))
     assert line_to_bytes(line) == sample(DEFAULT_LINE).read_bytes()
     assert train_to_bytes(read_train(sample(DEFAULT_TRAIN))) == sample(DEFAULT_TRAIN).read_bytes()
@@ -84,9 +80,7 @@ def test_the_line_is_in_canonical_form_and_drawn_within_half_a_metre_of_its_curv
     assert line.geometry.positions.size < 600
 
 
-def test_samples_are_copied_and_a_missing_one_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_samples_are_copied_and_a_missing_one_is_reported(tmp_path, monkeypatch):
     copies = samples.copy_samples(tmp_path / "new" / "samples")
     assert [copy.name for copy in copies] == names()
     assert all(copy.read_bytes() == sample(copy.name).read_bytes() for copy in copies)

@@ -58,7 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def scored(capsys: pytest.CaptureFixture[str], *words: object) -> dict:  # type: ignore[type-arg]
+def scored(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
     capsys.readouterr()
     assert run(["map", "score", *map(str, words), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -84,9 +84,7 @@ def rolling() -> tuple[Score, list[tuple[int, int]]]:
     return score_rolling(month(), None, lambda *each: days.append(each)), days
 
 
-def test_each_day_is_forecast_from_the_days_before_alone(
-    rolling: tuple[Score, list[tuple[int, int]]], first_scored: Score
-) -> None:
+def test_each_day_is_forecast_from_the_days_before_alone(rolling, first_scored):
     found, days = rolling
     long = found.layers["wet"]
     assert list(dict.fromkeys(days)) == [(day, 11) for day in range(1, 12)]
@@ -103,9 +101,7 @@ def test_each_day_is_forecast_from_the_days_before_alone(
     assert persistence[spot] < 0.0 < persistence[[steady, spot + 1]].min()
 
 
-def test_a_map_is_scored_day_by_day(
-    folder: Path, first_scored: Score, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_map_is_scored_day_by_day(folder, first_scored, capsys):
     picture = folder / "score.png"
     write_map(estimated(first_days()), folder / "first.map")
     found = scored(capsys, folder / "first.map", "--rolling", "--picture", picture)
@@ -117,7 +113,7 @@ def test_a_map_is_scored_day_by_day(
     assert json.loads(as_json_text(first_scored.data())) | common == found
 
 
-def test_the_forecast_of_anyone_is_scored(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_forecast_of_anyone_is_scored(folder, capsys):
     path = folder / "forecast.csv"
     path.write_text(FORECAST)
     found = scored(capsys, path, folder / "stopping.mcap", folder / "nonstop.mcap")
@@ -141,8 +137,8 @@ def test_the_forecast_of_anyone_is_scored(folder: Path, capsys: pytest.CaptureFi
 
 
 def test_a_rail_condition_that_the_forecast_lacks_is_refused_and_another_than_the_logs_stated(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    folder, capsys
+):
     known, log, path = folder / "earlier.map", folder / "stopping.mcap", folder / "wet.csv"
     path.write_text(FORECAST.replace(",,", ",wet,"))
     for forecast, layer, words in (
@@ -162,9 +158,7 @@ def test_a_rail_condition_that_the_forecast_lacks_is_refused_and_another_than_th
     assert notes[0] == "no forecast for rail condition 'wet': there all is unknown"
 
 
-def test_a_maps_forecast_in_a_file_scores_as_the_map(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_maps_forecast_in_a_file_scores_as_the_map(folder, capsys):
     path, known = folder / "own.csv", str(folder / "earlier.map")
     words = ["map", "forecast", known, "--at", "2024-10-07", "--hours", "24", "-o", str(path)]
     assert run(words) == 0
@@ -190,9 +184,7 @@ def test_a_maps_forecast_in_a_file_scores_as_the_map(
         (("month.map", "stopping.mcap"), "no trip|ran on line"),
     ],
 )
-def test_what_cannot_be_scored_is_refused(
-    folder: Path, words: tuple[str, ...], problem: str
-) -> None:
+def test_what_cannot_be_scored_is_refused(folder, words, problem):
     names = [str(folder / word) if "." in word else word for word in words]
     with pytest.raises(InputError, match=problem):
         run(["map", "score", *names])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from command import Shell
 from refusals import refused
 
 from trainlog.errors import InputError
@@ -23,7 +22,7 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "settings.toml"
 
 
-def test_settings_are_set_shown_and_taken_back(settings: Path, shell: Shell) -> None:
+def test_settings_are_set_shown_and_taken_back(settings, shell):
     settings.write_text("# mine\nresults = 'out'\n")
     assert shell("settings", "speed", "mph") == (
         0, f"wrote {settings}\n", "",
@@ -50,9 +49,7 @@ def test_settings_are_set_shown_and_taken_back(settings: Path, shell: Shell) -> 
         ("speed = ", "is not TOML: "),
     ],
 )
-def test_what_is_wrong_is_one_error_with_file_line_and_remedy(
-    text: str, message: str, settings: Path, shell: Shell
-) -> None:
+def test_what_is_wrong_is_one_error_with_file_line_and_remedy(text, message, settings, shell):
     settings.write_text(text)
     status, _, complaint = shell("show", "--check", sample("nonstop.mcap"))
     assert (status, complaint.count("\n")) == (2, 1)
@@ -60,7 +57,7 @@ def test_what_is_wrong_is_one_error_with_file_line_and_remedy(
     assert message in complaint
 
 
-def test_a_bad_value_is_refused_and_the_file_stays(settings: Path) -> None:
+def test_a_bad_value_is_refused_and_the_file_stays(settings):
     set_setting("zone", "Europe/Zurich")
     before = settings.read_bytes()
     for key, value in (("zone", "Mars"), ("colour", "red"), ("train", "no.json")):
@@ -68,9 +65,7 @@ def test_a_bad_value_is_refused_and_the_file_stays(settings: Path) -> None:
     assert settings.read_bytes() == before
 
 
-def test_units_and_zone_change_what_is_shown_and_no_file(
-    settings: Path, tmp_path: Path, shell: Shell
-) -> None:
+def test_units_and_zone_change_what_is_shown_and_no_file(settings, tmp_path, shell):
     log, made = sample("nonstop.mcap"), tmp_path / "made.json"
     shown, files, printed = [], [], []
     for unit, zone in (("km/h", "UTC"), ("mph", "Europe/Zurich")):
@@ -90,6 +85,6 @@ def test_units_and_zone_change_what_is_shown_and_no_file(
     assert "2024-10-07 08:00:00.000 to 2024-10-07 08:19:43.100 CEST" in out
 
 
-def test_the_page_lists_the_settings() -> None:
+def test_the_page_lists_the_settings():
     page = (CHECKOUT / "docs" / "command-line.md").read_text("utf-8")
     assert all(f"| `{key}` |" in page and meaning in page for key, meaning in MEANINGS.items())

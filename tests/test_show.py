@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-from command import Shell
 from refusals import refused
 
 import trainlog
@@ -32,7 +31,7 @@ KINDS = {
 }
 
 
-def test_a_file_is_known_by_its_content(tmp_path: Path) -> None:
+def test_a_file_is_known_by_its_content(tmp_path):
     renamed = tmp_path / "file"
     for name, kind in KINDS.items():
         renamed.write_bytes(sample(name).read_bytes())
@@ -50,9 +49,7 @@ def test_a_file_is_known_by_its_content(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("above", ["", "Fahrtenschreiber;Tfz 511 006\r\n"])
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
-def test_a_table_of_a_recorder_is_shown_as_ingest_reads_it(
-    above: str, encoding: str, tmp_path: Path
-) -> None:
+def test_a_table_of_a_recorder_is_shown_as_ingest_reads_it(above, encoding, tmp_path):
     rows = [f"08:00:{second:02d};{second},5;7,{second}" for second in range(50)]
     path = tmp_path / "fahrt.csv"
     text = above + "\r\n".join(["Uhrzeit;Länge [°];v [km/h]", *rows])
@@ -93,7 +90,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("pattern", OTHERS)
-def test_a_file_of_another_project_is_named_with_the_command_that_takes_it(pattern: str) -> None:
+def test_a_file_of_another_project_is_named_with_the_command_that_takes_it(pattern):
     if not SHARED.is_dir():
         pytest.skip("public data are not here")
     for path in sorted(SHARED.glob(pattern))[:3]:
@@ -102,7 +99,7 @@ def test_a_file_of_another_project_is_named_with_the_command_that_takes_it(patte
         assert f"trainlog import {path} -o" in found.text
 
 
-def test_summaries_of_a_fit_are_named_with_the_command_that_takes_them(tmp_path: Path) -> None:
+def test_summaries_of_a_fit_are_named_with_the_command_that_takes_them(tmp_path):
     path = tmp_path / "fit.parquet"
     write_summaries(fit(sample("nonstop.mcap")).summaries, path)
     found = contents_of(path)
@@ -112,7 +109,7 @@ def test_summaries_of_a_fit_are_named_with_the_command_that_takes_them(tmp_path:
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_cannot_be_shown_is_stated_with_a_remedy(case: str, tmp_path: Path) -> None:
+def test_what_cannot_be_shown_is_stated_with_a_remedy(case, tmp_path):
     content, problem = WRONG[case]
     path = tmp_path / "file"
     path.write_bytes(content)
@@ -121,9 +118,7 @@ def test_what_cannot_be_shown_is_stated_with_a_remedy(case: str, tmp_path: Path)
     assert caught.remedy
 
 
-def test_the_samples_are_shown_and_what_opens_a_recording_of_the_viewer_is_named(
-    tmp_path: Path, shell: Shell
-) -> None:
+def test_the_samples_are_shown_and_what_opens_a_recording_of_the_viewer_is_named(tmp_path, shell):
     status, shown, _ = shell("show", "sample")
     assert (status, "nonstop.mcap" in shown) == (0, True)
     (tmp_path / "x.rrd").write_bytes(b"RRF2" + bytes(100))
@@ -133,7 +128,7 @@ def test_the_samples_are_shown_and_what_opens_a_recording_of_the_viewer_is_named
 
 
 @pytest.mark.parametrize("share", [0.0, 0.95])
-def test_a_damaged_log_is_shown_and_ends_with_1(share: float, tmp_path: Path, shell: Shell) -> None:
+def test_a_damaged_log_is_shown_and_ends_with_1(share, tmp_path, shell):
     """By itself, as data, in a folder, and beside what is whole: as `check` ends."""
     whole = sample("nonstop.mcap")
     content = whole.read_bytes()
@@ -157,7 +152,7 @@ def test_a_damaged_log_is_shown_and_ends_with_1(share: float, tmp_path: Path, sh
 
 
 @pytest.mark.parametrize("name", ["nonstop.mcap", "CH_StGallen_Wil.line.json"])
-def test_trips_and_lines_have_a_picture(name: str, tmp_path: Path) -> None:
+def test_trips_and_lines_have_a_picture(name, tmp_path):
     picture = tmp_path / "out.png"
     assert run(["show", str(sample(name)), "--picture", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -165,7 +160,7 @@ def test_trips_and_lines_have_a_picture(name: str, tmp_path: Path) -> None:
         run(["show", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--picture", str(picture)])
 
 
-def test_a_map_is_no_log_and_no_fit(tmp_path: Path) -> None:
+def test_a_map_is_no_log_and_no_fit(tmp_path):
     """What is wrong with a file is stated before what is wrong with the display."""
     track = str(sample("CH_StGallen_Wil.map"))
     refused(TrainlogError, "not an MCAP file but a track-condition map", run, ["replay", track])
@@ -173,7 +168,7 @@ def test_a_map_is_no_log_and_no_fit(tmp_path: Path) -> None:
         run(["compare", "calculated", str(sample("nonstop.mcap")), "--model", track])
 
 
-def test_what_ingest_repaired_is_listed_with_its_raw_values(tmp_path: Path, shell: Shell) -> None:
+def test_what_ingest_repaired_is_listed_with_its_raw_values(tmp_path, shell):
     recorded = tmp_path / "run.csv"
     cells = ["10.0", "error", "10.1", "500", "10.3", "10.4", "10.5"]
     rows = [f"2024-05-01T06:00:{second:02d}Z,{cell}" for second, cell in enumerate(cells)]

@@ -36,7 +36,7 @@ def journey(line=None, adhesion: float = 0.3, **changes: object) -> Scenario:
         "maximum_adhesion": steps((0.0, adhesion)),
         "stops": plan(line, train, line.stations),
     }
-    return Scenario(**{**known, **changes})  # type: ignore[arg-type]
+    return Scenario(**{**known, **changes})
 
 
 def columns(scenario: Scenario, run: Run) -> dict[str, np.ndarray]:
@@ -60,7 +60,7 @@ def stands(found: dict[str, np.ndarray]) -> np.ndarray:
     ),
     st.floats(0.0, 20_000.0),
 )
-def test_timetable_driver_keeps_limits_and_stops(habits: Habits, load: float) -> None:
+def test_timetable_driver_keeps_limits_and_stops(habits, load):
     scenario = journey(habits=habits, mass=122_000.0 + load)
     found = columns(scenario, drive(scenario))
     limit = scenario.line.limits_over(scenario.train.length)(found["position"])
@@ -69,7 +69,7 @@ def test_timetable_driver_keeps_limits_and_stops(habits: Habits, load: float) ->
     np.testing.assert_allclose(stands(found), wanted, atol=1.5)
 
 
-def test_timetable_driver_waits_and_is_roughly_on_time() -> None:
+def test_timetable_driver_waits_and_is_roughly_on_time():
     scenario = journey()
     run = drive(scenario)
     found = columns(scenario, run)
@@ -82,12 +82,12 @@ def test_timetable_driver_waits_and_is_roughly_on_time() -> None:
         assert abs(standing[0] - stop.arrival) < 40.0
 
 
-def test_a_train_that_cannot_climb_is_refused() -> None:
+def test_a_train_that_cannot_climb_is_refused():
     line = replace(hilly_line(), gradients=steps((0.0, 0.0), (3_000.0, 0.06)))
     refused(InfeasibleError, "does not arrive; at km 3", drive, journey(line, adhesion=0.05))
 
 
-def test_running_time_of_a_level_run() -> None:
+def test_running_time_of_a_level_run():
     """Constant acceleration, cruising and braking in closed form."""
     train = replace(flirt(), max_traction_power=1e9, max_tractive_effort=100e3, length=0.0)
     train = replace(train, resistance=type(train.resistance)(0.0, 0.0, 0.0))
@@ -102,9 +102,7 @@ def test_running_time_of_a_level_run() -> None:
     starts=st.lists(st.floats(0.1, 11e3), min_size=1, max_size=6, unique=True),
     length=st.floats(0.1, 700.0),
 )
-def test_a_restriction_ends_where_the_rear_has_passed_it(
-    starts: list[float], length: float
-) -> None:
+def test_a_restriction_ends_where_the_rear_has_passed_it(starts, length):
     edges = [0.0, *sorted(starts)]
     speeds = [20.0 + 3.0 * (k * 7 % 5) for k in range(len(edges))]
     line = replace(level_line(length=12e3), speed_limits=steps(*zip(edges, speeds, strict=True)))
@@ -126,11 +124,11 @@ def test_a_restriction_ends_where_the_rear_has_passed_it(
         ((Stop("A", 0.0, 0.0, 90.0), Stop("B", 4e3, 80.0, 100.0)), "order of travel"),
     ],
 )
-def test_impossible_stops_are_refused(stops: tuple[Stop, ...], message: str) -> None:
+def test_impossible_stops_are_refused(stops, message):
     refused(InputError, message, TimetableDriver, hilly_line(), flirt(), stops)
 
 
-def test_a_train_that_cannot_brake_is_not_driven() -> None:
+def test_a_train_that_cannot_brake_is_not_driven():
     train = replace(flirt(), max_dynamic_braking_effort=0.0, max_pneumatic_braking_effort=0.0)
     refused(InputError, "has no brake", draw_scenarios, hilly_line(), train, count=1)
 
@@ -140,7 +138,7 @@ def drawn() -> tuple[Scenario, ...]:
     return tuple(draw_scenarios(hilly_line(), flirt(), count=12, seed=1))
 
 
-def test_scenarios_vary_as_they_should() -> None:
+def test_scenarios_vary_as_they_should():
     scenarios = drawn()
     assert [s.direction for s in scenarios] == ["forward", "reverse"] * 6
     assert sum(s.weather == "wet" for s in scenarios) == 6
@@ -158,7 +156,7 @@ def test_scenarios_vary_as_they_should() -> None:
     assert len({s.start for s in scenarios}) == 12
 
 
-def test_slippery_places_stay_from_trip_to_trip() -> None:
+def test_slippery_places_stay_from_trip_to_trip():
     line = hilly_line()
     line_bins = np.arange(440) * 25.0
     for weather, base, low in (("dry", 0.325, 0.16), ("wet", 0.185, 0.13)):
@@ -174,7 +172,7 @@ def test_slippery_places_stay_from_trip_to_trip() -> None:
     assert not np.array_equal(base_map(line, "wet", 1), base_map(line, "wet", 2))
 
 
-def test_bad_wishes_are_refused() -> None:
+def test_bad_wishes_are_refused():
     refused(InputError, "cannot draw 0", draw_scenarios, hilly_line(), flirt(), count=0)
     with pytest.raises(InputError, match="fewer than two stations"):
         draw_scenarios(replace(hilly_line(), stations=()), flirt())
@@ -196,21 +194,21 @@ def on_grid(values: np.ndarray, resolution: float) -> bool:
     return bool(np.allclose(values / resolution, np.round(values / resolution), atol=1e-6))
 
 
-def test_speed_noise_and_resolution() -> None:
+def test_speed_noise_and_resolution():
     found = measuring.measured_speed(np.full(COUNT, 20.0), 1.0, Sensors(), generator())
     assert on_grid(found, 0.01)
     assert np.mean(found) == pytest.approx(20.0, abs=0.001)
     assert np.std(found) == pytest.approx(np.hypot(0.03, 0.01 / np.sqrt(12.0)), rel=0.03)
 
 
-def test_effort_noise_is_proportional_and_quantised() -> None:
+def test_effort_noise_is_proportional_and_quantised():
     found = measuring.measured_effort(np.full(COUNT, 80e3), Sensors(), generator())
     assert on_grid(found, 100.0)
     assert np.std(found) == pytest.approx(800.0, rel=0.03)
     assert np.all(measuring.measured_effort(np.zeros(100), Sensors(), generator()) == 0.0)
 
 
-def test_wheel_diameters_err_together_and_apart() -> None:
+def test_wheel_diameters_err_together_and_apart():
     draws = [measuring.wheel_scales(4, Sensors(), np.random.default_rng(k)) for k in range(3_000)]
     common = np.array([draw[0] for draw in draws])
     apart = np.array([draw[1] for draw in draws]) - common[:, None]
@@ -219,7 +217,7 @@ def test_wheel_diameters_err_together_and_apart() -> None:
     assert abs(np.mean(common) - 1.0) < 2e-4
 
 
-def test_odometry_is_set_right_at_balises() -> None:
+def test_odometry_is_set_right_at_balises():
     position = np.arange(0.0, 60_000.0, 2.5)
     found = measuring.odometry(position, 1.003, Sensors(), generator())
     error = found - position
@@ -234,7 +232,7 @@ def test_odometry_is_set_right_at_balises() -> None:
     assert np.max(np.abs(error)) < 1.21 * 1_250.0 * 0.003 + 4.0 * 0.5
 
 
-def test_gnss_noise_rates_and_outages() -> None:
+def test_gnss_noise_rates_and_outages():
     line = hilly_line()
     time = ticks(36_000)
     position = np.linspace(0.0, 11_000.0, time.size)
@@ -253,7 +251,7 @@ def test_gnss_noise_rates_and_outages() -> None:
     # In the tunnel there are no satellites.
     there = np.interp((fix.index.asi8 - time[0]).astype(float), (time - time[0]), position)
     assert not np.any((there >= 2_200.0) & (there < 2_800.0))
-    latitude, longitude = line.geometry.at(there)  # type: ignore[union-attr]
+    latitude, longitude = line.geometry.at(there)
     north = np.radians(fix.latitude - latitude) * EARTH_RADIUS
     east = np.radians(fix.longitude - longitude) * EARTH_RADIUS
     east *= np.cos(np.radians(47.0))
@@ -267,5 +265,5 @@ def test_gnss_noise_rates_and_outages() -> None:
 
 
 @pytest.mark.parametrize("rate", [5, 15, 30, 400])
-def test_impossible_rates_are_refused(rate: int) -> None:
+def test_impossible_rates_are_refused(rate):
     refused(InputError, f"rate {rate} Hz", Sensors, rate=rate)

@@ -43,7 +43,7 @@ def fleet(network: Network) -> Fleet:
     return draw_fleet(network, trains=6, days=4, trips=24, seed=5)
 
 
-def test_altitude_and_place_of_a_node_are_the_same_by_every_line() -> None:
+def test_altitude_and_place_of_a_node_are_the_same_by_every_line():
     drawn = draw_network(1)
     assert len(drawn.edges) == 10
     # As many lines as nodes or more: there is a loop.
@@ -61,9 +61,7 @@ def test_altitude_and_place_of_a_node_are_the_same_by_every_line() -> None:
             assert gap < 0.5
 
 
-def test_lines_are_plausible_and_their_curves_are_those_of_their_geometry(
-    network: Network,
-) -> None:
+def test_lines_are_plausible_and_their_curves_are_those_of_their_geometry(network):
     for edge in network.edges:
         line = edge.line
         assert np.max(np.abs(line.gradients.values)) <= 25e-3 + 1e-12
@@ -83,7 +81,7 @@ def test_lines_are_plausible_and_their_curves_are_those_of_their_geometry(
         assert np.max(np.abs(turned - points)) < 1.5
 
 
-def test_trains_start_where_they_ended_and_run_in_both_directions(fleet: Fleet) -> None:
+def test_trains_start_where_they_ended_and_run_in_both_directions(fleet):
     last: dict[str, str] = {}
     ended: dict[str, int] = {}
     directions: dict[str, set[bool]] = {}
@@ -102,7 +100,7 @@ def test_trains_start_where_they_ended_and_run_in_both_directions(fleet: Fleet) 
     assert max(len(fleet.route(*fleet.places(n)).line.legs) for n in range(fleet.trips)) > 1
 
 
-def test_two_trips_at_one_time_meet_the_same_rail_and_weather(fleet: Fleet) -> None:
+def test_two_trips_at_one_time_meet_the_same_rail_and_weather(fleet):
     start = fleet.departure(0)
     routes = [fleet.route(*fleet.places(number)).line for number in range(fleet.trips)]
     shared = [
@@ -125,7 +123,7 @@ def test_two_trips_at_one_time_meet_the_same_rail_and_weather(fleet: Fleet) -> N
     assert np.any(np.abs(later(a.on_line(places)) - first(a.on_line(places))) > 1e-3)
 
 
-def test_any_trip_alone_is_the_same_as_in_the_fleet(tmp_path: Path) -> None:
+def test_any_trip_alone_is_the_same_as_in_the_fleet(tmp_path):
     fleet = draw_fleet(draw_network(seed=3, lines=4), trains=3, days=2, trips=2, seed=5)
     made = write_fleet(fleet, tmp_path / "all", jobs=2)
     assert (made.made, made.stuck) == (2, [])
@@ -182,9 +180,7 @@ def _simulated(fleet: Fleet, number: int) -> trainlog.Trip:
     return as_recorded(recorded(scenario, drive(scenario)), fleet.train_of(number))
 
 
-def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(
-    network: Network,
-) -> None:
+def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(network):
     words = [
         "train=flirt-01,dragging-brake=2kN,from=2026-10-03",
         "train=flirt-01,mass=3t,from=2026-10-03",
@@ -246,11 +242,11 @@ def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(
         ("train=flirt-01,sensor-delay=0.3s,from=2026-10-02,share=0%", "on 0% of its trips"),
     ],
 )
-def test_a_fault_that_cannot_be_read_is_refused_with_the_reason(words: str, message: str) -> None:
+def test_a_fault_that_cannot_be_read_is_refused_with_the_reason(words, message):
     refused(InputError, message, Fault.of, words)
 
 
-def test_a_fault_goes_again_and_shows_on_its_share_of_the_trips() -> None:
+def test_a_fault_goes_again_and_shows_on_its_share_of_the_trips():
     words = "train=flirt-01,effort-gain=5%,from=2026-10-02,to=2026-10-05"
     healthy, sick, loose = (
         draw_trains(3, 1, [Fault.of(each)] if each else [])[0]
@@ -274,7 +270,7 @@ OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd" / "infras"
 
 @pytest.mark.skipif(not OSRD.is_dir(), reason="needs ../shared/data/osrd")
 @pytest.mark.parametrize("name", ["tiny_infra", "overlapping_routes"])
-def test_a_fleet_runs_on_imported_networks(name: str) -> None:
+def test_a_fleet_runs_on_imported_networks(name):
     """Edges without stations, stations of several tracks, ways in one direction alone."""
     found = networks_in(OSRD / f"{name}.json")
     (network,) = found.networks

@@ -43,7 +43,7 @@ def released(plant: Plant, position: float = 0.0) -> PlantState:
     return state
 
 
-def test_gradient_curve_and_tunnel_forces() -> None:
+def test_gradient_curve_and_tunnel_forces():
     line, train = hilly_line(), flirt(resistance=NO_DRAG)
     plant = Plant.of(line, train, mass=140e3)
     inertia = 140e3 + train.rotating_mass
@@ -67,7 +67,7 @@ def smooth_end(step: float) -> np.ndarray:
     return state.values[[0, 1, 3, 7, 11]]
 
 
-def test_integration_is_of_fourth_order() -> None:
+def test_integration_is_of_fourth_order():
     exact = smooth_end(0.0125)
     errors = [np.abs(smooth_end(step) - exact) for step in (0.2, 0.1)]
     order = np.log2(errors[0] / errors[1])
@@ -75,7 +75,7 @@ def test_integration_is_of_fourth_order() -> None:
     assert np.all(order < 4.5)
 
 
-def test_power_stays_within_its_limit_and_is_used() -> None:
+def test_power_stays_within_its_limit_and_is_used():
     plant = Plant.of(level_line(), flirt(), max_power=2.4e6)
     rows = columns(plant, plant.advance(released(plant), 1e6, 0.0, 24_000, 5))
     power = sum(rows[f"wheel_effort_{axle}"] * rows[f"wheel_speed_{axle}"] for axle in range(1, 5))
@@ -87,7 +87,7 @@ def test_power_stays_within_its_limit_and_is_used() -> None:
 CURVE = EffortCurve(np.array([0.0, 5.0, 12.0, 25.0]), np.array([190e3, 170e3, 110e3, 60e3]))
 
 
-def test_effort_stays_within_its_curve_at_every_sample() -> None:
+def test_effort_stays_within_its_curve_at_every_sample():
     """The motors read it at the speed of their wheels, which is above the train's in traction."""
     train = replace(flirt(), traction_curve=CURVE, dynamic_braking_curve=CURVE)
     plant = Plant.of(level_line(), train, resistance=NO_DRAG)
@@ -105,7 +105,7 @@ def test_effort_stays_within_its_curve_at_every_sample() -> None:
             assert np.all(found[name][200:] <= CURVE(found["speed"][200:]))
 
 
-def test_friction_brake_has_dead_time_and_lag() -> None:
+def test_friction_brake_has_dead_time_and_lag():
     """Amirhosseini et al. (2024), eq. (1): nothing for the dead time, then 1 - exp(-t/lag)."""
     train = flirt(max_dynamic_braking_effort=0.0, brake=Brake(dead_time=0.6, lag=0.4))
     plant = Plant.of(level_line(), train)
@@ -116,7 +116,7 @@ def test_friction_brake_has_dead_time_and_lag() -> None:
     np.testing.assert_allclose(effort, expected, atol=1.0)
 
 
-def test_a_train_never_rolls_back_and_starts_when_it_can() -> None:
+def test_a_train_never_rolls_back_and_starts_when_it_can():
     train = flirt()
     plant = Plant.of(level_line(gradient=0.03), train)
     state = released(plant)
@@ -131,7 +131,7 @@ def test_a_train_never_rolls_back_and_starts_when_it_can() -> None:
 
 @pytest.mark.parametrize("braking", [False, True])
 @pytest.mark.parametrize(("effort", "peak"), [(110e3, 0.1), (150e3, 0.06), (200e3, 0.29)])
-def test_slip_protection_catches_the_wheels(braking: bool, effort: float, peak: float) -> None:
+def test_slip_protection_catches_the_wheels(braking, effort, peak):
     train = flirt(max_traction_power=5e6, max_dynamic_braking_power=5e6)
     plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, peak)))
     state = rolling(plant, 0.0, 20.0)
@@ -149,7 +149,7 @@ def test_slip_protection_catches_the_wheels(braking: bool, effort: float, peak: 
     assert found["protected_axles"].max() == 4.0
 
 
-def test_the_friction_brake_uses_no_more_than_the_adhesion_of_the_trailing_axles() -> None:
+def test_the_friction_brake_uses_no_more_than_the_adhesion_of_the_trailing_axles():
     brake = Brake(dead_time=0.0, lag=0.1)
     train = flirt(resistance=NO_DRAG, max_dynamic_braking_effort=0.0, brake=brake)
     plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, 0.05)))
@@ -161,7 +161,7 @@ def test_the_friction_brake_uses_no_more_than_the_adhesion_of_the_trailing_axles
     np.testing.assert_allclose(slowed, -0.05 * trailing / inertia, rtol=1e-3)
 
 
-def test_effort_comes_back_once_the_wheel_has_come_back() -> None:
+def test_effort_comes_back_once_the_wheel_has_come_back():
     """A wheel whose effort was cut has none while its slip is above the release."""
     plant = Plant.of(level_line(), flirt())
     state, p = plant.at(0.0, 15.0), plant.parameters
@@ -191,15 +191,13 @@ def test_effort_comes_back_once_the_wheel_has_come_back() -> None:
         ({"train": flirt(axles=Axles(adhesive_mass=2e5))}, "cannot rest on the powered axles"),
     ],
 )
-def test_impossible_trains_are_refused(arguments: dict[str, object], message: str) -> None:
+def test_impossible_trains_are_refused(arguments, message):
     train = arguments.pop("train", flirt())
     refused(InputError, message, Plant.of, level_line(), train, **arguments)
 
 
 @pytest.mark.parametrize("gradient", [-0.04, 0.0, 0.03])
-def test_a_holding_brake_keeps_a_train_without_friction_brake_until_it_pulls(
-    gradient: float,
-) -> None:
+def test_a_holding_brake_keeps_a_train_without_friction_brake_until_it_pulls(gradient):
     """All axles driven, nothing but the dynamic brake: it rolls off unless it is held."""
     track, train = level_line(gradient=gradient), PUBLISHED_TRAIN.on_axles()
     held = Plant.of(track, train, drive=Drive(holding_speed=0.5))

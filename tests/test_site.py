@@ -59,7 +59,7 @@ class Links(HTMLParser):
         self.targets += [str(given[key]) for key in ("href", "src") if given.get(key)]
 
 
-def test_every_link_leads_to_a_file_and_a_place_in_it(site: Path) -> None:
+def test_every_link_leads_to_a_file_and_a_place_in_it(site):
     pages = {path: Links(path.read_text("utf-8")) for path in site.rglob("*.html")}
     lost = []
     for page, links in pages.items():
@@ -80,7 +80,7 @@ def test_every_link_leads_to_a_file_and_a_place_in_it(site: Path) -> None:
     assert sum(path.stat().st_size for path in site.rglob("*") if path.is_file()) < MOST_BYTES
 
 
-def test_executed_pages_show_what_their_code_printed_and_drew(site: Path) -> None:
+def test_executed_pages_show_what_their_code_printed_and_drew(site):
     engineer = (site / "tutorials" / "engineer.html").read_text("utf-8")
     assert re.search(r"Running resistance of CH_Stadler_FLIRT_TPF: N", engineer)
     developer = (site / "tutorials" / "developer.html").read_text("utf-8")
@@ -90,7 +90,7 @@ def test_executed_pages_show_what_their_code_printed_and_drew(site: Path) -> Non
 
 
 @pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
-def test_pages_are_whole_in_a_browser_without_a_network(site: Path) -> None:
+def test_pages_are_whole_in_a_browser_without_a_network(site):
     """No errors on the console, no request to anywhere else, every picture drawn."""
     wrong = []
     with browser_page(viewport={"width": 1280, "height": 900}) as page:
@@ -110,7 +110,7 @@ def test_pages_are_whole_in_a_browser_without_a_network(site: Path) -> None:
 
 
 @pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
-def test_the_search_finds_a_word_without_a_server(site: Path) -> None:
+def test_the_search_finds_a_word_without_a_server(site):
     with browser_page() as page:
         page.goto((site / "index.html").as_uri())
         page.keyboard.press("/")
@@ -122,7 +122,7 @@ def test_the_search_finds_a_word_without_a_server(site: Path) -> None:
         assert "recursive" in found
 
 
-def test_a_wheel_made_after_the_site_holds_it_and_opens_it(checkout: Path, tmp_path: Path) -> None:
+def test_a_wheel_made_after_the_site_holds_it_and_opens_it(checkout, tmp_path):
     """The wheel is that of the source distribution, as `python -m build` makes both."""
     make = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path / "dist")]
     done = subprocess.run([*make, str(checkout)], capture_output=True, text=True, timeout=600)

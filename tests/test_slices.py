@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -49,7 +47,7 @@ def messages(trip: Trip) -> list[str]:
 # ------------------------------------------------------------------------------------- by time
 @settings(max_examples=25)
 @given(trips(), instants)
-def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
+def test_slices_by_time_partition_a_trip(trip, at):
     before = trip.between(None, stamp(at))
     after = trip.between(stamp(at + 1), None)
     for name, frame in trip.topics.items():
@@ -58,7 +56,7 @@ def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
         assert before[name].attrs == after[name].attrs == frame.attrs
 
 
-def test_both_ends_belong_to_a_slice_and_a_time_without_zone_is_utc() -> None:
+def test_both_ends_belong_to_a_slice_and_a_time_without_zone_is_utc():
     trip = driven([0, 1, 2, 3], [0, 10, 20, 30])
     start = stamp(START + SECOND)
     cut = trip.between(
@@ -68,7 +66,7 @@ def test_both_ends_belong_to_a_slice_and_a_time_without_zone_is_utc() -> None:
     assert messages(cut) == ["1 s", "1.5 s", "2 s"]
 
 
-def test_a_slice_is_a_step_of_provenance_and_leaves_the_trip_as_it_was() -> None:
+def test_a_slice_is_a_step_of_provenance_and_leaves_the_trip_as_it_was():
     trip = driven([0, 1], [0, 10])
     cut = trip.between(start=stamp(START)).within(2, None)
     assert [step["step"] for step in cut.provenance] == ["slice", "slice"]
@@ -90,7 +88,7 @@ def test_a_slice_is_a_step_of_provenance_and_leaves_the_trip_as_it_was() -> None
         (None, "0001-01-01", "not a time"),
     ],
 )
-def test_times_that_make_no_slice_are_refused(start: object, end: object, said: str) -> None:
+def test_times_that_make_no_slice_are_refused(start, end, said):
     caught = refused(InputError, said, driven([0, 1], [0, 10]).between, start, end)
     assert caught.remedy
 
@@ -98,7 +96,7 @@ def test_times_that_make_no_slice_are_refused(start: object, end: object, said: 
 # --------------------------------------------------------------------------------- by position
 
 
-def test_the_smoothed_position_counts_where_there_is_one() -> None:
+def test_the_smoothed_position_counts_where_there_is_one():
     trip = driven([0, 1], [0, 10])
     smoothed = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"position": [100, 110]})
     assert messages(trip.with_topic(smoothed).within(100, 104)) == ["0 s"]
@@ -106,13 +104,13 @@ def test_the_smoothed_position_counts_where_there_is_one() -> None:
     assert messages(trip.with_topic(unknown).within(0, 4)) == ["0 s"]
 
 
-def test_a_trip_without_position_is_refused() -> None:
+def test_a_trip_without_position_is_refused():
     trip = Trip({EVENTS.name: frame_of(EVENTS, [START], {})}, {"trip": "t7"})
     refused(LogError, r"t7.*does not know where.*slice it by time", trip.within, 0, 1)
 
 
 @pytest.mark.parametrize("limits", [(2, 1), (np.nan, 1), (0, np.nan), ("km 1", 2)])
-def test_stretches_that_are_none_are_refused(limits: tuple[Any, Any]) -> None:
+def test_stretches_that_are_none_are_refused(limits):
     refused(InputError, "there is no stretch", driven([0, 1], [0, 10]).within, *limits)
 
 
@@ -132,8 +130,8 @@ limits = st.one_of(st.integers(-20, 20).map(float), st.floats(-1e9, 1e9))
 @settings(max_examples=40)
 @given(rides(), limits, limits)
 def test_spans_hold_the_samples_within_the_limits_and_what_lies_between_them_on_the_line(
-    ride: tuple[np.ndarray, np.ndarray], one: float, other: float
-) -> None:
+    ride, one, other
+):
     time, position = ride
     start, end = sorted((one, other))
     spans = spans_within(time, position, start, end)

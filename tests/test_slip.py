@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -159,21 +158,21 @@ def score(trips: list[Seen]) -> Score:
     return total
 
 
-def test_train_speed_under_slipping_wheels(trips: list[Seen]) -> None:
+def test_train_speed_under_slipping_wheels(trips):
     for each in trips:
         error = each.found.speed - each.speed
         assert np.sqrt(np.mean(error**2)) < 0.12
         assert np.max(np.abs(error)) < 0.8
 
 
-def test_every_slip_is_found_and_nothing_else(trips: list[Seen]) -> None:
+def test_every_slip_is_found_and_nothing_else(trips):
     found = score(trips)
     assert found.true > 100
     assert found.recall > 0.997
     assert found.precision > 0.997
 
 
-def test_onsets_measure_the_maximum_adhesion(trips: list[Seen]) -> None:
+def test_onsets_measure_the_maximum_adhesion(trips):
     errors = np.concatenate([onset_errors(each) for each in trips])
     assert errors.size > 50
     assert np.median(np.abs(errors)) < 0.005
@@ -189,9 +188,7 @@ def test_onsets_measure_the_maximum_adhesion(trips: list[Seen]) -> None:
         (("/gnss/motion", "/train/controls"), 0.8),
     ],
 )
-def test_with_less_recorded_it_still_works(
-    trips: list[Seen], missing: tuple[str, ...], limit: float
-) -> None:
+def test_with_less_recorded_it_still_works(trips, missing, limit):
     """Without satellites the creep of the wheels, up to a metre a second, cannot be seen."""
     found = Score()
     for each in trips[1:3]:
@@ -270,7 +267,7 @@ class TestSmallSlips:
             (axle, *span) for axle in range(beyond.shape[1]) for span in runs_of(beyond[:, axle])
         ]
 
-    def test_they_are_found_and_measure_the_maximum(self, quick: Seen) -> None:
+    def test_they_are_found_and_measure_the_maximum(self, quick):
         true = self.peaks(quick)
         assert len(true) > 50
         assert np.max(np.abs(quick.slip)) < 1.5
@@ -288,7 +285,7 @@ class TestWhatTheRecorderLacks:
         assert abs(error - np.median(off(heavy, heavy.found))) < 0.01
         assert abs(error) < 0.05
 
-    def test_the_load(self, heavy: Seen) -> None:
+    def test_the_load(self, heavy):
         """The motion shows it: the adhesion is right, within a band that is stated."""
         found = slip(of_unknown_load(heavy.trip))
         errors = off(heavy, found)
@@ -300,14 +297,14 @@ class TestWhatTheRecorderLacks:
         assert any("load is not recorded" in note for note in found.notes)
 
     @pytest.mark.parametrize("delay", [0.2, 0.5])
-    def test_the_delay_of_the_efforts(self, heavy: Seen, delay: float) -> None:
+    def test_the_delay_of_the_efforts(self, heavy, delay):
         found = slip(of_efforts(heavy.trip, lambda efforts: late(efforts, delay)))
         self.check(heavy, found)
         assert np.mean(np.abs(off(heavy, found)) < 0.15) > 0.9
         assert any(f"{delay:.1f}" in note and "late" in note for note in found.notes)
 
     @pytest.mark.parametrize(("share", "word"), [(np.nan, "empty"), (0.0, "zero")])
-    def test_the_efforts_of_the_axles(self, heavy: Seen, share: float, word: str) -> None:
+    def test_the_efforts_of_the_axles(self, heavy, share, word):
         """Slips are found, with no level, and no adhesion is made up."""
         found = slip(of_efforts(heavy.trip, lambda efforts: share * efforts, "/train/axles"))
         assert np.isnan(found.adhesion).all()
@@ -318,7 +315,7 @@ class TestWhatTheRecorderLacks:
         assert "not known" in repr(found)
         assert len(found.events_frame()) == len(found.events)
 
-    def test_some_axle_speeds(self, heavy: Seen) -> None:
+    def test_some_axle_speeds(self, heavy):
         """One a bogie: the others are not known, those recorded are as they were."""
         axles = heavy.trip["/train/axles"].copy()
         axles[["wheel_speed_2", "wheel_speed_4"]] = np.nan
@@ -328,7 +325,7 @@ class TestWhatTheRecorderLacks:
         assert abs(np.median(off(heavy, found))) < 0.05
         assert any("axles 2, 4 are not known" in note for note in found.notes)
 
-    def test_noise_of_the_wheel_speeds(self, heavy: Seen) -> None:
+    def test_noise_of_the_wheel_speeds(self, heavy):
         generator = np.random.default_rng(4)
         axles = heavy.trip["/train/axles"].copy()
         names = [name for name in axles if name.startswith("wheel_speed_")]
@@ -341,7 +338,7 @@ class TestWhatTheRecorderLacks:
         assert not found.complete
 
     @pytest.mark.parametrize("every", [5, 10])
-    def test_levels_of_slow_samples_hold_their_band(self, wet: Fine, every: int) -> None:
+    def test_levels_of_slow_samples_hold_their_band(self, wet, every):
         """Of each passage of a place; the axles of one err alike, so that they count once."""
         found = slip(slower(wet.trip, every))
         shown = found.events[found.events["measured"]]
@@ -391,9 +388,7 @@ class TestEnergyOfSlip:
             pytest.param(total_only, id="total effort only"),
         ],
     )
-    def test_its_band_holds_for_poor_recorders(
-        self, wet: Fine, change: Callable[[Trip], Trip]
-    ) -> None:
+    def test_its_band_holds_for_poor_recorders(self, wet, change):
         found = wet.heats(change).dropna(subset=["energy"])
         assert len(found) > 10
         score = (found["energy"] - found["truth"]) / found["energy_std"]
@@ -423,13 +418,11 @@ def of_two_axles(trip: Trip) -> Trip:
         (lambda t: replace(t, metadata={**t.metadata, "load": "heavy"}), "load 'heavy'"),
     ],
 )
-def test_what_cannot_be_analysed_is_refused(
-    trips: list[Seen], spoilt: Callable[[Trip], Trip], words: str
-) -> None:
+def test_what_cannot_be_analysed_is_refused(trips, spoilt, words):
     refused(LogError, words, slip, spoilt(trips[0].trip))
 
 
-def test_logs_without_the_efforts_of_axles_are_estimated(heavy: Seen, tmp_path: Path) -> None:
+def test_logs_without_the_efforts_of_axles_are_estimated(heavy, tmp_path):
     """Samples without adhesion show nothing of a creep curve, and stop nothing."""
     axles = heavy.trip["/train/axles"].copy()
     names = [name for name in axles if name.startswith("wheel_effort_")]
@@ -444,7 +437,7 @@ def test_logs_without_the_efforts_of_axles_are_estimated(heavy: Seen, tmp_path: 
     assert written["/events"]["message"].str.contains("slips in").any()
 
 
-def test_values_that_rest_for_a_minute_are_left_out(trips: list[Seen]) -> None:
+def test_values_that_rest_for_a_minute_are_left_out(trips):
     """A wheel's speed and another axle's effort: a recorder that repeats them, no slip."""
     each = trips[2]
     frame = each.trip["/train/axles"].copy()
@@ -475,7 +468,7 @@ GEOMETRY = AxleGeometry(2.6, 9.5, 0.6, 1.0, 1.6)
 
 
 def with_geometry(geometry: AxleGeometry | None = GEOMETRY, **axles: object) -> Train:
-    return flirt(axles=Axles(**{"geometry": geometry, **axles}))  # type: ignore[arg-type]
+    return flirt(axles=Axles(**{"geometry": geometry, **axles}))
 
 
 lengths = st.floats(0.3, 3.0)
@@ -491,9 +484,7 @@ class TestMoments:
         st.lists(st.floats(-60e3, 60e3), min_size=6, max_size=6),
         st.floats(-2.0, 2.0),
     )  # fmt: skip
-    def test_a_vehicle_is_in_equilibrium(
-        self, geometry: AxleGeometry, forces: list[float], specific: float
-    ) -> None:
+    def test_a_vehicle_is_in_equilibrium(self, geometry, forces, specific):
         """About the rail: loads times their places, coupler force and inertia at their heights."""
         count = 2 * geometry.axles_per_bogie
         pull, mass = np.array(forces[:count]), count * 18e3
@@ -508,7 +499,7 @@ class TestMoments:
         moment = coupler * geometry.coupler_height + inertia * geometry.centre_height
         assert -change @ places == pytest.approx(moment, abs=1e-3)
 
-    def test_a_locomotive_by_hand(self) -> None:
+    def test_a_locomotive_by_hand(self):
         """240 kN at the rails, all of it at the coupler: 120 kN × 0.6 m / 2.6 m a bogie, and
         240 kN × 0.4 m / 9.5 m of the body, shared by two axles."""
         transfer = load_transfer(GEOMETRY, 4, 84e3)
@@ -518,7 +509,7 @@ class TestMoments:
 
 
 class TestPlant:
-    def test_the_loads_are_those_of_the_moments(self) -> None:
+    def test_the_loads_are_those_of_the_moments(self):
         """On a rail at whose limit the axles pull: what each transmits is its load times that."""
         train = with_geometry()
         plant = Plant.of(level_line(), train, maximum_adhesion=None)
@@ -570,9 +561,7 @@ class TestAnalysis:
         """By how much the leading axle is known less right than the last."""
         return float(np.median(error[axle == 4]) - np.median(error[axle == 1]))
 
-    def test_geometry_makes_it_as_good_as_without_transfer(
-        self, uneven: Seen, trips: list[Seen]
-    ) -> None:
+    def test_geometry_makes_it_as_good_as_without_transfer(self, uneven, trips):
         error, std, whole, axle = self.errors(uneven, GEOMETRY)
         best, _, _, of_axle = self.errors(trips[2], None)
         assert error.size > 100
@@ -581,9 +570,7 @@ class TestAnalysis:
         assert np.mean(np.abs(error) < 1.96 * std) > 0.95
         np.testing.assert_array_equal(std, whole)
 
-    def test_without_it_the_band_allows_for_the_transfer(
-        self, uneven: Seen, trips: list[Seen]
-    ) -> None:
+    def test_without_it_the_band_allows_for_the_transfer(self, uneven, trips):
         error, std, whole, axle = self.errors(uneven, None)
         best, _, _, of_axle = self.errors(trips[2], None)
         assert self.apart(error, axle) > self.apart(best, of_axle) + 0.05

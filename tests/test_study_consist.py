@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,7 +39,7 @@ def run() -> study.ConsistRun:
     return study.run(passenger(), SHORT, speed=15.0)
 
 
-def test_the_train_starts_brakes_halts_and_brakes_in_an_emergency(run: study.ConsistRun) -> None:
+def test_the_train_starts_brakes_halts_and_brakes_in_an_emergency(run):
     assert [name for _, name in run.phases] == [
         "start and run",
         "full service braking",
@@ -56,9 +55,7 @@ def test_the_train_starts_brakes_halts_and_brakes_in_an_emergency(run: study.Con
     assert run.residual <= 1e-9
 
 
-def test_the_couplers_carry_what_accelerates_the_vehicles_behind_them(
-    run: study.ConsistRun,
-) -> None:
+def test_the_couplers_carry_what_accelerates_the_vehicles_behind_them(run):
     """Newton's law for the last coach, from what is recorded alone."""
     coach = run.consist.vehicles[-1]
     calm = slice(200, 400)  # level, under traction
@@ -67,7 +64,7 @@ def test_the_couplers_carry_what_accelerates_the_vehicles_behind_them(
     np.testing.assert_allclose(run.forces[calm, -1], needed, atol=0.05 * needed.max())
 
 
-def test_the_command_runs_a_file(tmp_path: Path) -> None:
+def test_the_command_runs_a_file(tmp_path):
     file = tmp_path / "short.consist.json"
     write_consist(passenger(1), file)
     assert command(["show", str(file)]) == 0
@@ -92,7 +89,7 @@ COUPLER = Coupler(stiffness=10e6, nonlinearity=200.0, damping=200e3)
 
 
 def train(count: int = 8, coupler: Coupler = COUPLER, **changes: object) -> Consist:
-    wagon = replace(WAGON, **changes)  # type: ignore[arg-type]
+    wagon = replace(WAGON, **changes)
     return Consist("train", (wagon,) * count, (coupler,) * (count - 1))
 
 
@@ -112,9 +109,7 @@ def residual(plant: ConsistPlant, state: ConsistState, before: float) -> float:
         st.tuples(st.floats(0.0, 1.0), st.booleans(), st.integers(1, 20)), min_size=3, max_size=8
     ),
 )
-def test_energy_is_accounted_for(
-    count: int, nonlinearity: float, slack: float, demands: list[tuple[float, bool, int]]
-) -> None:
+def test_energy_is_accounted_for(count, nonlinearity, slack, demands):
     coupler = replace(COUPLER, nonlinearity=nonlinearity, slack=slack)
     hilly = replace(
         level_line(20_000.0), gradients=steps((0.0, 0.01), (400.0, -0.015), (900.0, 0.02))
@@ -135,7 +130,7 @@ def test_energy_is_accounted_for(
     assert residual(plant, state, before) <= 1e-9
 
 
-def test_momentum_is_kept_without_outer_forces() -> None:
+def test_momentum_is_kept_without_outer_forces():
     plant = ConsistPlant(train(8, resistance=FRICTIONLESS), step=0.002)
     state = plant.at(0.0, 20.0)
     state.values[8:16] += np.array([0.5, -0.3, 0.2, 0.0, -0.4, 0.3, 0.1, -0.2])
@@ -146,7 +141,7 @@ def test_momentum_is_kept_without_outer_forces() -> None:
     assert np.ptp(state.speeds) < 1e-6
 
 
-def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
+def test_on_a_slope_each_coupler_carries_what_hangs_on_it():
     slope = 0.02
     climbing = replace(level_line(5_000.0), gradients=steps((0.0, slope)))
     consist = train(6, resistance=FRICTIONLESS, rotating_mass=0.0, max_tractive_effort=1e6)
@@ -158,7 +153,7 @@ def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
     assert state.speeds == pytest.approx(10.0, abs=1e-3)
 
 
-def test_the_track_acts_under_each_vehicle() -> None:
+def test_the_track_acts_under_each_vehicle():
     """Only the vehicles that have passed the edge climb."""
     edge = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (1_000.0, 0.02)))
     plant = ConsistPlant(train(8, resistance=FRICTIONLESS), edge, step=0.001)
@@ -169,7 +164,7 @@ def test_the_track_acts_under_each_vehicle() -> None:
     assert pull == pytest.approx(4 * GRAVITY * WAGON.mass * 0.02 / np.hypot(1.0, 0.02), rel=1e-6)
 
 
-def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
+def test_curves_and_tunnels_resist_as_equation_6_says():
     length, radius = 800.0, 400.0
     bent = replace(
         level_line(5_000.0),
@@ -187,7 +182,7 @@ def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
         assert force == pytest.approx(GRAVITY * WAGON.mass * expected, rel=1e-9)
 
 
-def test_the_demand_travels_along_the_train_pipe() -> None:
+def test_the_demand_travels_along_the_train_pipe():
     """Each brake begins when the demand has come to the middle of its vehicle."""
     consist = replace(train(8), brake=ConsistBrake(0.6, 0.4, 250.0))
     plant = ConsistPlant(consist, step=0.005)
@@ -204,7 +199,7 @@ def test_the_demand_travels_along_the_train_pipe() -> None:
     assert np.all(plant.coupler_forces(state) < -1e3)
 
 
-def test_the_resistance_swings_as_named() -> None:
+def test_the_resistance_swings_as_named():
     vehicle = replace(WAGON, resistance=RunningResistance(10_000.0, 0.0, 0.0))
     plant = ConsistPlant(
         Consist("one", (vehicle,)), variation=Variation((0.5, 0.0, 0.0), 0.1), step=0.01
@@ -235,11 +230,11 @@ def test_the_resistance_swings_as_named() -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_refused(make: object, words: str) -> None:
+def test_what_cannot_be_is_refused(make, words):
     refused(InputError, words, make)
 
 
-def test_efforts_that_a_vehicle_does_not_have_are_refused() -> None:
+def test_efforts_that_a_vehicle_does_not_have_are_refused():
     plant = ConsistPlant(train(2))
     for efforts, words in (
         (([0.0, 99e3], 0.0), r"vehicle 2 .* tractive effort of 99\.0 kN.*31\.2 kN"),
@@ -248,7 +243,7 @@ def test_efforts_that_a_vehicle_does_not_have_are_refused() -> None:
         refused(InputError, words, plant.advance, plant.at(), *efforts, 1)
 
 
-def test_a_softening_coupler_is_refused_beyond_its_validity() -> None:
+def test_a_softening_coupler_is_refused_beyond_its_validity():
     soft = replace(COUPLER, stiffness=1e6, nonlinearity=-200.0)
     assert soft.largest_stretch == pytest.approx((1.0 / np.sqrt(600.0),) * 2)
     plant = ConsistPlant(train(3, soft, max_tractive_effort=200e3), step=0.002)

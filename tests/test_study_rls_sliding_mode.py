@@ -25,7 +25,7 @@ def runs() -> Runs:
     return Runs()
 
 
-def test_the_scalar_estimator_reaches_the_published_figures(runs: dict[str, study.Run]) -> None:
+def test_the_scalar_estimator_reaches_the_published_figures(runs):
     position, speed, stop = runs["scalar"].figures
     assert 0.78 <= position <= 0.84
     assert 0.215 <= speed <= 0.23
@@ -33,7 +33,7 @@ def test_the_scalar_estimator_reaches_the_published_figures(runs: dict[str, stud
     assert trip_of(runs["scalar"], seed=1).provenance[-1]["variant"] == "scalar"
 
 
-def test_additional_resistance_by_hand_and_by_the_product() -> None:
+def test_additional_resistance_by_hand_and_by_the_product():
     """Eq. (6): a curve of 400 m weighs as 1.5 per mille, a tunnel of 3 km as 0.39."""
     assert study.additional_resistance(1e3, 0.01) == pytest.approx(98.1)
     assert study.additional_resistance(1e3, 0.0, radius=400.0) == pytest.approx(14.715)
@@ -43,7 +43,7 @@ def test_additional_resistance_by_hand_and_by_the_product() -> None:
     assert way(34e3) == study.line().gradients(34e3)
 
 
-def test_on_the_sliding_surface_the_error_decays_as_designed() -> None:
+def test_on_the_sliding_surface_the_error_decays_as_designed():
     """With exact knowledge s stays 0, and a position error decays with lambda."""
     controller = SlidingModeController(100e3, switching_effort=0.0)
     position, speed = 10.0, 20.0 - 0.5 * 10.0  # s = 0: the speed error is -lambda times the error
@@ -56,7 +56,7 @@ def test_on_the_sliding_surface_the_error_decays_as_designed() -> None:
     assert position - 20.0 * 4.0 == pytest.approx(10.0 * np.exp(-2.0), rel=2e-3)
 
 
-def test_switching_draws_back_to_the_surface_within_the_effort_limit() -> None:
+def test_switching_draws_back_to_the_surface_within_the_effort_limit():
     controller = SlidingModeController(100e3)
     goal = Target(0.0, 0.0, 0.0)
     assert controller.effort(100.0, 10.0, goal, 0.0) == -250e3

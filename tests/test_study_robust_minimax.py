@@ -32,9 +32,7 @@ def per_mass(found: Trajectory) -> float:
     return float(found.certificate["energy"]) / CHOSEN[0].inertia
 
 
-def test_energy_is_the_same_for_all_and_every_constraint_holds_as_printed(
-    answers: dict[str, Trajectory],
-) -> None:
+def test_energy_is_the_same_for_all_and_every_constraint_holds_as_printed(answers):
     """Eqs. (2) to (4) integrated in v and t, where the optimiser has v²/2 alone."""
     found = answers["level-common"]
     driven = study.driven(LEVEL, found, CHOSEN)
@@ -46,9 +44,7 @@ def test_energy_is_the_same_for_all_and_every_constraint_holds_as_printed(
     assert max(study.as_printed(problem, found, driven).values()) <= 1e-4
 
 
-def test_all_five_phases_occur_and_the_sum_of_the_costates_gives_them(
-    answers: dict[str, Trajectory],
-) -> None:
+def test_all_five_phases_occur_and_the_sum_of_the_costates_gives_them(answers):
     seen = set()
     for name in ("level-common", "downhill-common", "level-recourse", "downhill-recourse"):
         seen |= study.phase_durations(answers[name]).keys()
@@ -59,9 +55,7 @@ def test_all_five_phases_occur_and_the_sum_of_the_costates_gives_them(
 
 
 @pytest.mark.parametrize("name", ["level-nominal", "level-common", "level-recourse"])
-def test_the_multiplier_of_the_time_is_that_of_steady_cruising(
-    answers: dict[str, Trajectory], name: str
-) -> None:
+def test_the_multiplier_of_the_time_is_that_of_steady_cruising(answers, name):
     cruise = study.cruise(answers[name])
     assert cruise.price == pytest.approx(cruise.analytic, rel=5e-5)
     if name == "level-nominal":
@@ -71,7 +65,7 @@ def test_the_multiplier_of_the_time_is_that_of_steady_cruising(
         assert cruise.price == pytest.approx(alone, rel=1e-3)
 
 
-def test_robustness_costs_little_and_saves_the_timetable(answers: dict[str, Trajectory]) -> None:
+def test_robustness_costs_little_and_saves_the_timetable(answers):
     alone = {each.name: per_mass(answers[f"level-{each.name}"]) for each in CHOSEN}
     common, recourse = (per_mass(answers[f"level-{name}"]) for name in ("common", "recourse"))
     assert alone["easy"] < alone["nominal"] < alone["hard"] <= recourse * (1.0 + 1e-6)
@@ -79,7 +73,7 @@ def test_robustness_costs_little_and_saves_the_timetable(answers: dict[str, Traj
     assert common < 1.03 * alone["nominal"]
     nominal = answers["level-nominal"]
     for braking in ("common", "recourse"):
-        late = study.driven(LEVEL, nominal, CHOSEN, braking=braking).times[:, -1] - 1541.0  # type: ignore[arg-type]
+        late = study.driven(LEVEL, nominal, CHOSEN, braking=braking).times[:, -1] - 1541.0
         assert late[0] < -10.0
         assert abs(late[1]) < 0.1
         assert late[2] > 10.0

@@ -107,9 +107,7 @@ def check(title: str, rows: Rows, now: Rows) -> None:
 @pytest.mark.long
 @pytest.mark.usefixtures("unpainted")
 @pytest.mark.parametrize("name", STUDIES)
-def test_the_page_has_the_tables_that_the_study_prints(
-    name: str, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_the_page_has_the_tables_that_the_study_prints(name, tmp_path, request):
     """``--renew-golden`` puts them there."""
     assert command(["study", *name.split(), "-o", str(tmp_path)]) == 0
     found = (tmp_path / "tables.md").read_text(encoding="utf-8")
@@ -124,7 +122,7 @@ def test_the_page_has_the_tables_that_the_study_prints(
         check(title, rows, printed[title])
 
 
-def test_the_page_has_the_forces_of_a_sample_consist() -> None:
+def test_the_page_has_the_forces_of_a_sample_consist():
     consist, speed = read_consist(sample("multiple_unit_8_cars.consist.json")), 120.0
     found = run(consist, crest_and_sag(), speed=speed / KMH)
     emergency = found.forces[found.phase("emergency braking")]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -36,7 +34,7 @@ def rows(count: int = 6, seed: int = 1) -> pd.DataFrame:
     return summarised(fits, digests=digests)
 
 
-def test_a_summary_says_what_the_fit_says() -> None:
+def test_a_summary_says_what_the_fit_says():
     fits, _ = drawn(3, 0.05, (150.0, 60.0, 100.0), seed=1)
     found = summarised(fits)
     assert list(found) == [column.name for column in COLUMNS]
@@ -57,7 +55,7 @@ def test_a_summary_says_what_the_fit_says() -> None:
 
 @settings(max_examples=12)
 @given(order=st.permutations(range(6)), cut=st.integers(1, 5))
-def test_order_and_pieces_do_not_matter(order: list[int], cut: int) -> None:
+def test_order_and_pieces_do_not_matter(order, cut):
     whole = rows()
     shuffled = whole.iloc[order]
     pieces = [shuffled.iloc[:cut], whole, shuffled.iloc[cut:]]
@@ -67,7 +65,7 @@ def test_order_and_pieces_do_not_matter(order: list[int], cut: int) -> None:
     np.testing.assert_array_equal(one.betas, other.betas)
 
 
-def test_summaries_survive_their_file(tmp_path: Path) -> None:
+def test_summaries_survive_their_file(tmp_path):
     every = rows()
     write_summaries(every, tmp_path / "one.parquet")
     write_summaries(every.iloc[::-1], tmp_path / "other.parquet")
@@ -75,7 +73,7 @@ def test_summaries_survive_their_file(tmp_path: Path) -> None:
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "other.parquet").read_bytes()
 
 
-def test_what_is_no_file_of_summaries_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_file_of_summaries_is_refused(tmp_path):
     path = tmp_path / "no.parquet"
     path.write_bytes(b"PAR1 and nothing more")
     refused(InputError, "not a Parquet file", read_summaries, path)
@@ -91,16 +89,14 @@ def test_what_is_no_file_of_summaries_is_refused(tmp_path: Path) -> None:
     ("column", "value"),
     [("r1", np.nan), ("mass", -1.0), ("covariance_r0_r0", 0.0), ("covariance_r0_r1", 1e9)],
 )
-def test_a_row_that_would_spoil_all_trips_is_refused(
-    column: str, value: float, tmp_path: Path
-) -> None:
+def test_a_row_that_would_spoil_all_trips_is_refused(column, value, tmp_path):
     bad = rows()
     bad.loc[3, column] = value
     with pytest.raises(InputError, match="'trip-003': numbers that no fit gives"):
         write_summaries(bad, tmp_path / "bad.parquet")
 
 
-def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused(tmp_path):
     path = tmp_path / "damaged.parquet"
     write_summaries(rows(300), path)
     data = bytearray(path.read_bytes())
@@ -110,7 +106,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
     refused(InputError, "damaged", read_summaries, path)
 
 
-def test_known_logs_are_not_read_again_and_nothing_changes(tmp_path: Path) -> None:
+def test_known_logs_are_not_read_again_and_nothing_changes(tmp_path):
     trips = [trip(name=f"made-{k}", noise=0.03, seed=k, duration=600.0) for k in range(2)]
     trips.append(trip(constant_speed, name="dull", noise=0.03, duration=600.0))
     logs = [tmp_path / f"{one.name}.mcap" for one in trips]
@@ -131,7 +127,7 @@ def test_known_logs_are_not_read_again_and_nothing_changes(tmp_path: Path) -> No
     assert whole.parameters.cover["refused"] == {"condition": 1}
 
 
-def test_variance_between_trips_maximises_the_restricted_likelihood() -> None:
+def test_variance_between_trips_maximises_the_restricted_likelihood():
     """Nothing near the answer is likelier, prior included."""
     generator = np.random.default_rng(3)
     roots = 0.05 * generator.standard_normal((40, 3, 3))

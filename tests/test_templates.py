@@ -36,18 +36,16 @@ quick = settings(max_examples=20, suppress_health_check=list(HealthCheck))
         ("journey", read_journey, example(Journey)),
     ],
 )
-def test_a_template_is_valid_as_it_is(
-    tmp_path: Path, kind: templates.Kind, read: object, expected: object
-) -> None:
+def test_a_template_is_valid_as_it_is(tmp_path, kind, read, expected):
     path = write_template(kind, tmp_path / f"mine.{kind}.toml")
-    assert_same(read(path), expected, ROUNDING)  # type: ignore[operator]
+    assert_same(read(path), expected, ROUNDING)
     text = path.read_text("utf-8")
     assert text.startswith("# A ")
     assert text.count("\n#") > 2
 
 
 @pytest.mark.parametrize("kind", ["line", "train"])
-def test_what_a_template_offers_besides_is_valid_too(tmp_path: Path, kind: templates.Kind) -> None:
+def test_what_a_template_offers_besides_is_valid_too(tmp_path, kind):
     """Without their marks, the keys in comments at the end are read."""
     offered = templates.template(kind).split("\n# What may be added:\n")[1]
     plain = "\n".join(line.removeprefix("# ") for line in offered.splitlines() if line != "#")
@@ -62,14 +60,14 @@ def test_what_a_template_offers_besides_is_valid_too(tmp_path: Path, kind: templ
 
 
 @pytest.mark.parametrize("kind", [Line, Train, Journey])
-def test_every_key_of_a_template_is_explained(kind: type) -> None:
+def test_every_key_of_a_template_is_explained(kind):
     """A name, a speed and a number of seats explain themselves."""
     meant = meanings(kind)
     unsaid = {name for entry in entries(kind) for name in entry.names if not meant.get(name)}
     assert unsaid <= {"name", "max_speed", "seats", "coaches", "braking_curves"}
 
 
-def test_the_profiles_template_reads_what_it_describes(tmp_path: Path) -> None:
+def test_the_profiles_template_reads_what_it_describes(tmp_path):
     """Its optional columns may be missing, the others not."""
     path = write_template("profile", tmp_path / "mine.profile.toml")
     profile = read_profile(path)
@@ -92,15 +90,13 @@ def test_the_profiles_template_reads_what_it_describes(tmp_path: Path) -> None:
         ("line", "there.toml", r"there\.toml: exists; choose another name"),
     ],
 )
-def test_nothing_is_overwritten(
-    tmp_path: Path, kind: templates.Kind, name: str, message: str
-) -> None:
+def test_nothing_is_overwritten(tmp_path, kind, name, message):
     (tmp_path / "there.toml").write_text("edited")
     refused(InputError, message, write_template, kind, tmp_path / name)
     assert (tmp_path / "there.toml").read_text() == "edited"
 
 
-def test_a_train_is_not_made_from_a_table(tmp_path: Path) -> None:
+def test_a_train_is_not_made_from_a_table(tmp_path):
     with pytest.raises(InputError, match="a train cannot be made from a table"):
         write_template("train", tmp_path / "a.toml", table=tmp_path / "b.csv")
     with pytest.raises(InputError, match=r"'trainlog ingest .*b\.csv -o FOLDER' proposes one"):
@@ -113,7 +109,7 @@ def table(tmp_path: Path, text: str, name: str = "A-B.csv") -> Path:
     return path
 
 
-def test_a_table_becomes_a_line(tmp_path: Path) -> None:
+def test_a_table_becomes_a_line(tmp_path):
     path = table(
         tmp_path,
         """\
@@ -148,9 +144,7 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
     st.data(),
 )
 @quick
-def test_a_written_table_gives_the_line_again(
-    tmp_path: Path, steps: list[int], data: st.DataObject
-) -> None:
+def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
     """Values hold until the next that is given, whatever cells are empty."""
     at = np.concatenate(([0], 20 + np.cumsum(steps)))
     empty = [data.draw(st.booleans()) and i > 0 for i in range(at.size)]
@@ -200,7 +194,7 @@ def test_a_written_table_gives_the_line_again(
         ("km;gradient [permil];limit [km/h]\n0;5;80;7\n9;;\n", "has 4 cells, the header has 3"),
     ],
 )
-def test_tables_that_are_no_line(tmp_path: Path, text: str, message: str) -> None:
+def test_tables_that_are_no_line(tmp_path, text, message):
     path = table(tmp_path, text)
     caught = refused(InputError, message, read_line_table, path)
     assert str(caught).startswith(str(path))

@@ -80,9 +80,7 @@ def curved(*radii: float, formula: str = "roeckl") -> Line:
         ("roeckl_small_radius", 530.0, 1.0),
     ],
 )
-def test_curve_resistance_is_that_of_the_formula_in_plan_and_simulation(
-    formula: str, radius: float, per_mille: float
-) -> None:
+def test_curve_resistance_is_that_of_the_formula_in_plan_and_simulation(formula, radius, per_mille):
     line = curved(radius, -radius, formula=formula)
     assert line.track_acceleration([450.0, 1250.0]) == pytest.approx(GRAVITY * per_mille / 1e3)
     plant = Plant.of(line, FLIRT, maximum_adhesion=StepProfile([0.0], [0.3]))
@@ -95,12 +93,12 @@ def test_curve_resistance_is_that_of_the_formula_in_plan_and_simulation(
         assert along / FLIRT.mass == pytest.approx(line.track_acceleration(at), abs=1e-7)
 
 
-def test_a_formula_outside_its_radii_is_refused() -> None:
+def test_a_formula_outside_its_radii_is_refused():
     refused(InputError, "does not hold for the radius of 50 m at km", curved, 50.0)
     refused(InputError, "no such curve_resistance", curved, 400.0, formula="roeckel")
 
 
-def test_files_state_the_choices_and_leave_the_defaults_out() -> None:
+def test_files_state_the_choices_and_leave_the_defaults_out():
     for formula in ("roeckl", "proportional"):
         line = replace(WIL, curve_resistance=formula)
         again = line_from_bytes(line_to_bytes(line))
@@ -115,7 +113,7 @@ def test_files_state_the_choices_and_leave_the_defaults_out() -> None:
 
 
 @pytest.mark.parametrize("formula", ["proportional", "roeckl"])
-def test_a_strip_feels_the_mean_of_what_many_masses_under_it_feel(formula: str) -> None:
+def test_a_strip_feels_the_mean_of_what_many_masses_under_it_feel(formula):
     line = replace(WIL, curve_resistance=formula)
     fronts = np.random.default_rng(1).uniform(0.0, line.length, 40)
     for length in (58.6, 400.0):
@@ -131,7 +129,7 @@ def test_a_strip_feels_the_mean_of_what_many_masses_under_it_feel(formula: str) 
     assert track_slope(line, fronts, 400.0).shape == change[0].shape
 
 
-def test_spikes_of_a_survey_are_averaged_or_refused_with_the_reason() -> None:
+def test_spikes_of_a_survey_are_averaged_or_refused_with_the_reason():
     """Of 2,531 gradients a few have 244 per mille: a heavy train climbs none of them as a point."""
     edges = np.arange(2_531) * 10.0
     values = 0.004 * np.sin(edges / 4e3)
@@ -160,7 +158,7 @@ def own_accelerations(found: Trajectory, train: Train) -> FloatArray:
     return np.asarray(force / Configuration.of(train).inertia)
 
 
-def test_net_limits_hold_for_the_trains_own_acceleration_on_hills() -> None:
+def test_net_limits_hold_for_the_trains_own_acceleration_on_hills():
     gross = replace(NET, acceleration_limits="gross")
     options, runs = OptimiserOptions(cells=120), {}
     for train in (gross, NET):
@@ -190,7 +188,7 @@ def test_net_limits_hold_for_the_trains_own_acceleration_on_hills() -> None:
     assert checked.braking[0] > 1.4
 
 
-def test_a_train_that_is_a_strip_is_identified_as_one() -> None:
+def test_a_train_that_is_a_strip_is_identified_as_one():
     strip = replace(FLIRT, length=300.0, mass_model="homogeneous_strip")
     scenario = draw_scenarios(WIL, strip, count=1, seed=11)[0]
     trip = recorded(scenario, drive(scenario))
@@ -207,7 +205,7 @@ def test_a_train_that_is_a_strip_is_identified_as_one() -> None:
     assert 2.0 * strip_error < point_error
 
 
-def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives() -> None:
+def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives():
     """Slow freight on rolling gradients: mean gradient from the heights of front and rear."""
     generator = np.random.default_rng(4)
     edges = np.concatenate(([0.0], np.sort(generator.uniform(0.0, 12e3, 40))))
@@ -241,7 +239,7 @@ def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives() -> None:
     np.testing.assert_allclose(reached, 0.5 * found.speeds[0] ** 2, atol=2e-3)
 
 
-def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with() -> None:
+def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with():
     strip = replace(FLIRT, mass_model="homogeneous_strip")
     found = optimise(TrajectoryProblem.nominal(WIL, strip, end=6e3), OptimiserOptions(cells=60))
     found.check_forces(WIL, strip)

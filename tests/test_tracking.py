@@ -80,7 +80,7 @@ def worst(plan: Reference, rows: np.ndarray) -> np.ndarray:
     return model.constraints(v, u, t.at(t.sine, p), grip, limit, section.train).max(axis=0)
 
 
-def test_the_sampled_system_is_the_exponential_of_the_slopes_of_the_motion(plan: Reference) -> None:
+def test_the_sampled_system_is_the_exponential_of_the_slopes_of_the_motion(plan):
     t, c = plan.section.tables, plan.section.train
     p, v, u, h = 640.0, 12.0, 0.3, 1e-4
 
@@ -100,7 +100,7 @@ def test_the_sampled_system_is_the_exponential_of_the_slopes_of_the_motion(plan:
 
 
 @pytest.mark.parametrize("gain", [0.8, 1.0, 1.2])
-def test_terminal_cost_is_that_of_the_stationary_regulator(gain: float) -> None:
+def test_terminal_cost_is_that_of_the_stationary_regulator(gain):
     a, b = np.array([[1.0, 0.9], [-0.02, 0.95]]), gain * np.array([0.5, 1.0])
     expected = solve_discrete_are(a, b[:, None], np.diag([2.0, 0.0]), np.array([[0.1]]))
     np.testing.assert_allclose(terminal_weight(a, b, 2.0, 0.1), expected, rtol=1e-6)
@@ -108,7 +108,7 @@ def test_terminal_cost_is_that_of_the_stationary_regulator(gain: float) -> None:
 
 @settings(max_examples=25)
 @given(seed=st.integers(0, 1000))
-def test_the_solver_finds_what_another_solver_finds(seed: int) -> None:
+def test_the_solver_finds_what_another_solver_finds(seed):
     """Clarabel on the same program, with rules that may be broken at the same price a row.
 
     DAQP counts what a row is broken by over the row's norm, so that the two may differ by what
@@ -140,9 +140,7 @@ def test_the_solver_finds_what_another_solver_finds(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("delay", "mass"), [(0.0, HEAVY), (70.0, LIGHT)])
-def test_the_products_controller_keeps_every_constraint_on_time_and_late(
-    plan: Reference, mass: float, delay: float
-) -> None:
+def test_the_products_controller_keeps_every_constraint_on_time_and_late(plan, mass, delay):
     rows = driven(plan, MapController(plan), mass, delay)
     assert worst(plan, rows).max() <= 1e-6
     assert abs(rows[-1, 1] - 2_000.0) < 0.6
@@ -154,7 +152,7 @@ def test_the_products_controller_keeps_every_constraint_on_time_and_late(
 LINE = "DE_Chemnitz_Cranzahl.line.json"
 
 
-def test_resistance_on_a_gradient_by_hand() -> None:
+def test_resistance_on_a_gradient_by_hand():
     sine, speed, mass = 0.01, 20.0, 78_200.0
     cosine = np.sqrt(1.0 - sine**2)
     by_hand = 0.5 * 1.2041 * 0.85 * 10.0 * speed**2 + mass * GRAVITY * (sine + 0.002 * cosine)
@@ -170,8 +168,8 @@ def test_resistance_on_a_gradient_by_hand() -> None:
     load=st.floats(0.0, 1.0),
 )
 def test_levers_within_the_bounds_keep_the_constraints_at_every_mass(
-    speed: float, sine: float, grip: float, share: float, load: float
-) -> None:
+    speed, sine, grip, share, load
+):
     low, high = dynamics.lever_bounds(speed, sine, grip, PUBLISHED_TRAIN)
     lever = low + share * (high - low)
     mass = PUBLISHED_TRAIN.light + load * (PUBLISHED_TRAIN.heavy - PUBLISHED_TRAIN.light)
@@ -182,17 +180,17 @@ def test_levers_within_the_bounds_keep_the_constraints_at_every_mass(
     assert abs(lever) <= 1.0
 
 
-def test_a_mass_beyond_the_range_is_refused() -> None:
+def test_a_mass_beyond_the_range_is_refused():
     refused(InputError, "cannot weigh 90 t", PUBLISHED_TRAIN.check_mass, 90_000.0)
 
 
-def test_the_reconstructed_line_is_made_again_byte_for_byte() -> None:
+def test_the_reconstructed_line_is_made_again_byte_for_byte():
     script = Path(__file__).parents[1] / "sample_logs" / "make_reconstruction.py"
     made = runpy.run_path(str(script))["reconstruction"]()
     assert line_to_bytes(made) == sample(LINE).read_bytes()
 
 
-def test_the_reconstructed_line_says_what_it_is_and_keeps_the_published_facts() -> None:
+def test_the_reconstructed_line_says_what_it_is_and_keeps_the_published_facts():
     line = read_line(sample(LINE))
     assert line.source.startswith("reconstruction, not the data of Hauck et al. (2023)")
     altitudes = {each.name: float(line.altitudes(each.position)) for each in line.stations}

@@ -95,7 +95,7 @@ def driven(
     return Driven(abs(state.speed - start), state.works["slip"], unsolved, slip)
 
 
-def test_on_a_dry_rail_all_controls_give_what_is_demanded() -> None:
+def test_on_a_dry_rail_all_controls_give_what_is_demanded():
     own = driven(None, 0.33).gained
     for control, layer in (("cooperative", "dry"), ("readhesion", "")):
         found = driven(control, 0.33, layer=layer)
@@ -105,7 +105,7 @@ def test_on_a_dry_rail_all_controls_give_what_is_demanded() -> None:
     assert driven("cooperative", 0.33, layer="wet").gained > 0.88 * own
 
 
-def test_a_heavy_train_that_starts_slowly_stays_near_the_peak() -> None:
+def test_a_heavy_train_that_starts_slowly_stays_near_the_peak():
     """Little way is made: what is known of the rail must not fade with time and draw slip down."""
     mass, maximum = MASS + 260e3, 0.14
     train = replace(TRAIN, mass=TRAIN.mass + 260e3)
@@ -118,7 +118,7 @@ def test_a_heavy_train_that_starts_slowly_stays_near_the_peak() -> None:
 
 
 @pytest.mark.parametrize("control", ["cooperative", "readhesion"])
-def test_wheels_come_back_on_a_characteristic_that_no_control_knows(control: str) -> None:
+def test_wheels_come_back_on_a_characteristic_that_no_control_knows(control):
     """Polach's curve peaks at another slip and falls with the train's speed."""
     found = driven(control, 0.13, characteristic=polach_curve("wet"))
     weight = TRAIN.adhesive_weight(MASS - TRAIN.mass)
@@ -127,7 +127,7 @@ def test_wheels_come_back_on_a_characteristic_that_no_control_knows(control: str
 
 
 @pytest.mark.parametrize("control", ["cooperative", "readhesion"])
-def test_wheels_do_not_lock_in_braking(control: str) -> None:
+def test_wheels_do_not_lock_in_braking(control):
     found = driven(control, 0.09, braking=True, seconds=12.0)
     own = driven(None, 0.09, braking=True, seconds=12.0)
     # The plant's own protection lets wheels slip at 3 m/s, where such a rail happens to peak.
@@ -136,11 +136,11 @@ def test_wheels_do_not_lock_in_braking(control: str) -> None:
     assert np.mean(moving < -4.0) < 0.05
 
 
-def test_without_a_map_the_rail_is_learnt() -> None:
+def test_without_a_map_the_rail_is_learnt():
     assert driven("cooperative", 0.12, layer=None).gained > 0.8 * driven("cooperative", 0.12).gained
 
 
-def test_axles_on_a_better_rail_give_what_the_others_cannot() -> None:
+def test_axles_on_a_better_rail_give_what_the_others_cannot():
     """In braking, without a map."""
     weight = TRAIN.adhesive_weight(MASS - TRAIN.mass) / 4
     rails = np.array([0.08, 0.24, 0.24, 0.08])
@@ -166,7 +166,7 @@ def test_axles_on_a_better_rail_give_what_the_others_cannot() -> None:
     assert np.all(np.abs(np.diff(settled, axis=0)) < 0.1 * settled.mean())
 
 
-def test_a_map_moves_what_is_expected_and_what_was_learnt_with_it() -> None:
+def test_a_map_moves_what_is_expected_and_what_was_learnt_with_it():
     model = drive_model(TRAIN, MASS)
     estimator = RailEstimator(model, TUNING, 0.03, 0.02)
     estimator.expect(np.full(4, np.log(0.25)), np.full(4, 0.1))
@@ -184,14 +184,14 @@ def test_a_map_moves_what_is_expected_and_what_was_learnt_with_it() -> None:
     assert estimator.estimate().maximum == pytest.approx(0.375, rel=0.1)
 
 
-def test_what_no_map_says_is_not_taken_for_known() -> None:
+def test_what_no_map_says_is_not_taken_for_known():
     sure, vague = map_prior([np.log(0.2)] * 2, [0.05, np.inf])
     assert sure.max() > 5.0 * vague.max()
     assert MAXIMA[sure.argmax()] == pytest.approx(0.2, rel=0.05)
     refused(InputError, "no number", map_prior, [np.nan], [0.1])
 
 
-def test_a_racing_wheel_loses_effort_gets_most_of_it_back_and_the_rest_slowly() -> None:
+def test_a_racing_wheel_loses_effort_gets_most_of_it_back_and_the_rest_slowly():
     control = ReadhesionControl(TRAIN)
     control.pause = 0.5
     effort, wheel = 40e3, np.full(4, 10.1)
@@ -217,7 +217,7 @@ def test_a_racing_wheel_loses_effort_gets_most_of_it_back_and_the_rest_slowly() 
     assert grown == pytest.approx(0.1 * TRAIN.max_tractive_effort / 4, rel=0.05)
 
 
-def test_trips_are_driven_with_either_control_and_state_it() -> None:
+def test_trips_are_driven_with_either_control_and_state_it():
     scenario = draw_scenarios(LINE, TRAIN, 4, seed=1)[2]
     for name in ("cooperative", "readhesion"):
         made = with_traction([scenario], name, known_map())[0].traction
@@ -275,7 +275,7 @@ DEMANDS = [(80e3, 0.0, 1_000), (0.0, 0.0, 300), (0.0, 90e3, 3_000)]
 
 
 @pytest.mark.parametrize("period", [0.005, 0.02, 0.1, 0.15])
-def test_an_even_share_drives_as_the_total_effort_does(period: float) -> None:
+def test_an_even_share_drives_as_the_total_effort_does(period):
     """Without slip, in traction, coasting, dynamic and friction braking down to the stop."""
     expected, _, _ = run(None, DEMANDS)
     found, _, _ = run(Shared(np.ones(4), period=period), DEMANDS)
@@ -286,7 +286,7 @@ def test_an_even_share_drives_as_the_total_effort_does(period: float) -> None:
 
 
 @pytest.mark.parametrize("adhesion", [0.3, 0.09])
-def test_energy_is_accounted_for_with_efforts_of_each_axle(adhesion: float) -> None:
+def test_energy_is_accounted_for_with_efforts_of_each_axle(adhesion):
     """Also where wheels spin and slide: nothing takes the effort off an axle."""
     weights = np.array([0.4, 0.3, 0.2, 0.1])
     _, unit, state = run(Shared(weights), [*DEMANDS[:1], (0.0, 90e3, 800)], adhesion)
@@ -299,7 +299,7 @@ def test_energy_is_accounted_for_with_efforts_of_each_axle(adhesion: float) -> N
     assert (works["slip"] > 0.5e6) == (adhesion < 0.1)
 
 
-def test_friction_makes_up_for_what_the_motors_do_not_brake() -> None:
+def test_friction_makes_up_for_what_the_motors_do_not_brake():
     found, unit, _ = run(Shared(np.array([1.0, 0.0, 0.0, 0.0])), [(0.0, 120e3, 600)])
     # What the only motor will give after the friction brake's dead time and lag is counted on.
     assert 0.0 < found[-1, 4] <= unit.parameters.axle_braking_effort
@@ -307,7 +307,7 @@ def test_friction_makes_up_for_what_the_motors_do_not_brake() -> None:
     assert found[-1, 4] + found[-1, 5] == pytest.approx(120e3, rel=0.06)
 
 
-def test_no_motor_and_no_demand_is_exceeded_and_none_works_against_the_demand() -> None:
+def test_no_motor_and_no_demand_is_exceeded_and_none_works_against_the_demand():
     unit = plant()
     state = unit.at(500.0, 20.0)
     rows = unit.advance(state, 40e3, 0.0, 400, 20, np.array([1e9, 1e9, -5e3, 1e3]))
@@ -317,7 +317,7 @@ def test_no_motor_and_no_demand_is_exceeded_and_none_works_against_the_demand() 
     assert efforts.max() <= unit.parameters.axle_effort
 
 
-def test_what_the_drive_measures_has_the_noise_of_its_sensors_and_repeats_with_the_seed() -> None:
+def test_what_the_drive_measures_has_the_noise_of_its_sensors_and_repeats_with_the_seed():
     unit = plant()
     seen = {}
     for seed in (1, 1, 2):
@@ -333,7 +333,7 @@ def test_what_the_drive_measures_has_the_noise_of_its_sensors_and_repeats_with_t
     assert not np.array_equal(seen[1], seen[2])
 
 
-def test_a_simulated_trip_states_its_traction_control_and_what_it_did_not_solve() -> None:
+def test_a_simulated_trip_states_its_traction_control_and_what_it_did_not_solve():
     rail = StepProfile(np.zeros(1), np.array([0.35]))
     short = level_line(length=2_000.0, limit=20.0)
     scenario = replace(draw_scenarios(short, TRAIN, 1)[0], maximum_adhesion=rail)
@@ -363,11 +363,11 @@ def partial_shared(fails: Callable[[float], bool]) -> Callable[[], Shared]:
 @pytest.mark.parametrize(
     "efforts", [np.ones(3), np.array([1.0, np.nan, 1.0, 1.0]), np.full((4, 1), 1.0)]
 )
-def test_efforts_that_no_plant_can_give_are_refused(efforts: np.ndarray) -> None:
+def test_efforts_that_no_plant_can_give_are_refused(efforts):
     unit = plant()
     refused(InputError, "finite", unit.advance, unit.at(), 1e4, 0.0, 1, 1, efforts)
 
 
 @pytest.mark.parametrize("period", [0.0, 0.001, 0.0125])
-def test_a_period_that_the_plant_does_not_resolve_is_refused(period: float) -> None:
+def test_a_period_that_the_plant_does_not_resolve_is_refused(period):
     refused(InputError, "period", TractionLoop, Shared(np.ones(4), period=period), plant())

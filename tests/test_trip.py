@@ -15,7 +15,7 @@ def state(times: list[float], speeds: list[float]) -> pd.DataFrame:
     return frame_of(TRAIN_STATE, np.array(times) * SECOND, {"speed": speeds})
 
 
-def test_every_number_has_a_unit_and_every_field_a_meaning() -> None:
+def test_every_number_has_a_unit_and_every_field_a_meaning():
     for topic in TOPICS.values():
         names = [field.name for field in topic.fields]
         assert len(names) == len(set(names))
@@ -24,7 +24,7 @@ def test_every_number_has_a_unit_and_every_field_a_meaning() -> None:
             assert field.unit or field.interpolation == "none"
 
 
-def test_columns_of_axles_are_numbered_from_one() -> None:
+def test_columns_of_axles_are_numbered_from_one():
     both = {"wheel_effort": np.ones((1, 2)), "wheel_speed": np.ones((1, 2))}
     names = [f"{name}_{axle}" for name in ("wheel_speed", "wheel_effort") for axle in (1, 2)]
     assert list(frame_of(TRAIN_AXLES, [0], both)) == names
@@ -34,12 +34,12 @@ def test_columns_of_axles_are_numbered_from_one() -> None:
             column_field(TRAIN_AXLES, wrong)
 
 
-def test_frames_refuse_columns_that_the_topic_does_not_have() -> None:
+def test_frames_refuse_columns_that_the_topic_does_not_have():
     with pytest.raises(KeyError):
         frame_of(TRAIN_STATE, [0], {"velocity": [1.0]})
 
 
-def test_a_missing_topic_is_named_with_those_present() -> None:
+def test_a_missing_topic_is_named_with_those_present():
     trip = Trip({"/train/state": state([0], [1.0])}, {"trip": "t7"})
     with pytest.raises(LogError, match=r"t7.*no topic /gnss/fix; topics loaded: /train/state"):
         trip["/gnss/fix"]
@@ -47,7 +47,7 @@ def test_a_missing_topic_is_named_with_those_present() -> None:
         _ = Trip({}).start
 
 
-def test_trips_are_equal_by_metadata_and_samples() -> None:
+def test_trips_are_equal_by_metadata_and_samples():
     one = Trip({"/train/state": state([0, 1], [3.0, np.nan])}, {"train": "T"})
     same = Trip({"/train/state": state([0, 1], [3.0, np.nan])}, {"train": "T"}).with_step("read")
     assert one == same

@@ -69,7 +69,7 @@ def check(fit: TripFit, trip: Trip, true: Train) -> tuple[bool, bool]:
 
 
 @pytest.mark.parametrize("strength", [pytest.param(0.6, marks=pytest.mark.long), 2.0])
-def test_tunnels_spoil_no_curve_and_their_resistance_is_learned(strength: float) -> None:
+def test_tunnels_spoil_no_curve_and_their_resistance_is_learned(strength):
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     for trip, true in trips(line, train, strength, 2):
         fit = fit_trip(trip)
@@ -80,7 +80,7 @@ def test_tunnels_spoil_no_curve_and_their_resistance_is_learned(strength: float)
 
 @pytest.mark.long
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="TTOBench is not beside the checkout")
-def test_tunnels_of_three_lines_and_trains() -> None:
+def test_tunnels_of_three_lines_and_trains():
     """Nine in ten bands hold, over three lines, three trains and three strengths."""
     curves, tunnels = [], []
     for track, vehicle in PAIRS:

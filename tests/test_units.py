@@ -17,7 +17,6 @@ from trainlog.units import (
     SHARE,
     SPEED,
     TIME,
-    Measure,
     _registry,
     _spelled,
     clock,
@@ -44,12 +43,12 @@ from trainlog.units import (
         (1.1, "m/s²", "m/s^2", 1.1),
     ],
 )
-def test_known_conversions(value: float, unit: str, si: str, expected: float) -> None:
+def test_known_conversions(value, unit, si, expected):
     assert to_si(value, unit, si) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("unit", ["kg", "furlong per", "", "km", "m/s/", "[m]"])
-def test_wrong_units_are_refused_with_the_unit_named(unit: str) -> None:
+def test_wrong_units_are_refused_with_the_unit_named(unit):
     caught = refused(InputError, "cannot be read as m/s", to_si, 1.0, unit, "m/s")
     assert f"'{unit}'" in str(caught)
     assert "declare a unit" in str(caught)
@@ -58,7 +57,7 @@ def test_wrong_units_are_refused_with_the_unit_named(unit: str) -> None:
 @pytest.mark.parametrize(
     ("unit", "meant"), [("kmh", "km/h"), ("m/s2", "m/s^2"), ("promille", "permil")]
 )
-def test_a_misspelt_unit_is_answered_with_the_common_spelling(unit: str, meant: str) -> None:
+def test_a_misspelt_unit_is_answered_with_the_common_spelling(unit, meant):
     refused(InputError, f"did you mean '{re.escape(meant)}'", si_unit, unit)
     kind = si_unit(meant)
     refused(InputError, f"did you mean '{re.escape(meant)}'", factor, unit, kind)
@@ -69,7 +68,7 @@ def test_a_misspelt_unit_is_answered_with_the_common_spelling(unit: str, meant: 
 
 
 @pytest.mark.parametrize(("unit", "si"), _FACTORS)
-def test_units_of_own_files_are_converted_as_all_others(unit: str, si: str) -> None:
+def test_units_of_own_files_are_converted_as_all_others(unit, si):
     registry = _registry()
     source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
     assert factor(unit, si) == (float(registry.Quantity(1.0, source).to(target).magnitude), 0.0)
@@ -96,7 +95,7 @@ def test_units_of_own_files_are_converted_as_all_others(unit: str, si: str) -> N
         (FORCE, "2kN", 2_000.0),
     ],
 )
-def test_values_are_read_as_people_write_them(measure: Measure, written: str, value: float) -> None:
+def test_values_are_read_as_people_write_them(measure, written, value):
     assert measure.read(written) == pytest.approx(value, rel=1e-15)
     assert measure.read(f" {written} ", "--name") == measure.read(measure.read(written))
 
@@ -106,9 +105,7 @@ def test_values_are_read_as_people_write_them(measure: Measure, written: str, va
     ["", "soon", "nan", "inf", "1,5", "12 apples", "1:75", "3:2:1:0", "--5", "7%%", "1 2"],
 )
 @pytest.mark.parametrize("measure", [TIME, SPEED, SHARE, MASS, DISTANCE])
-def test_what_is_no_value_is_answered_with_how_it_is_written(
-    measure: Measure, written: str
-) -> None:
+def test_what_is_no_value_is_answered_with_how_it_is_written(measure, written):
     caught = refused(InputError, "", measure.read, written, "--name")
     assert str(caught).startswith(f"--name '{written}' is not a valid {measure.noun}; write")
     assert ("decimals after a point" in str(caught)) == (written == "1,5")
@@ -122,7 +119,7 @@ def test_what_is_no_value_is_answered_with_how_it_is_written(
         (PERCENT.between(0.01, 0.99), "100%", "must be between 1 % and 99 %"),
     ],
 )
-def test_bounds_are_stated_in_the_usual_unit(measure: Measure, written: str, words: str) -> None:
+def test_bounds_are_stated_in_the_usual_unit(measure, written, words):
     refused(InputError, words, measure.read, written)
 
 
@@ -134,7 +131,7 @@ def test_bounds_are_stated_in_the_usual_unit(measure: Measure, written: str, wor
         ["{h} h {m} min {s} s", "{h}h{m}min{s}s", "{h}h {m}min {s}s", "{h}:{m:02}:{s:02}"]
     ),
 )
-def test_a_time_is_read_in_hours_minutes_and_seconds(h: int, m: int, s: int, form: str) -> None:
+def test_a_time_is_read_in_hours_minutes_and_seconds(h, m, s, form):
     assert TIME.read(form.format(h=h, m=m, s=s), "t") == 3600.0 * h + 60.0 * m + s
     assert TIME.read(f"{m} min {s} s", "t") == 60.0 * m + s
     assert TIME.read(clock(60.0 * m + s), "t") == 60.0 * m + s

@@ -45,7 +45,7 @@ def made(
     )
 
 
-def test_each_bin_is_seen_demonstrated_or_assumed() -> None:
+def test_each_bin_is_seen_demonstrated_or_assumed():
     track = made({3: 0.07}, {(8, 3): 4.0, (9, 0): 4.0})
     found = usable_adhesion(track, "wet", assumed=0.05)
     assert np.flatnonzero(found.seen).tolist() == [3]
@@ -62,8 +62,8 @@ def test_each_bin_is_seen_demonstrated_or_assumed() -> None:
     st.integers(0, 3),
 )
 def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_nothing_away(
-    trips: list[int], sigmas: float, further: int
-) -> None:
+    trips, sigmas, further
+):
     demonstrated = {(5, k): float(count) for k, count in enumerate(trips)}
     before = demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5]
     highest = max((LEVELS[k] for k, count in enumerate(trips) if count), default=0.0)
@@ -76,14 +76,12 @@ def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_noth
     ("settings", "assumed", "words"),
     [(SETTINGS, 0.0, "above 0 and at most 1, not 0"), ({}, 0.05, "lacks the setting 'trip_std'")],
 )
-def test_what_cannot_be_counted_on_is_refused(
-    settings: dict[str, float], assumed: float, words: str
-) -> None:
+def test_what_cannot_be_counted_on_is_refused(settings, assumed, words):
     track = replace(made(), settings=settings)
     refused(InputError, words, usable_adhesion, track, "wet", assumed=assumed)
 
 
-def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place() -> None:
+def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place():
     track = made({3: 0.07, 9: 0.1})
     generator = np.random.default_rng(1)
     for risk in (0.05, 0.2):
@@ -104,7 +102,7 @@ def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place() -> None:
             usable_adhesion(track, "wet", risk=risk)
 
 
-def test_a_risk_is_read_for_the_time_of_the_run() -> None:
+def test_a_risk_is_read_for_the_time_of_the_run():
     class Fading(ConditionLayer):
         """Expects half of the adhesion until a time."""
 
@@ -120,8 +118,7 @@ def test_a_risk_is_read_for_the_time_of_the_run() -> None:
     early, late = Timestamp("2026-11-21T06:00Z"), Timestamp("2026-11-23T06:00Z")
     for options in ({"risk": 0.05}, {"sigmas": 1.0}):
         now, then = (
-            usable_adhesion(track, "wet", time=time, **options).values[3]  # type: ignore[arg-type]
-            for time in (early, late)
+            usable_adhesion(track, "wet", time=time, **options).values[3] for time in (early, late)
         )
         assert then == pytest.approx(2.0 * now)
     # Without a time a risk is that right after the last evidence; deviations are of what lasts.
@@ -131,16 +128,14 @@ def test_a_risk_is_read_for_the_time_of_the_run() -> None:
     options = {"end": 1_000.0, "condition_map": track, "risk": 0.05}
     cells = np.linspace(0.0, 1_000.0, BINS + 1)
     runs = [
-        TrajectoryProblem(line, flirt(), observed(flirt(), 1.0), time=time, **options)  # type: ignore[arg-type]
+        TrajectoryProblem(line, flirt(), observed(flirt(), 1.0), time=time, **options)
         for time in (early, late)
     ]
     assert runs[1].adhesion(cells)[3] == pytest.approx(2.0 * runs[0].adhesion(cells)[3])
 
 
 @pytest.mark.parametrize("together", [0.0, 0.5, 0.95])
-def test_the_risk_of_a_run_lies_between_its_bounds_however_places_hang_together(
-    together: float,
-) -> None:
+def test_the_risk_of_a_run_lies_between_its_bounds_however_places_hang_together(together):
     generator = np.random.default_rng(2)
     places = np.arange(10, 200, 20)
     rail = AdhesionEstimate(np.full(200, np.log(0.1)), np.full(200, 0.15), np.ones(200, bool))

@@ -39,7 +39,7 @@ def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     return path
 
 
-def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back: Path) -> None:
+def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back):
     whole, held = (
         read_log(there_and_back, module.TOPICS),
         rows_of_log(there_and_back, module.TOPICS),
@@ -52,9 +52,7 @@ def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back: 
         assert max(sum(map(len, part.topics.values())) for part in parts) < 1.5 * rows
 
 
-def test_maps_and_coasting_take_all_parts_of_a_long_log(
-    there_and_back: Path, nonstop: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_maps_and_coasting_take_all_parts_of_a_long_log(there_and_back, nonstop, monkeypatch):
     alone = adhesion_map(nonstop).track
     coasted = coast_down(nonstop)
     monkeypatch.setattr(
@@ -70,8 +68,8 @@ def test_maps_and_coasting_take_all_parts_of_a_long_log(
 
 
 def test_estimates_of_a_long_log_keep_what_was_recorded(
-    there_and_back: Path, nonstop: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+    there_and_back, nonstop, monkeypatch, tmp_path
+):
     monkeypatch.setattr(module, "ROWS", rows_of_log(nonstop) + 1_000)
     assert estimate_log(there_and_back, tmp_path / "parts.mcap") == ()
     parts, recorded = read_log(tmp_path / "parts.mcap"), read_log(there_and_back)
@@ -84,9 +82,7 @@ def test_estimates_of_a_long_log_keep_what_was_recorded(
     assert np.sqrt(np.mean(error**2)) < 0.05
 
 
-def test_a_long_log_without_positions_is_parted_by_its_speed(
-    there_and_back: Path, tmp_path: Path
-) -> None:
+def test_a_long_log_without_positions_is_parted_by_its_speed(there_and_back, tmp_path):
     motion = read_log(there_and_back, [GNSS_MOTION.name])
     write_log(motion, tmp_path / "speeds.mcap")
     rows = len(motion[GNSS_MOTION.name])
@@ -101,7 +97,7 @@ def test_a_long_log_without_positions_is_parted_by_its_speed(
     ))  # fmt: skip
 
 
-def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path: Path, nonstop: Path) -> None:
+def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path, nonstop):
     """Out and back, with falling chainage on the way back: two runs, not one every few metres."""
     trip = read_log(nonstop, [TRAIN_STATE.name])
     state = trip[TRAIN_STATE.name]

@@ -42,7 +42,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 class TestFile:
-    def test_rows_hold_until_the_next_one(self, tmp_path: Path) -> None:
+    def test_rows_hold_until_the_next_one(self, tmp_path):
         rows = "2026-10-24T06:00,wet,8.5,93,1.2\n2026-10-24T07:00,dry,9,,0\n"
         weather = read_weather(written(tmp_path, HEADER + rows))
         early = weather.at(when("2026-10-24T06:59:59Z"))
@@ -54,7 +54,7 @@ class TestFile:
         assert (late.condition, late.since_rain) == ("dry", 1800.0)
         assert np.isnan(late.humidity)
 
-    def test_what_is_written_is_read_again(self, tmp_path: Path) -> None:
+    def test_what_is_written_is_read_again(self, tmp_path):
         generator = np.random.default_rng(3)
         starts = when("2026-10-24T06:00Z") + HOUR * np.cumsum(generator.integers(1, 5, 200))
         ends = np.minimum(starts + 3 * HOUR, np.append(starts[1:], starts[-1] + HOUR))
@@ -104,9 +104,7 @@ class TestFile:
             ),
         ],
     )
-    def test_a_wrong_row_is_named_by_file_and_line(
-        self, tmp_path: Path, text: str, words: str
-    ) -> None:
+    def test_a_wrong_row_is_named_by_file_and_line(self, tmp_path, text, words):
         path = written(tmp_path, text)
         with pytest.raises(InputError, match=words) as raised:
             read_weather(path)
@@ -126,9 +124,7 @@ class TestFile:
         ("2026-11-22T15:44Z", (47.37, 8.54), -0.83, 0.15),
     ],
 )
-def test_the_sun_stands_where_the_almanac_says(
-    time: str, place: tuple[float, float], elevation: float, within: float
-) -> None:
+def test_the_sun_stands_where_the_almanac_says(time, place, elevation, within):
     assert sun_elevation(when(time), *place) == pytest.approx(elevation, abs=within)
 
 
@@ -160,7 +156,7 @@ def onsets(found: Evidence) -> dict[str, float]:
 
 
 class TestTrips:
-    def test_a_condition_that_changes_on_the_way_splits_the_evidence(self, trip: Trip) -> None:
+    def test_a_condition_that_changes_on_the_way_splits_the_evidence(self, trip):
         whole = evidence(trip, TRACK, layer="wet").daily
         weather = changing(trip, (-1.0, 0.4, "wet"), (0.4, 2.0, "dry"))
         found = evidence(trip, TRACK, weather=weather)
@@ -174,20 +170,20 @@ class TestTrips:
         total = wet.censored.sum() + dry.censored.sum()
         assert abs(total - whole.censored.sum()) <= 2.0
 
-    def test_what_was_seen_while_nothing_is_known_is_left_out_with_a_note(self, trip: Trip) -> None:
+    def test_what_was_seen_while_nothing_is_known_is_left_out_with_a_note(self, trip):
         weather = changing(trip, (-1.0, 0.5, "wet"), (0.6, 2.0, "wet"))
         found = evidence(trip, TRACK, weather=weather)
         assert any("rail condition not known for" in note for note in found.details["notes"])
         used = evidence(trip, TRACK, layer="wet").daily.censored.sum()
         assert 0.6 * used < found.daily.censored.sum() < used - 10.0
 
-    def test_a_trip_of_which_nothing_is_known_is_refused(self, trip: Trip) -> None:
+    def test_a_trip_of_which_nothing_is_known_is_refused(self, trip):
         with pytest.raises(LogError, match=r"states no rail condition from 2024-10-07 08:\d\d to"):
             evidence(trip, TRACK, weather=changing(trip, (-3.0, -1.0, "wet")))
         with pytest.raises(LogError, match=r"does not state .* a weather file \(--weather\)"):
             evidence(trip, TRACK)
 
-    def test_the_layer_given_comes_first_then_the_log_then_the_weather(self, trip: Trip) -> None:
+    def test_the_layer_given_comes_first_then_the_log_then_the_weather(self, trip):
         weather = changing(trip, (-1.0, 2.0, "leaves"))
         stated = replace(trip, metadata={**trip.metadata, "weather": "wet"})
         assert evidence(stated, TRACK, layer="frost", weather=weather).layer == "frost"
@@ -195,7 +191,7 @@ class TestTrips:
         assert found.layer == "wet"
         assert found.details["weather"]["condition"] == "leaves"
 
-    def test_covariates_are_kept_with_the_evidence(self, trip: Trip) -> None:
+    def test_covariates_are_kept_with_the_evidence(self, trip):
         weather = changing(trip, (-1.0, 2.0, "wet"))
         measured = trip["/environment"]["air_temperature"].mean()
         kept = evidence(trip, TRACK, weather=weather).details["weather"]
@@ -211,7 +207,7 @@ class TestTrips:
         assert 10.0 < kept["sun_elevation"] < 35.0
 
 
-def test_the_command_takes_a_weather_file(trip: Trip, tmp_path: Path) -> None:
+def test_the_command_takes_a_weather_file(trip, tmp_path):
     write_log(trip, tmp_path / "trip.mcap")
     weather, condition = tmp_path / "weather.csv", tmp_path / "wil.map"
     write_weather(changing(trip, (-1.0, 0.4, "leaves"), (0.4, 2.0, "dry")), weather)

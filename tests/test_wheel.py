@@ -65,7 +65,7 @@ def installed_works(python: Path, folder: Path) -> None:
     assert page.endswith(".html") != any("make docs" in line for line in rest)
 
 
-def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
+def test_the_wheel_runs_outside_the_checkout(wheel, tmp_path):
     python, site = environment(tmp_path / "environment")
     install(python, "--no-deps", "--no-index", "--no-compile", str(wheel), timeout=300)
     # Third-party packages come from the environment that runs the tests; trainlog does not, as
@@ -75,7 +75,7 @@ def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.long
-def test_the_wheel_declares_all_it_needs(wheel: Path, tmp_path: Path) -> None:
+def test_the_wheel_declares_all_it_needs(wheel, tmp_path):
     python, _ = environment(tmp_path / "environment")
     install(python, str(wheel), timeout=1800)
     installed_works(python, tmp_path)

@@ -46,12 +46,12 @@ def files() -> dict[Path, str]:
     return {path: path.read_text("utf-8") for path in kept}
 
 
-def test_the_files_are_found() -> None:
+def test_the_files_are_found():
     assert len(files()) > 300
 
 
 @pytest.mark.parametrize("words", AVOIDED)
-def test_no_private_words(words: str) -> None:
+def test_no_private_words(words):
     pattern = re.compile(rf"\b(?:{words})\b", re.IGNORECASE)
     lines = [
         f"{path.relative_to(CHECKOUT)}:{number}: {line.strip()}"
