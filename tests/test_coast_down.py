@@ -199,7 +199,7 @@ def test_gradients_that_vary_tell_the_rotating_mass():
     assert abs(weight - c(CURVE, 25.0) / RATIO / 9.81) < 4.0 * std
 
 
-@pytest.mark.parametrize("efforts", [(0.05, 0.09), (-0.05, -0.02), (0.03, -0.04), (np.nan, np.nan)])
+@pytest.mark.parametrize("efforts", [(0.05, 0.09), (0.03, -0.04), (np.nan, np.nan)])
 def test_a_train_that_never_coasts_is_refused(efforts):
     drive = [(50.0, 0.5), (60.0, efforts[0]), (30.0, -0.3), (40.0, 0.4), (90.0, efforts[1])]
     time, position, speed, _ = driven(HILLY, CURVE, [*drive, (30.0, -0.2)], speed=12.0)

@@ -62,7 +62,6 @@ STATE, CONTROLS, AXLES, MOTION = "/train/state", "/train/controls", "/train/axle
     ("lost", "topics", "first", "words"),
     [
         ((STATE, "speed"), (), 25.0, "no speed for 20 s, bridged by"),
-        ((STATE, "speed"), (AXLES, MOTION), 150.0, "no speed for 20 s, bridged by position"),
         ((STATE, "speed"), (AXLES, MOTION), 600.0, "no speed for 20 s, bridged by position"),
         ((STATE, "position"), (), 600.0, "no position for 20 s, bridged by speed"),
         ((STATE, "speed", "position"), (MOTION,), 150.0, "no speed for 20 s, bridged by wheel sp"),

@@ -36,7 +36,7 @@ from trainlog.presentation import kwh
 pytestmark = pytest.mark.usefixtures("remembered")
 
 
-class _Outline(HTMLParser):
+class Outline(HTMLParser):
     """Tags with their attributes."""
 
     def __init__(self, text: str) -> None:
@@ -63,7 +63,7 @@ def trip_page(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_a_page_refers_to_nothing_outside_and_names_from_a_log_stay_text(trip_page):
-    outline = _Outline(trip_page)
+    outline = Outline(trip_page)
     tags = [tag for tag, _ in outline.tags]
     references = outline.values("src", "href", "xlink:href", "action", "data")
     assert all(each.startswith(("#", "data:")) for each in references)
@@ -82,7 +82,7 @@ def test_a_page_refers_to_nothing_outside_and_names_from_a_log_stay_text(trip_pa
 
 
 def test_headings_pictures_and_identifiers_are_for_all_readers(trip_page):
-    outline = _Outline(trip_page)
+    outline = Outline(trip_page)
     pictures = [known for tag, known in outline.tags if tag in ("svg", "img")]
     assert all(known.get("aria-label") or known.get("alt") for known in pictures)
     headings = [int(tag[1]) for tag, _ in outline.tags if re.fullmatch(r"h[1-6]", tag)]

@@ -7,11 +7,11 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from test_report_page import Outline
 from test_wheel import CHECKOUT, OUTSIDE, environment, trainlog
 
 sys.path.append(str(CHECKOUT / "docs" / "tools"))
@@ -44,36 +44,22 @@ def site(checkout: Path) -> Path:
     return checkout / "build" / "site"
 
 
-class Links(HTMLParser):
-    """Where a page leads, and the anchors that it has."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.targets: list[str] = []
-        self.anchors: set[str] = set()
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
-        self.anchors |= {str(given[key]) for key in ("id", "name") if given.get(key)}
-        self.targets += [str(given[key]) for key in ("href", "src") if given.get(key)]
-
-
 def test_every_link_leads_to_a_file_and_a_place_in_it(site):
-    pages = {path: Links(path.read_text("utf-8")) for path in site.rglob("*.html")}
+    pages = {path: Outline(path.read_text("utf-8")) for path in site.rglob("*.html")}
+    anchors = {path: set(page.values("id", "name")) for path, page in pages.items()}
     lost = []
-    for page, links in pages.items():
+    for page, outline in pages.items():
         if page.name == "404.html":  # for servers: its links begin at their root
             continue
-        for target in links.targets:
+        for target in outline.values("href", "src"):
             parts = urlsplit(target)
             if parts.scheme:
                 continue
             path = (page.parent / unquote(parts.path)).resolve() if parts.path else page
             path = path / "index.html" if path.is_dir() else path
             fragment = unquote(parts.fragment)
-            known = pages.get(path)
-            if not path.is_file() or (known and fragment and fragment not in known.anchors):
+            known = anchors.get(path)
+            if not path.is_file() or (known is not None and fragment and fragment not in known):
                 lost.append(f"{page.relative_to(site)}: {target}")
     assert lost == []
     assert len(pages) > 30

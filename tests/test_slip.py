@@ -296,12 +296,16 @@ class TestWhatTheRecorderLacks:
         assert 0.002 < found.common_std < 0.05
         assert any("load is not recorded" in note for note in found.notes)
 
-    @pytest.mark.parametrize("delay", [0.2, 0.5])
-    def test_the_delay_of_the_efforts(self, heavy, delay):
-        found = slip(of_efforts(heavy.trip, lambda efforts: late(efforts, delay)))
+    def test_the_delay_of_the_efforts(self, heavy):
+        found = slip(of_efforts(heavy.trip, lambda efforts: late(efforts, 0.5)))
         self.check(heavy, found)
         assert np.mean(np.abs(off(heavy, found)) < 0.15) > 0.9
-        assert any(f"{delay:.1f}" in note and "late" in note for note in found.notes)
+        assert any("0.5" in note and "late" in note for note in found.notes)
+
+    def test_the_total_that_the_efforts_of_the_axles_contradict(self, heavy):
+        found = slip(of_efforts(heavy.trip, lambda efforts: 1.25 * efforts, "/train/axles"))
+        self.check(heavy, found)
+        assert any("1.25 times the total" in note for note in found.notes)
 
     @pytest.mark.parametrize(("share", "word"), [(np.nan, "empty"), (0.0, "zero")])
     def test_the_efforts_of_the_axles(self, heavy, share, word):
@@ -337,10 +341,9 @@ class TestWhatTheRecorderLacks:
         assert any("slips below" in note for note in found.notes)
         assert not found.complete
 
-    @pytest.mark.parametrize("every", [5, 10])
-    def test_levels_of_slow_samples_hold_their_band(self, wet, every):
+    def test_levels_of_slow_samples_hold_their_band(self, wet):
         """Of each passage of a place; the axles of one err alike, so that they count once."""
-        found = slip(slower(wet.trip, every))
+        found = slip(slower(wet.trip, 10))
         shown = found.events[found.events["measured"]]
         true = wet.scenario.maximum_adhesion(shown["position"].to_numpy())
         error = np.log(shown["adhesion"] / true)
