@@ -73,7 +73,7 @@ def same(one: FloatArray, other: FloatArray) -> None:
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-@settings(max_examples=4)
+@settings(max_examples=3)
 @given(cut=st.integers(0, COUNT))
 def test_stopped_and_resumed_it_goes_on_bit_for_bit(case, cut):
     whole, part = case.make(), case.make()

@@ -31,7 +31,7 @@ from trainlog.units import GRAVITY
 NOISE = NoiseModel(speed=0.01, gradient=4e-4, position=8.0, effort=0.01)
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(
     r0=st.floats(500.0, 10_000.0),
     r1=st.floats(0.0, 200.0),
@@ -81,7 +81,7 @@ def rough(windows: Windows) -> Windows:
     return replace(windows, edges=edges)
 
 
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(
     shortest=st.floats(20.0, 1500.0),
     gaps=st.lists(st.integers(0, 3900), max_size=6),

@@ -106,7 +106,7 @@ def test_terminal_cost_is_that_of_the_stationary_regulator(gain):
     np.testing.assert_allclose(terminal_weight(a, b, 2.0, 0.1), expected, rtol=1e-6)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 1000))
 def test_the_solver_finds_what_another_solver_finds(seed):
     """Clarabel on the same program, with rules that may be broken at the same price a row.
