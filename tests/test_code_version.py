@@ -1,7 +1,5 @@
 """Which modules the version of an analysis's code stands for: all that are loaded when it runs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

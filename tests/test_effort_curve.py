@@ -1,7 +1,5 @@
 """Effort over speed: curves, where they come from, and how a train reads them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

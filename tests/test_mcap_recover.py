@@ -83,21 +83,18 @@ def test_random_byte_flips_are_accounted_for_to_the_message(tmp_path):
                 assert account.messages_lost == one.messages.total() - found.total()
 
 
-def _without_two_chunks(data: bytes, _: bytes) -> bytes:
-    groups = spans_of(data)
-    return data[: groups[0][0]] + data[groups[2][0] :]
-
-
-def _one_chunk_twice(data: bytes, _: bytes) -> bytes:
-    start, end = spans_of(data)[1]
-    return data[:end] + data[start:]
-
-
 @pytest.mark.parametrize(
     ("damaged", "messages", "lost", "said"),
     [
-        (_without_two_chunks, 40, 80, "80 messages are lost"),
-        (_one_chunk_twice, 120, 0, "comes again"),
+        # Without two chunks, and with one twice.
+        (
+            lambda data, _: data[: spans_of(data)[0][0]] + data[spans_of(data)[2][0] :],
+            *(40, 80, "80 messages are lost"),
+        ),
+        (
+            lambda data, _: data[: spans_of(data)[1][1]] + data[spans_of(data)[1][0] :],
+            *(120, 0, "comes again"),
+        ),
         (lambda data, _: data + data, 120, 0, "one file ends here"),
         # Channel numbers of the other file mean other topics: its messages are not taken for these.
         (lambda data, other: other + data, 120, 20, "declared otherwise elsewhere"),

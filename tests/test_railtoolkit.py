@@ -58,11 +58,6 @@ def train_of(file: str, loaded: float = 1.0) -> Train:
     return train
 
 
-def published(train: str, path: str) -> float:
-    text = (DATA / "trainruns" / "snapshots" / f"{train}_{path}.csv").read_text()
-    return float(text.split()[1])
-
-
 def shortest_time(line: Line, train: Train, step: float) -> float:
     """Running time [s] at full effort, in steps of about so many metres."""
     run = timetable_run(
@@ -75,7 +70,8 @@ def shortest_time(line: Line, train: Train, step: float) -> float:
 @pytest.mark.parametrize(("train", "path"), CASES)
 def test_running_times_of_trainruns(train, path):
     line = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")[path]
-    expected, given = published(train, path), train_of(train)
+    snapshot = (DATA / "trainruns" / "snapshots" / f"{train}_{path}.csv").read_text()
+    expected, given = float(snapshot.split()[1]), train_of(train)
     # With the step of 20 m that TrainRuns takes.
     assert shortest_time(line, given, 20.0) == pytest.approx(expected, rel=2e-3)
     # Its steps begin with their acceleration and so gain a little: the limit lies higher.

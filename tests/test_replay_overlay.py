@@ -143,15 +143,10 @@ def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path):
 # ------------------------------------------------------------------------- what the line adds
 
 
-def bare_trip(**changes: object) -> Trip:
-    """As ingested from a recorder that knows speed and chainage alone."""
-    trip = made_trip()
-    kept = {"/train/state": trip["/train/state"], "/gnss/fix": trip["/gnss/fix"]}
-    return replace(trip, **{"topics": kept, **changes})
-
-
 def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path):
-    path, trip = tmp_path / "line.rrd", bare_trip(attachments={})
+    path, whole = tmp_path / "line.rrd", made_trip()
+    kept = {name: whole[name] for name in ("/train/state", "/gnss/fix")}
+    trip = replace(whole, topics=kept, attachments={})
     geometry = replace(LINE.geometry, latitudes=LINE.geometry.latitudes + 0.1)
     short = replace(LINE, length=1500.0, stations=LINE.stations[:1], geometry=None)
     fixes = replace(trip, topics={"/gnss/fix": trip["/gnss/fix"]})

@@ -1,7 +1,5 @@
 """The samples are what their README says, and can be made again, value for value."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whatever a file is, `trainlog show` states what it holds, or in one line why it cannot."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

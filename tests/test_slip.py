@@ -217,12 +217,9 @@ def late(efforts: pd.DataFrame, delay: float) -> pd.DataFrame:
 
 def off(each: Seen, found: SlipAnalysis) -> FloatArray:
     """Logarithm of the adhesion at the measured onsets over the truth there."""
-    return np.asarray(np.log1p(onset_errors(replace(each, found=found)) / truths(each, found)))
-
-
-def truths(each: Seen, found: SlipAnalysis) -> FloatArray:
     places = found.events.loc[found.events["measured"], "position"].to_numpy()
-    return np.asarray(each.scenario.maximum_adhesion(places))
+    truth = each.scenario.maximum_adhesion(places)
+    return np.asarray(np.log1p(onset_errors(replace(each, found=found)) / truth))
 
 
 @pytest.fixture(scope="module")
@@ -404,9 +401,9 @@ def no_axle_speed(trip: Trip) -> Trip:
     return trip.with_topic(axles)
 
 
-def of_two_axles(trip: Trip) -> Trip:
-    train = train_to_bytes(flirt(axles=Axles(count=2)))
-    return replace(trip, attachments={**trip.attachments, TRAIN_ATTACHMENT: train})
+def of_train(trip: Trip, train: Train) -> Trip:
+    stated = {TRAIN_ATTACHMENT: train_to_bytes(train)}
+    return replace(trip, attachments={**trip.attachments, **stated})
 
 
 @pytest.mark.parametrize(
@@ -414,7 +411,7 @@ def of_two_axles(trip: Trip) -> Trip:
     [
         (lambda trip: without(trip, "/train/axles"), "no topic /train/axles"),
         (lambda trip: without(trip, "/train/state"), "has no position"),
-        (of_two_axles, "4 axles, train 'flirt' has 2"),
+        (lambda t: of_train(t, flirt(axles=Axles(count=2))), "4 axles, train 'flirt' has 2"),
         (no_axle_speed, "has no axle speed"),
         (lambda trip: replace(trip, attachments={}), r"has no train\.json"),
         (lambda trip: trip.with_topic(trip["/train/axles"].iloc[:1]), "holds 1 samples"),
@@ -548,9 +545,7 @@ class TestAnalysis:
 
         Not where the rail changes within the 10 m to which the place of an onset is known.
         """
-        train = train_to_bytes(with_geometry(geometry))
-        trip = replace(each.trip, attachments={**each.trip.attachments, TRAIN_ATTACHMENT: train})
-        events = slip(trip).events
+        events = slip(of_train(each.trip, with_geometry(geometry))).events
         events = events[events["measured"]]
         places = events["position"].to_numpy()
         around = [each.scenario.maximum_adhesion(places + off) for off in (-10.0, 0.0, 10.0)]

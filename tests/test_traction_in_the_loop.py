@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -338,8 +338,8 @@ def test_a_simulated_trip_states_its_traction_control_and_what_it_did_not_solve(
     short = level_line(length=2_000.0, limit=20.0)
     scenario = replace(draw_scenarios(short, TRAIN, 1)[0], maximum_adhesion=rail)
     plain = drive(scenario)
-    failing = partial_shared(lambda time: 50.0 <= time < 51.0 or time == 60.0)
-    driven = replace(scenario, traction=failing)
+    control = partial(Shared, np.ones(4), fails=lambda time: 50.0 <= time < 51.0 or time == 60.0)
+    driven = replace(scenario, traction=control)
     trip = simulate(driven)
     assert trip.metadata["traction_control"] == "shared"
     assert trip.metadata["traction_unsolved"] == "51"
@@ -354,10 +354,6 @@ def test_a_simulated_trip_states_its_traction_control_and_what_it_did_not_solve(
     truth = trip["/truth"]["speed"].to_numpy()
     np.testing.assert_allclose(truth, plain.samples[:, 1], atol=1e-9)
     assert "traction_control" not in recorded(scenario, plain).metadata
-
-
-def partial_shared(fails: Callable[[float], bool]) -> Callable[[], Shared]:
-    return lambda: Shared(np.ones(4), fails=fails)
 
 
 @pytest.mark.parametrize(

@@ -33,25 +33,16 @@ SHARES = ((0.12, 0.04, 42.0), (0.3, 0.085, 55.0), (0.55, 0.03, 33.0), (0.75, 0.0
 """Place and length over that of the line, and cross-section [m²], of four tunnels."""
 
 
-def with_tunnels(line: Line) -> Line:
-    length = line.length
-    return replace(
-        line, tunnels=tuple(Tunnel(at * length, long * length, area) for at, long, area in SHARES)
-    )
-
-
-def law(strength: float) -> tuple[tuple[float, float], ...]:
-    """Coefficients by another power of the section than the published ones have."""
-    return tuple((area, strength * 14.0 * (30.0 / area) ** 1.3) for area in (30.0, 42.0, 60.0))
-
-
 def trips(line: Line, train: Train, strength: float, count: int) -> Iterator[tuple[Trip, Train]]:
     """Trips of a train whose tunnels resist, and of whose tunnels its file states nothing."""
-    true = replace(train, tunnel_resistance=law(strength))
-    shown = train_to_bytes(replace(train, tunnel_resistance=()))
-    for scenario in draw_scenarios(with_tunnels(line), true, count, seed=5):
+    # By another power of the section than the published coefficients have.
+    law = tuple((area, strength * 14.0 * (30.0 / area) ** 1.3) for area in (30.0, 42.0, 60.0))
+    true, shown = replace(train, tunnel_resistance=law), replace(train, tunnel_resistance=())
+    tunnels = (Tunnel(at * line.length, long * line.length, area) for at, long, area in SHARES)
+    for scenario in draw_scenarios(replace(line, tunnels=tuple(tunnels)), true, count, seed=5):
         trip = simulate(scenario)
-        yield replace(trip, attachments={**trip.attachments, TRAIN_ATTACHMENT: shown}), true
+        stated = {TRAIN_ATTACHMENT: train_to_bytes(shown)}
+        yield replace(trip, attachments={**trip.attachments, **stated}), true
 
 
 def check(fit: TripFit, trip: Trip, true: Train) -> tuple[bool, bool]:
