@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import re
+import sys
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -26,7 +27,6 @@ from trajectory_cases import (
 
 from analysis.comparison.compare import compare
 from analysis.control.advised import EXACT, AdvisedDriver, Attention, obeyed_trip
-from analysis.control.follow import outcome
 from analysis.trajectory.advice import journey_advice, limits_of, write_journey_advice
 from analysis.trajectory.instructions import Phase
 from trainlog.arrays import FloatArray
@@ -35,6 +35,9 @@ from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, Line, Train, Trajectory
 from trainlog.simulation import drive, trajectory_scenarios
 from trainlog.units import JOULES_PER_KWH, KMH
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "control"))
+from outcome import outcome
 
 STEP = 0.25
 """Of the integration [s]."""

@@ -424,7 +424,7 @@ def test_one_function_drives_the_trips_of_the_command() -> None:
         ({"line": replace(level_line(length=5_000.0), name="hilly")}, r"ends at km 11\.000"),
         ({"train": flirt(name="other")}, "made for train 'flirt', not for 'other'"),
         ({"speeds": 1.0}, r"passes its end at km 11\.000 .* final speed of 0"),
-        ({"condition": "other"}, "the track-condition map is of line 'other'"),
+        ({"condition": "other"}, "the map is of line 'other'"),
         ({"layer": "dry"}, "no layer 'dry'; layers present: wet"),
         ({"margin": -0.1}, r"speed: -0\.1 is negative"),
     ],

@@ -14,14 +14,14 @@ from hypothesis import given, settings, strategies as st
 from ingest_logs import profile as recorder_profile
 from refusals import refused
 
-from analysis.adhesion.condition_map import adhesion_map, merge
+from analysis.adhesion.condition_map import adhesion_map
 from analysis.estimates import estimate_log
 from analysis.geometry.centre_line import geometry_of
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE
 from analysis.resistance.logs import fit
 from trainlog.errors import InputError
-from trainlog.formats.mapfile import map_to_bytes
+from trainlog.formats.mapfile import MapFile, map_to_bytes, merged
 from trainlog.formats.samples import sample
 from trainlog.identity import (
     SHARED,
@@ -240,8 +240,10 @@ def test_a_map_uses_a_drive_once_in_whatever_form(versions: dict[str, Path]) -> 
     assert whole.skipped == (WHOLE.name,)
     assert map_to_bytes(whole.track) == map_to_bytes(both)
     apart = [adhesion_map([half]).track for half in halves]
-    assert map_to_bytes(merge(*apart)) == map_to_bytes(both)
-    refused(InputError, "the sums of several maps hold one drive", merge, apart[0], alone)
+    with merged(map(MapFile.of_map, apart)) as together:
+        assert map_to_bytes(together.read()) == map_to_bytes(both)
+    twice = map(MapFile.of_map, (apart[0], alone))
+    refused(InputError, "the sums of several maps hold one drive", merged, twice)
 
 
 def test_a_line_rests_on_each_drive_once(versions: dict[str, Path]) -> None:

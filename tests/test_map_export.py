@@ -268,7 +268,7 @@ def test_what_the_line_does_not_state_is_not_a_number() -> None:
 
 def test_a_map_of_another_line_is_refused() -> None:
     other = empty_map(made_up(name="other"))
-    refused(InputError, "the map is of 'other'", line_table, made_up(), other)
+    refused(InputError, "the map is of line 'other'", line_table, made_up(), other)
 
 
 def test_limits_of_both_directions_stand_where_they_differ() -> None:

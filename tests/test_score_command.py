@@ -181,7 +181,7 @@ def test_a_maps_forecast_in_a_file_scores_as_the_map(folder, capsys):
         (("month.map", "stopping.mcap", "--rolling"), "scores a map on its own days"),
         (("stated.csv", "--rolling"), "scores a map on its own days"),
         (("month.map", "--rolling", "--layer", "dry"), "no layer 'dry'"),
-        (("month.map", "stopping.mcap"), "no trip|ran on line"),
+        (("month.map", "stopping.mcap"), "no trip|is of line"),
     ],
 )
 def test_what_cannot_be_scored_is_refused(folder, words, problem):

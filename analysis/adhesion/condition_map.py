@@ -28,7 +28,7 @@ import numpy as np
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, NotRecordedError, TrainlogError
 from trainlog.formats.files import logs_of, refuse_reading, sha256, sha256_of
-from trainlog.formats.mapfile import MapFile, Recording, Refusal, merged, reasons_of
+from trainlog.formats.mapfile import MapFile, Recording, Refusal, reasons_of
 from trainlog.identity import text_of
 from trainlog.presentation import Column, Presented, Said, WordTable, new_table
 from trainlog.railway.adhesion import DRY, WET
@@ -214,22 +214,8 @@ def recording_of(piece: Evidence, **details: Any) -> Recording:
     return Recording(piece.layer, entry, piece.recorded, piece.steps, piece.layers)
 
 
-def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackConditionMap:
-    """One map from two that were made of different trips.
-
-    Raises
-    ------
-    InputError
-        If the maps differ in line, bins or settings, or count a trip in both.
-    """
-    with merged(map(MapFile.of_map, (first, second))) as both:
-        return both.read()
-
-
 def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:
-    from analysis.adhesion.evidence import check_line
-
-    check_line(track, piece.trip, piece.line, piece.length)
+    track.check_line(piece.line, piece.length, 0.0, f"trip '{piece.trip}'")
     if piece.bin_length != track.bin_length or piece.daily.levels != track.levels.size:
         raise InputError(
             f"trip '{piece.trip}': evidence in bins of {piece.bin_length:g} m does not fit the"

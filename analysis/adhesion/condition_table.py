@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.adhesion.evidence import check_line
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.presentation import ADHESION, KILOMETRE, Column, Ends
@@ -99,21 +98,6 @@ def chosen_layers(
     return {name: track.layer(name) for name in (track.layers if names is None else names)}
 
 
-def check_course(track: TrackConditionMap, line: Line) -> None:
-    """Refuse a line that is not the map's.
-
-    Raises
-    ------
-    InputError
-    """
-    if line.name != track.line or abs(line.length - track.length) > 1e-3:
-        raise InputError(
-            f"the map is of line '{track.line}', {track.length:g} m, not of"
-            f" '{line.name}', {line.length:g} m",
-            remedy="give the line that the map was made on",
-        )
-
-
 def lowest_apart(
     place: ArrayLike, value: ArrayLike, among: ArrayLike, apart: float, most: int
 ) -> list[int]:
@@ -161,7 +145,7 @@ def bins_table(
     (1183, 38)
     """
     if line is not None:
-        check_course(track, line)
+        track.check_line(line.name, line.length)
     edges = track.edges
     where = kilometres(line, edges[:-1], edges[1:])
     beside = {} if line is None else dict(line_table(line, track).iloc[:, 2:])
@@ -480,7 +464,7 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
     >>> table.station.dropna().tolist()
     ['St.Gallen', 'Gossau SG', 'Flawil', 'Uzwil', 'Wil']
     """
-    check_line(track, "line file", line.name, line.length)
+    track.check_line(line.name, line.length, 0.0)
     start, end = track.edges[:-1], track.edges[1:]
     limits = {"speed_limit_km_h": line.speed_limits}
     if line.speed_limits_reverse is not None:

@@ -22,7 +22,7 @@ from analysis.adhesion.slip import TOPICS, SlipAnalysis, joined_details, slip
 from analysis.view import TripView, view_of, views_of
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.condition import setting
-from trainlog.errors import InputError, LogError, NotRecordedError
+from trainlog.errors import LogError, NotRecordedError
 from trainlog.formats.railway import line_of
 from trainlog.identity import TripIdentity
 from trainlog.mcap import read_log
@@ -209,7 +209,7 @@ def condition_of(
         (`trainlog.railway.weather.check_condition`).
     """
     line = line_of(trip)
-    check_line(track, trip.name, line.name, line.length)
+    track.check_line(line.name, line.length, 0.0, f"trip '{trip.name}'")
     condition = layer or stated_condition(trip.metadata, edge)
     if condition:
         return check_condition(condition, track.layers)
@@ -425,21 +425,6 @@ def _censored(highest: FloatArray, track: TrackConditionMap, measured: BoolArray
     histogram = np.zeros((track.bins, track.levels.size))
     histogram[rows, level[rows]] = 1.0
     return histogram
-
-
-def check_line(track: TrackConditionMap, trip: str, line: str, length: float) -> None:
-    """Refuse a trip on another line than the map's.
-
-    Raises
-    ------
-    InputError
-    """
-    if line != track.line or length != track.length:
-        raise InputError(
-            f"trip '{trip}' ran on line '{line}' ({length:g} m),"
-            f" the map is of '{track.line}' ({track.length:g} m)",
-            remedy="keep one map a line",
-        )
 
 
 # ---------------------------------------------------------------------------------- weather

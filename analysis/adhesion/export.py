@@ -15,7 +15,6 @@ import pandas as pd
 from analysis.adhesion.condition_table import (
     bins_table,
     changes_table,
-    check_course,
     chosen_layers,
     last_evidence,
     sections_table,
@@ -163,7 +162,7 @@ def export_map(
     """
     suffix = exported_suffix(path)
     if line is not None:
-        check_course(track, line)
+        track.check_line(line.name, line.length)
     if suffix in GEOGRAPHIC:
         _check_coordinates(track, line, path)
     track = replace(track, layers=chosen_layers(track, layers))

@@ -14,7 +14,6 @@ from analysis.adhesion.condition_table import (
     LAYER,
     NEAR,
     SPAN,
-    check_course,
     day_name,
     kilometres,
     shown,
@@ -226,7 +225,7 @@ def map_difference(
                 remedy="write 0.05 for 5 %",
             )
     if line is not None:
-        check_course(first, line)
+        first.check_line(line.name, line.length)
     if second is None:
         pair = _of_dates(first, since, until)
     elif since is not None or until is not None:

@@ -13,7 +13,6 @@ from analysis.adhesion.condition_table import (
     ADHESIONS,
     MAY_BE_CHANGE,
     changes_table,
-    check_course,
     dates,
     kilometres,
     met_words,
@@ -220,7 +219,7 @@ def map_history(
             remedy=f"it reaches from km 0 to {track.length / 1e3:.3f}",
         )
     if line is not None:
-        check_course(track, line)
+        track.check_line(line.name, line.length)
     if days < 1:
         raise InputError(
             f"map history: days must be 1 or more, got {days}", remedy="give 1 or more days"

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from analysis.adhesion.condition_table import (
     bins_table,
-    check_course,
     day_name,
     last_evidence,
     lowest_apart,
@@ -130,7 +129,7 @@ def map_charts(
             f"map of line '{track.line}' has no layer to draw", remedy="count a trip in first"
         )
     if line is not None:
-        check_course(track, line)
+        track.check_line(line.name, line.length)
     if at is not None:
         track = known_before(track, at)
     start, end = sorted(part or (0.0, track.length))

@@ -23,7 +23,6 @@ from analysis.adhesion.condition_table import (
     SPAN,
     bins_table,
     changes_table,
-    check_course,
     chosen_layers,
     day_name,
     last_evidence,
@@ -489,7 +488,7 @@ def map_state(
     ['at Flawil', '0.9 km after Uzwil']
     """
     if line is not None:
-        check_course(track, line)
+        track.check_line(line.name, line.length)
     if at is not None and at.tzinfo is None:
         at = at.tz_localize("UTC")
     track = replace(track, layers=chosen_layers(track, layers))
@@ -681,7 +680,7 @@ def line_of_map(track: TrackConditionMap, given: Path | None, condition: Path) -
     """
     if given is not None:
         line = _line_of_log(given) if given.suffix == ".mcap" else read_line(given)
-        check_course(track, line)
+        track.check_line(line.name, line.length)
         return line
     for name in names():
         if name.endswith(".line.json"):
@@ -692,7 +691,7 @@ def line_of_map(track: TrackConditionMap, given: Path | None, condition: Path) -
         for log in opened.unchanged_logs():
             with suppress(TrainlogError):
                 line = _line_of_log(log)
-                check_course(track, line)
+                track.check_line(line.name, line.length)
                 return line
     return None
 

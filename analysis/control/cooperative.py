@@ -510,13 +510,7 @@ class CooperativeController:
         moves, n = self._plan.shape
         self._sums = np.asarray(np.kron(np.eye(moves), np.ones((1, n))), dtype=np.float64)
 
-    def torques(
-        self,
-        speed: float,
-        wheel_speeds: ArrayLike,
-        demand: Demand,
-        guess: FloatArray | None = None,
-    ) -> FloatArray:
+    def torques(self, speed: float, wheel_speeds: ArrayLike, demand: Demand) -> FloatArray:
         """Torques of the motors until the next sample.
 
         Parameters
@@ -526,8 +520,6 @@ class CooperativeController:
         wheel_speeds : (n,) array [m/s]
             Circumferential.
         demand : Demand
-        guess : (control horizon, n) array [N m], optional
-            Plan to begin from, within the limits; default: `guess`.
 
         Returns
         -------
@@ -541,7 +533,7 @@ class CooperativeController:
         """
         state = self._state(speed, wheel_speeds)
         task = self._task(state, demand)
-        plan, cost = self._start(task, self.guess(demand) if guess is None else guess)
+        plan, cost = self._start(task, self.guess(demand))
         solved = np.isfinite(cost)
         for _ in range(self.tuning.iterations):
             step = self._step(task, plan)

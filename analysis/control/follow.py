@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -21,16 +20,8 @@ from numpy.typing import ArrayLike
 
 from analysis.adhesion.axles import protection_onsets
 from analysis.comparison.driven import driven_trip
-from analysis.control import prediction as prediction
-from analysis.control.prediction import (
-    TICK,
-    QPSubproblem,
-    TrainEstimate,
-    Weights,
-    pace_to_arrive,
-    sampled,
-    solve,
-)
+from analysis.control import prediction
+from analysis.control.prediction import TICK, QPSubproblem, TrainEstimate, Weights
 from analysis.control.route import (
     NO_MARGIN,
     Margin,
@@ -50,7 +41,6 @@ from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation import Scenario, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
 from trainlog.simulation.plant import HOLDING
-from trainlog.simulation.recording import Run
 from trainlog.simulation.sensors import Reading, Sensors
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS, clock
@@ -243,13 +233,13 @@ class Follower:
         estimate = self._observer.estimate
         p, v, lasting = seen.position, seen.speed, estimate._replace(drift=0.0)
         left = self._arrival - seen.time
-        self._factor, time, count = pace_to_arrive(
+        self._factor, time, count = prediction.pace_to_arrive(
             left, self._factor, p, v, self._rows, lasting, route, limits
         )
         most = round(STEP / TICK)
         ticks = int(np.clip(math.ceil(time / (HORIZON * TICK) - 1e-9), 1, most))
         n = int(np.clip(math.ceil(time / (ticks * TICK)), SHORTEST, HORIZON))
-        target, aim = sampled(self._rows, count, n, ticks * TICK)
+        target, aim = prediction.sampled(self._rows, count, n, ticks * TICK)
         aim = aim - estimate.drift / estimate.gain
         plan = self._guess(aim, ticks, seen.time)
         states, response, kept, low, high = prediction.linearised(
@@ -270,7 +260,7 @@ class Follower:
             )
             return self._guarded(seen, CREEPING + max(back, 0.0))
         program = self.program(seen)
-        change, status = solve(program)
+        change, status = prediction.solve(program)
         if status <= 0:
             self.unsolved += 1
             change = np.zeros(program.inputs.size)
@@ -415,48 +405,6 @@ def follow(
         condition_map=condition_map, risk=risk, time=time, late=late, seed=seed,
     )  # fmt: skip
     return [simulate(scenario) for scenario in scenarios[""]]
-
-
-class Outcome(NamedTuple):
-    """What a trip along a trajectory came to, by its true motion.
-
-    Attributes
-    ----------
-    late : float [s]
-        At its arrival, behind the timetable.
-    excess_work : float
-        At the wheels, over that planned for its configuration; relative.
-    overspeed : float [m/s]
-        Over the line's limits, at most; negative where it stays below.
-    off_stop : float [m]
-        Beyond the stop.
-    slips : int
-        How often the slip protection acted.
-    """
-
-    late: float
-    excess_work: float
-    overspeed: float
-    off_stop: float
-    slips: int
-
-
-def outcome(scenario: Scenario, run: Run) -> Outcome:
-    """What a trip along a trajectory came to; see `trainlog.simulation.drive`."""
-    plan, line = scenario.trajectory, scenario.travelled
-    assert plan is not None
-    found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
-    speed, position = found["speed"], found["position"]
-    arrival = float(run.seconds[np.flatnonzero(speed > 0.0)[-1]]) + PERIOD - DEPARTURE
-    work = float(found["tractive_effort"] @ speed) * PERIOD
-    limit = line.speed_limit(np.minimum(position, line.length))
-    return Outcome(
-        arrival - plan.running_time,
-        work / plan.certificate["wheel_energy"][scenario.row] - 1.0,
-        float(np.max(speed - limit)),
-        float(position[-1] - plan.positions[-1]),
-        int(np.sum(np.diff((found["protected_axles"] > 0.0).astype(int)) > 0)),
-    )
 
 
 def effort_reversals(tractive: ArrayLike, braking: ArrayLike) -> int:

@@ -71,22 +71,15 @@ class RailEstimate:
     ----------
     maximum : (n,) array
         Maximum adhesion, median.
-    low, high : (n,) arrays
-        Between which it lies with a probability of 0.68.
     reference : (n,) array [m/s]
         Slip speed at which most adhesion is expected, whatever the rail may be.
     rail : (n, 3) array
         Mean creep curves, for the prediction.
-    adhesion : (n,) array
-        In use.
     """
 
     maximum: FloatArray
-    low: FloatArray
-    high: FloatArray
     reference: FloatArray
     rail: FloatArray
-    adhesion: FloatArray
 
 
 class RailEstimator:
@@ -95,7 +88,7 @@ class RailEstimator:
     The force between wheel and rail comes from `estimators.adhesion.AdhesionObserver`. What it
     says together with the slip speed is compared with many creep curves; on its way the rail
     wanders a little, and at times becomes any other. Far below the peak the maximum is known
-    by little but the rise of the curves: `low` and `high` are then far apart.
+    by little but the rise of the curves.
 
     The reference is where most adhesion is expected over all curves that are still possible, not
     the peak of the likeliest one: beyond the peak of a rail that is unlike its maximum suggests,
@@ -203,7 +196,7 @@ class RailEstimator:
                 0.5 * (slip + last), adhesion, noise, self._slip_variance,
             )  # fmt: skip
         self._slip, self._time = slip, self._time + self._period
-        return self.estimate(adhesion)
+        return self.estimate()
 
     def _moves(self, speed: float) -> tuple[float, float]:
         """Probabilities that the maximum is the next one of the grid, and that it is any other."""
@@ -212,20 +205,16 @@ class RailEstimator:
         changed = CHANGES[0] * way + CHANGES[1] * self._period
         return min(0.5 * variance / GRID_STEP**2, 0.25), min(changed, 0.5)
 
-    def estimate(self, adhesion: FloatArray | None = None) -> RailEstimate:
-        """What is known now; with the adhesion in use, (n,), as measured."""
-        adhesion = np.zeros(self._locomotive.axles) if adhesion is None else adhesion
+    def estimate(self) -> RailEstimate:
+        """What is known now."""
         summed = np.cumsum(self._probability.sum(axis=2), axis=1)
-        low, middle, high = (
-            MAXIMA[np.minimum((summed < level).sum(axis=1), MAXIMA.size - 1)]
-            for level in (0.16, 0.5, 0.84)
-        )
-        flat = self._probability.reshape(adhesion.size, -1)
+        middle = MAXIMA[np.minimum((summed < 0.5).sum(axis=1), MAXIMA.size - 1)]
+        flat = self._probability.reshape(self._locomotive.axles, -1)
         reference = SLIPS[highest_mean(flat, self._expected)]
         # The likeliest curve jumps from sample to sample, and the torques with it.
         rail = creep_coefficients(np.exp(self._probability.sum(axis=2) @ np.log(MAXIMA)))
         rail[:, :2] /= np.exp(self._probability.sum(axis=1) @ np.log(STRETCHES))[:, None]
-        return RailEstimate(middle, low, high, reference, rail, adhesion)
+        return RailEstimate(middle, reference, rail)
 
 
 def map_prior(log_mean: ArrayLike, log_std: ArrayLike) -> FloatArray:

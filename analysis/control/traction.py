@@ -129,12 +129,7 @@ class CooperativeTraction:
         mass: float | None = None,
     ) -> None:
         if condition is not None:
-            if condition.line != line.name:
-                raise InputError(
-                    f"cooperative control: the map is of line '{condition.line}', not of"
-                    f" '{line.name}'",
-                    remedy="give the map of the line that is driven",
-                )
+            condition.check_line(line.name, line.length, 1.0, "cooperative control")
             condition.layer(layer)
         self._train, self._line = train, line
         self._map, self._reverse = condition, direction == "reverse"

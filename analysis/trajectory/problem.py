@@ -240,17 +240,8 @@ class TrajectoryProblem:
                 f" {KMH * limit:.1f} km/h permitted at {self._km(self.start)}",
                 remedy="lower the initial speed, or start elsewhere",
             )
-        if self.condition_map is not None and self.condition_map.line != line.name:
-            raise InputError(
-                f"{where}: the track-condition map is of line '{self.condition_map.line}'",
-                remedy="give the map of this line",
-            )
-        if self.condition_map is not None and abs(self.condition_map.length - line.length) > 1.0:
-            raise InputError(
-                f"{where}: the track-condition map belongs to a line of"
-                f" {self.condition_map.length / 1e3:.3f} km",
-                remedy="give the map of this line and direction",
-            )
+        if self.condition_map is not None:
+            self.condition_map.check_line(line.name, line.length, 1.0, where)
         self._check_limits(where)
 
     def _check_time(self, where: str) -> None:

@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from outcome import outcome
 from rich.console import Console
 from rich.table import Table
 
@@ -28,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from trajectory_cases import FLIRT, FREIGHT, VIRM6, drawn, hilly_line, observed
 
 from analysis.control.advised import EXACT, AdvisedDriver, Attention
-from analysis.control.follow import MARGIN, Follower, Odometry, outcome
+from analysis.control.follow import MARGIN, Follower, Odometry
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray

@@ -17,10 +17,11 @@ from functools import partial
 
 import numpy as np
 from benchmark_tracking import own, peer_cvxpy, peer_ipopt, timed
+from outcome import outcome
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.follow import HORIZON, MARGIN, Follower, Odometry, outcome, run_of
+from analysis.control.follow import HORIZON, MARGIN, Follower, Odometry, run_of
 from analysis.control.prediction import QPSubproblem
 from analysis.control.route import Margin
 from analysis.trajectory.envelope import fastest_run

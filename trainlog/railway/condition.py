@@ -552,6 +552,30 @@ class TrackConditionMap(Presented):
         every = [layer.evidence.days for layer in self.layers.values()]
         return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *every]))
 
+    def check_line(self, line: str, length: float, within: float = 1e-3, what: str = "") -> None:
+        """Refuse to be used on another line.
+
+        Parameters
+        ----------
+        line : str
+        length : float [m]
+        within : float [m]
+            By which the lengths may differ.
+        what : str
+            Trip or run that is on that line; begins the message.
+
+        Raises
+        ------
+        InputError
+            If the map is of a line of another name or length.
+        """
+        if line != self.line or abs(length - self.length) > within:
+            raise InputError(
+                f"{what}{': ' * bool(what)}the map is of line '{self.line}', {self.length:g} m,"
+                f" not of '{line}', {length:g} m",
+                remedy="give the map of that line",
+            )
+
     def layer(self, name: str) -> ConditionLayer:
         """The layer called `name`.
 

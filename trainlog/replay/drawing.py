@@ -19,7 +19,6 @@ import rerun as rr
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import is_number
-from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap, Trajectory
 from trainlog.railway.condition import (
     ADHESION_BOUNDS,
@@ -453,21 +452,6 @@ def top_of(condition: TrackConditionMap | None) -> float:
         upper = layer.maximum_adhesion * (1.0 + 2.0 * layer.log_std)
         highest = max(highest, float(np.nanquantile(upper, 0.95)))
     return max(0.4, 0.1 * float(np.ceil(10.0 * highest)))
-
-
-def check_line(condition: TrackConditionMap, line: Line, trip: str) -> None:
-    """Refuse a track-condition map of another line.
-
-    Raises
-    ------
-    InputError
-    """
-    if condition.line != line.name or abs(condition.length - line.length) > condition.bin_length:
-        raise InputError(
-            f"the track-condition map is of line '{condition.line}', {condition.length:.0f} m;"
-            f" trip '{trip}' ran on '{line.name}', {line.length:.0f} m",
-            remedy="give the map of that line, or none",
-        )
 
 
 BLOCKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

@@ -22,7 +22,6 @@ from trainlog.railway import Line, TrackConditionMap, Trajectory
 from trainlog.replay.drawing import (
     Drawing,
     chart_of,
-    check_line,
     draw_line_of,
     draw_trajectory,
     observed,
@@ -350,6 +349,8 @@ def _lines(
                 remedy="give that line's trajectory, or leave the trip out",
             )
         if condition is not None:
-            check_line(condition, each.line, each.bare.name)
+            condition.check_line(
+                each.line.name, each.line.length, condition.bin_length, f"trip '{each.bare.name}'"
+            )
         found.setdefault(each.line.name, number)
     return list(found.values())
