@@ -242,7 +242,7 @@ def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives():
 def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with():
     strip = replace(FLIRT, mass_model="homogeneous_strip")
     found = optimise(TrajectoryProblem.nominal(WIL, strip, end=6e3), OptimiserOptions(cells=60))
-    found.check_forces(WIL, strip)
+    found.check_run(WIL, strip)
     with pytest.raises(InputError, match=r"mass_model 'homogeneous_strip', train .* 'mass_point'"):
         following_scenarios({"": found}, WIL, FLIRT)
     with pytest.raises(InputError, match=r"curve_resistance 'proportional', line .* 'roeckl'"):

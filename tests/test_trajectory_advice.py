@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 from refusals import refused
 from trajectory_cases import FLIRT, hilly_line, level_line, observed, optimised, slippery
 
 from analysis.trajectory.advice import with_advice
-from analysis.trajectory.instructions import Phase, instructions
+from analysis.trajectory.instructions import Phase, _Plan, instructions
 from analysis.trajectory.optimiser import energy_against_time
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
@@ -21,6 +22,7 @@ from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, StepProfile, Trajectory
+from trainlog.units import KMH
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
 
@@ -155,6 +157,93 @@ def test_a_speed_is_held_only_where_the_plan_drives_or_brakes() -> None:
         "brake, if faster, to 110 km/h by km 1.800",
         "hold 110 km/h",
     ]
+
+
+BRAKES = {"H": 30e3, "B": 60e3}
+STEPS = {"T": (5.0, 40.0), "P": (-2.0, 4.0), "C": (-9.0, 4.0), "H": (-8.0, 1.0), "B": (-40.0, -5.0)}
+"""By how much the speed changes in a cell of each phase [km/h]."""
+
+
+@st.composite
+def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
+    """A plan of two configurations, of which one may brake where the other coasts, and limits."""
+    letters, speeds, faster, brakes = "T", [0.0, draw(st.floats(40.0, 90.0))], [0.0], ""
+    for letter in draw(st.lists(st.sampled_from("TPPCCHB"), min_size=3, max_size=12)):
+        after = speeds[-1] + draw(st.floats(*STEPS[letter]))
+        if 20.0 < after < 140.0:
+            letters, speeds = letters + letter, [*speeds, after]
+    for letter in letters:
+        more = min(draw(st.sampled_from([0.0, 0.5, 3.0, 9.0])), 2.0 * faster[-1] + 9.0)
+        brakes += "B" if letter == "C" and more < faster[-1] - 2.0 else letter
+        faster.append(more)
+    plan = _with_phases(letters + "B", [*speeds, 0.0])
+    every = np.array([speeds, np.add(speeds, faster)]) / 3.6
+    every = np.column_stack((every, np.zeros(2)))
+    one, braking = (
+        plan.configurations[0],
+        [[BRAKES.get(x, 0.0) for x in each + "B"] for each in (letters, brakes)],
+    )
+    ahead = np.maximum(every[:, 1:], every[:, :-1]).max(axis=0)
+    slack = np.array([draw(st.sampled_from([0.0, 0.3, 4.0, 60.0])) for _ in ahead]) / 3.6
+    limits = StepProfile(plan.positions[:-1], ahead + slack)
+    return replace(
+        plan, configurations=(one, replace(one, name="faster")), speeds=every,
+        times=np.stack((plan.times[0], plan.times[0] - 1e-3)), braking_effort=np.array(braking),
+        certificate={"phases": [letters + "B", brakes + "B"]},
+    ), limits  # fmt: skip
+
+
+@settings(max_examples=150)
+@given(drawn_plans())
+def test_rows_say_what_any_plan_does(drawn: tuple[Trajectory, StepProfile]) -> None:
+    plan, limits = drawn
+    places, speeds, top = plan.positions, plan.speeds[0], 1.0 / KMH
+    phases = np.array([["TPCHB".index(x) for x in each] for each in plan.certificate["phases"]])
+    rows = instructions(plan, limits)
+    assert (rows[0].position, rows[-1].end) == (0.0, places[-1])
+    for before, row in pairwise(rows):
+        assert (before.end, before.until) == (row.position, row.speed)
+        assert (before.phase, before.hold, before.target) != (row.phase, row.hold, row.target)
+    for row in rows:
+        first, last = np.searchsorted(places, [row.position, row.end]).tolist()
+        own, inside = phases[:, first:last], speeds[first : last + 1]
+        lowest = limits.values[first:last].min()
+        assert (row.speed, row.until) == (inside[0], inside[-1])
+        assert (row.lowest, row.highest) == (inside.min(), inside.max())
+        assert abs(3.6 * row.target - round(3.6 * row.target)) < 1e-6
+        # A speed to hold is the plan's and within the limits; other rows lead to a speed of it.
+        if row.hold:
+            assert np.all(np.abs(inside - row.target) <= 2.0 * top + 1e-9)
+            assert row.target <= lowest + 0.01
+            assert not row.caps
+            continue
+        drives, brakes = row.phase <= Phase.CRUISING, row.phase > Phase.COASTING
+        assert not drives or np.all(own[0] <= Phase.CRUISING)
+        assert not brakes or np.all((own >= Phase.PARTIAL_BRAKING).any(axis=0))
+        assert row.phase is not Phase.MAXIMUM_TRACTION or own[0].min() == 0
+        assert row.phase is not Phase.PARTIAL_BRAKING or ((own[0] == 3).any() and own[0].max() == 3)
+        assert row.position < row.by <= row.end
+        # Its course turns at speeds of the plan, up and down in turn.
+        turns = np.diff(row.course)
+        assert (row.course[0], row.course[-1]) == (row.speed, row.until)
+        assert row.lowest <= min(row.course) <= max(row.course) <= row.highest
+        assert np.all(turns[1:-1] * turns[:-2] < 0.0)
+        # No configuration is asked to be slower than it is planned.
+        for cap in row.caps:
+            assert row.position <= cap.start <= cap.end <= row.end
+            some = (places >= cap.start) & (places <= cap.end)
+            assert plan.speeds[:, some].max() <= cap.speed + top + 1e-9
+
+
+@given(drawn_plans())
+def test_no_other_rows_leave_less_unsaid(drawn: tuple[Trajectory, StepProfile]) -> None:
+    plan = _Plan(*drawn)
+    costs, chosen, change = plan._costs(), plan.chosen(), 2.5 / 3.6
+    least = costs[:, 0]
+    for column in costs[:, 1:].T:
+        least = np.minimum(least, least.min() + change) + column
+    own = costs[chosen, np.arange(chosen.size)].sum() + change * np.count_nonzero(np.diff(chosen))
+    assert own == pytest.approx(least.min())
 
 
 def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(

@@ -282,6 +282,9 @@ LOGARITHMS = {
 SPREADS = ("std", "slippery_std", "trip_std", "spot_std")
 """Parameters that are standard deviations of logarithms of adhesion."""
 
+LOWEST = 5
+"""Of the lowest places of a layer so many are listed."""
+
 LISTED = 12
 """Spots, and changes, of a layer that a table lists; the likeliest first."""
 
@@ -456,7 +459,6 @@ def map_state(
     *,
     line: Line | None = None,
     layers: Sequence[str] | None = None,
-    places: int = 5,
 ) -> MapState:
     """What a map says of a time: the lowest places, the model, spots and changes.
 
@@ -471,8 +473,6 @@ def map_state(
         Gives the stations and the operator's kilometres.
     layers : sequence of str, optional
         Default: all.
-    places : int
-        How many of the lowest places of each layer are listed.
 
     Raises
     ------
@@ -502,7 +502,7 @@ def map_state(
         at=at or last,
         last_evidence=last,
         layers=_layers(track, list(chosen)),
-        lowest=_lowest(track, line, at, list(chosen), places),
+        lowest=_lowest(track, line, at, list(chosen)),
         model=_model(chosen),
         spots=spots_table(track, line, at, list(chosen)),
         changes=changes_table(track, line, list(chosen)),
@@ -565,7 +565,6 @@ def _lowest(
     line: Line | None,
     at: pd.Timestamp | None,
     names: list[str],
-    places: int,
 ) -> pd.DataFrame:
     """The lowest bins of each layer, lasting or expected, apart from each other."""
     rows = bins_table(track, line, at, names)
@@ -573,7 +572,7 @@ def _lowest(
     chosen: list[int] = []
     for name in names:
         own = rows["observed"] & (rows["layer"] == name)
-        chosen += lowest_apart(rows["start_m"], least, own, SPOT_SEPARATION, places)
+        chosen += lowest_apart(rows["start_m"], least, own, SPOT_SEPARATION, LOWEST)
     return rows.loc[chosen].reset_index(drop=True)
 
 

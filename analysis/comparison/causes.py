@@ -27,5 +27,9 @@ GAINED = CAUSES | {
 }
 """The same where time was gained."""
 
-LOST = tuple(cause for cause in CAUSES if cause not in ("start", "dwell", "stop"))
-"""Causes of lost time against the shortest run that makes the same stops."""
+LOST = {
+    cause: f"lost_{cause.replace(' ', '_')}"
+    for cause in CAUSES
+    if cause not in ("start", "dwell", "stop")
+}
+"""Columns of the time lost against the shortest run that makes the same stops, by cause."""

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -35,7 +36,7 @@ from analysis.view import (
     TripView,
     view_of,
 )
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of, recorded_load
@@ -119,7 +120,7 @@ class Gap:
         return f"no {self.missing} for {self.seconds:.0f} s, {known}"
 
 
-def bridged(frame: pd.DataFrame) -> tuple[pd.DataFrame, tuple[Gap, ...]]:
+def bridged(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[Gap]]:
     """A whole trip with what bridges the gaps of its speed and position, and these gaps.
 
     Parameters
@@ -141,8 +142,7 @@ def bridged(frame: pd.DataFrame) -> tuple[pd.DataFrame, tuple[Gap, ...]]:
     ('no speed for 6 s, bridged by position', 10.0)
     """
     time = seconds(frame)
-    speed = frame["speed"].to_numpy(dtype=np.float64).copy()
-    position = frame["position"].to_numpy(dtype=np.float64).copy()
+    speed, position = frame[["speed", "position"]].to_numpy(dtype=np.float64).T.copy()
     recorded, known = speed.copy(), np.isfinite(speed)
     gaps = list[Gap]()
     if known.sum() < 2:  # nothing to compare with
@@ -167,7 +167,7 @@ def bridged(frame: pd.DataFrame) -> tuple[pd.DataFrame, tuple[Gap, ...]]:
     known = np.isfinite(speed)
     if known.any():  # short gaps
         speed = np.interp(time, time[known], speed[known], left=np.nan, right=np.nan)
-    return frame.assign(speed=speed, position=position), tuple(gaps)
+    return frame.assign(speed=speed, position=position), gaps
 
 
 def _sides(time: FloatArray, begin: int, end: int) -> tuple[float, float]:
@@ -271,16 +271,19 @@ def _agreeing(
     return None if np.isfinite(moved) and not _same_distance(ran, moved) else (off, values)
 
 
-def _silences(trip: Trip, names: dict[str, str], origin: pd.Timestamp) -> list[Gap]:
-    """Stretches in which topics have no rows; `names` gives what of each is missing then."""
-    found = []
-    for topic, missing in names.items():
-        time = seconds(trip[topic], origin)
-        steps = np.diff(time)
-        usual = float(np.median(steps)) if steps.size else 0.0
-        long = np.flatnonzero(steps > max(SHORT_GAP, SILENCE * usual))
-        found += [Gap(float(time[row]), float(time[row + 1]), missing) for row in long.tolist()]
-    return found
+def silent_rows(time: FloatArray) -> IntArray:
+    """Rows behind which a topic, by its times [s], has none for far longer than usual."""
+    steps = np.diff(time)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    return np.flatnonzero(steps > max(SHORT_GAP, SILENCE * usual))
+
+
+def _silences(trip: Trip, topic: str, missing: str, origin: pd.Timestamp) -> list[Gap]:
+    """Stretches in which a topic has no rows, and what is missing then."""
+    time = seconds(trip[topic], origin)
+    rows = silent_rows(time)
+    ends = zip(time[rows].tolist(), time[rows + 1].tolist(), strict=True)
+    return [Gap(*each, missing) for each in ends]
 
 
 def time_in(gaps: Iterable[Gap], time: FloatArray, position: FloatArray) -> FloatArray:
@@ -296,12 +299,12 @@ def time_in(gaps: Iterable[Gap], time: FloatArray, position: FloatArray) -> Floa
 SAMPLING = 0.1
 """Least time between two samples that are kept [s]; work is summed over all of them."""
 
-_WORKS = {
+EFFORTS = {
     "tractive_effort": "traction",
     "dynamic_braking_effort": "dynamic_braking",
     "pneumatic_braking_effort": "pneumatic_braking",
 }
-EFFORTS = tuple(_WORKS)
+"""Columns of efforts, and the works of them."""
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     TRAIN_CONTROLS.name: (*EFFORTS, "tractive_effort_demand", "lever"),
@@ -340,21 +343,11 @@ def samples_of(trip: Trip) -> Samples:
         if topic in trip and name in trip[topic]
     ]
     for state, *_ in POSITION_SOURCES[:2]:
-        if state not in trip or "position" not in trip[state]:
-            continue
-        columns = [f"{state}.speed", f"{state}.position", *present]
-        frame = joined(trip, columns, state, max_gap=None).rename(columns=_short)
-        if not frame["position"].notna().any():
-            continue
-        gaps: tuple[Gap, ...] = ()
-        if frame[["speed", "position"]].isna().any(axis=None):
-            filled, gaps = bridged(_around(trip, state))
-            frame = frame.assign(speed=filled["speed"], position=filled["position"])
-        silent = {state: "sample"}
-        if TRAIN_CONTROLS.name in trip:
-            silent[TRAIN_CONTROLS.name] = "effort"
-        silences = _silences(trip, silent, pd.Timestamp(frame.index[0]))
-        return _thinned(frame, state, (*gaps, *silences))
+        if state in trip and "position" in trip[state]:
+            columns = [f"{state}.speed", f"{state}.position", *present]
+            frame = joined(trip, columns, state, max_gap=None).rename(columns=_short)
+            if frame["position"].notna().any():
+                return _thinned(trip, state, frame)
     raise LogError(
         f"trip '{trip.name}' has no chainage",
         place="topics /estimates/state and /train/state",
@@ -372,38 +365,32 @@ def _around(trip: Trip, state: str) -> pd.DataFrame:
     return joined(trip, columns, state, max_gap=SHORT_GAP).rename(columns=_short)
 
 
-def _each_tick(time: FloatArray) -> BoolArray:
-    """The first sample in each `SAMPLING`; times [s] do not decrease."""
-    ticks = np.floor(time / SAMPLING + 1e-6)
-    return np.concatenate(([True], np.diff(ticks) > 0.0))[: time.size]
-
-
-def _thinned(frame: pd.DataFrame, state: str, gaps: tuple[Gap, ...]) -> Samples:
+def _thinned(trip: Trip, state: str, frame: pd.DataFrame) -> Samples:
     """A sample every `SAMPLING` seconds; rows without position count for the works alone."""
-    origin = pd.Timestamp(frame.index[0])
-    frame = frame.assign(time=seconds(frame, origin)).reset_index(drop=True)
-    whole = pd.concat([frame, _integrals(frame)], axis=1)
-    whole = whole[np.isfinite(whole["position"].to_numpy())]
-    whole = whole[_each_tick(whole["time"].to_numpy())]
-    columns = {name: whole[name].to_numpy(dtype=np.float64) for name in whole.columns}
-    sums = {name[1:]: columns.pop(name) for name in list(columns) if name.startswith("∫")}
-    time = columns.pop("time")
+    origin, gaps = pd.Timestamp(frame.index[0]), list[Gap]()
+    if frame[["speed", "position"]].isna().any(axis=None):
+        filled, gaps = bridged(_around(trip, state))
+        frame = frame.assign(speed=filled["speed"], position=filled["position"])
+    gaps += _silences(trip, state, "sample", origin)
+    if TRAIN_CONTROLS.name in trip:
+        gaps += _silences(trip, TRAIN_CONTROLS.name, "effort", origin)
+    time = seconds(frame, origin)
+    kept = np.flatnonzero(np.isfinite(frame["position"].to_numpy()))
+    # The first sample of each tick.
+    kept = kept[np.diff(np.floor(time[kept] / SAMPLING + 1e-6), prepend=-np.inf) > 0.0]
+    sums = {name: values[kept] for name, values in _integrals(frame, time).items()}
+    columns = {name: frame[name].to_numpy(dtype=np.float64)[kept] for name in frame.columns}
+    time = time[kept]
     unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
     silent = time_in(unknown, time, columns["position"])
-    for name in (f"unknown_{work}" for work in _WORKS.values()):
+    for name in (f"unknown_{work}" for work in EFFORTS.values()):
         if name in sums:
             sums[name] = sums[name] + silent
-    gaps = (*gaps, *_without(columns.get("tractive_effort"), time))
+    known = np.isfinite(columns.get("tractive_effort", np.zeros(0)))
+    if known.size and 0.5 <= known.mean() < 1.0:  # recorded otherwise
+        gaps += [Gap(*_sides(time, *each), "effort") for each in _long_gaps(time, known)]
     estimated = state != TRAIN_STATE.name
-    return Samples(int(origin.as_unit("ns").value), estimated, time, columns, sums, gaps)
-
-
-def _without(effort: FloatArray | None, time: FloatArray) -> list[Gap]:
-    """Gaps of an effort that is recorded otherwise."""
-    known = np.ones(0, dtype=np.bool_) if effort is None else np.isfinite(effort)
-    if known.all() or known.mean() < 0.5:
-        return []
-    return [Gap(*_sides(time, *each), "effort") for each in _long_gaps(time, known)]
+    return Samples(int(origin.as_unit("ns").value), estimated, time, columns, sums, tuple(gaps))
 
 
 def _short(name: str) -> str:
@@ -413,25 +400,18 @@ def _short(name: str) -> str:
     return f"{kind}{column}"
 
 
-def _integrals(frame: pd.DataFrame) -> pd.DataFrame:
+def _integrals(frame: pd.DataFrame, time: FloatArray) -> dict[str, FloatArray]:
     """Work since the frame's first row by the trapezoidal rule, and time without efforts."""
-    time, speed = frame["time"].to_numpy(), np.nan_to_num(frame["speed"].to_numpy())
-    found: dict[str, FloatArray] = {}
-
-    def integral(values: FloatArray) -> FloatArray:
-        return np.asarray(cumulative_trapezoid(values, time, initial=0.0))
-
-    for effort in EFFORTS:
-        if effort in frame:
-            values = frame[effort].to_numpy(dtype=np.float64)
-            found[f"∫{_WORKS[effort]}"] = integral(np.nan_to_num(values) * speed)
-            lacks = (~np.isfinite(values) & (speed > STANDSTILL)).astype(np.float64)
-            found[f"∫unknown_{_WORKS[effort]}"] = integral(lacks)
+    speed = np.nan_to_num(frame["speed"].to_numpy())
+    powers = {EFFORTS[name]: frame[name].to_numpy() * speed for name in EFFORTS if name in frame}
     if "line_voltage" in frame and "line_current" in frame:
-        power = frame["line_voltage"].to_numpy() * frame["line_current"].to_numpy()
-        found["∫supply"] = integral(np.nan_to_num(power))
-        found["∫unknown_supply"] = integral((~np.isfinite(power)).astype(np.float64))
-    return pd.DataFrame(found, index=frame.index)
+        powers["supply"] = frame["line_voltage"].to_numpy() * frame["line_current"].to_numpy()
+    found: dict[str, FloatArray] = {}
+    for name, power in powers.items():
+        lacks = ~np.isfinite(power) & ((speed > STANDSTILL) | (name == "supply"))
+        for key, values in ((name, np.nan_to_num(power)), (f"unknown_{name}", lacks.astype(float))):
+            found[key] = cumulative_trapezoid(values, time, initial=0.0)
+    return found
 
 
 NOTED_SETBACK = 2.0
@@ -560,6 +540,12 @@ class DrivenTrip:
         """Whether a work is not known for more than `UNKNOWN_TIME` of the trip."""
         return bool(np.ptp(self.sums[f"unknown_{work}"]) > UNKNOWN_TIME)
 
+    def work(self, name: str) -> float:
+        """A work of the whole trip [J]; 0 where it is not recorded, NaN where a part is unknown."""
+        if name not in self.sums:
+            return 0.0
+        return float("nan") if self.unknown(name) else float(self.sums[name][-1])
+
     @property
     def drawn_speed(self) -> FloatArray:
         """Speed [m/s] with breaks (NaN) where it is not known."""
@@ -656,7 +642,7 @@ def _driven(view: TripView, line: Line | None = None) -> DrivenTrip:
     travelled = _line_as_travelled(trip, line)
     train = view.train if TRAIN_ATTACHMENT in trip.attachments else None
     mass, gain = _mass_and_gain(trip, train)
-    parts = _Reduction(trip, travelled, train, gain).reduced(samples_of(trip))
+    parts = _Reduction(trip, travelled, train, mass, gain, samples_of(trip)).reduced()
     slips, onsets, flags = None, protection_onsets(trip), dict(parts.flags)
     if onsets is not None:
         slips = (np.asarray(onsets, dtype=np.int64) - parts.departure) / NANOSECONDS
@@ -665,7 +651,7 @@ def _driven(view: TripView, line: Line | None = None) -> DrivenTrip:
         flags.setdefault("slip", since <= SLIP_LASTS)
     elif "slip" not in flags:
         flags |= _slipping(view, parts)
-    return replace(parts, mass=mass, slips=slips, flags=flags)
+    return replace(parts, slips=slips, flags=flags)
 
 
 def _slipping(view: TripView, parts: DrivenTrip) -> dict[str, BoolArray]:
@@ -750,13 +736,15 @@ class _Reduction:
     bare: Trip
     line: Line
     train: Train | None
+    mass: Quantity
     gain: Quantity
+    table: Samples
 
-    def reduced(self, table: Samples) -> DrivenTrip:
-        speed = self._speed(table)
-        recorded, spikes = self._without_spikes(table, speed)
+    def reduced(self) -> DrivenTrip:
+        table, speed = self.table, self.speed
+        recorded, spikes = self._without_spikes()
         position, notes = self._chainage(recorded)
-        stands = self._stands(table, position, speed)
+        stands = self._stands(position)
         first, last = 0, table.time.size - 1
         if stands and stands[0][0] == 0:
             first = min(stands[0][1] + 1, last)
@@ -777,28 +765,26 @@ class _Reduction:
         kept = slice(first, last + 1)
         time = table.time[kept] - table.time[first]
         standing = np.cumsum(rest[kept])
-        doubtful, more = self._doubtful(table, recorded, speed)
-        more += self._gap_notes(table, position)
-        flags = self._flags(table, speed) | {"doubtful": doubtful, "unknown_speed": _within(table)}
+        doubtful, more = self._doubtful(recorded)
+        more += self._gap_notes(position)
+        flags = self._flags() | {"doubtful": doubtful, "unknown_speed": self._unknown_speed()}
         gain = self.gain.value if self.gain.known else 1.0
         sums = {
             name: values[kept] / (1.0 if "supply" in name or "unk" in name else gain)
             for name, values in table.sums.items()
         }
-        works, most = _WORKS.values(), 0.5 * (time[-1] - standing[-1])
+        works, most = EFFORTS.values(), 0.5 * (time[-1] - standing[-1])
         unknown = [work for work in works if work in sums and sums[f"unknown_{work}"][-1] > most]
         if "traction" in unknown:
             unknown = list(works)
             flags = {name: flag for name, flag in flags.items() if name in _OF_MOTION}
-        for name in list(sums):
-            if name.removeprefix("unknown_") in unknown:
-                del sums[name]
+        sums = {n: v for n, v in sums.items() if n.removeprefix("unknown_") not in unknown}
         return DrivenTrip(
             name=self.bare.name,
             direction=self.bare.metadata.get("direction", "forward"),
             line=self.line,
             train=self.train,
-            mass=UNKNOWN,
+            mass=self.mass,
             departure=table.origin + round(float(table.time[first]) * NANOSECONDS),
             time=time,
             running=time - standing,
@@ -842,53 +828,47 @@ class _Reduction:
             )
         return position, notes
 
-    def _without_spikes(self, table: Samples, speed: FloatArray) -> tuple[FloatArray, list[str]]:
+    def _without_spikes(self) -> tuple[FloatArray, list[str]]:
         """Chainage without samples far off their neighbours, and how many there were."""
-        recorded = table.values["position"]
-        run = cumulative_trapezoid(speed, table.time, initial=0.0)
+        recorded = self.table.values["position"]
+        run = cumulative_trapezoid(self.speed, self.table.time, initial=0.0)
         offset = recorded - run
         usual = median_filter(offset, SPIKE_SAMPLES, mode="reflect")
         spikes = np.abs(offset - usual) > SPIKE
         if not spikes.any():
             return recorded, []
-        where = float(run[spikes][0] + usual[spikes][0])
-        note = f"chainage: {counted(int(spikes.sum()), 'sample')} far off left out"
-        return np.where(spikes, run + usual, recorded), [
-            f"{note}, first at {km_words(self.line, where)}"
-        ]
+        place = km_words(self.line, float(run[spikes][0] + usual[spikes][0]))
+        samples = counted(int(spikes.sum()), "sample")
+        note = f"chainage: {samples} far off left out, first at {place}"
+        return np.where(spikes, run + usual, recorded), [note]
 
-    def _speed(self, table: Samples) -> FloatArray:
+    @cached_property
+    def speed(self) -> FloatArray:
         """Recorded speed; where it is not known, between its neighbours."""
-        speed = table.values["speed"]
+        time, speed = self.table.time, self.table.values["speed"]
         known = np.isfinite(speed)
         if known.sum() < 2:
-            position = forward_chainage(table.values["position"])
-            return np.nan_to_num(np.gradient(position, table.time))
-        return np.interp(table.time, table.time[known], np.maximum(speed[known], 0.0))
+            position = forward_chainage(self.table.values["position"])
+            return np.nan_to_num(np.gradient(position, time))
+        return np.interp(time, time[known], np.maximum(speed[known], 0.0))
 
-    def _stands(
-        self, table: Samples, position: FloatArray, speed: FloatArray
-    ) -> list[tuple[int, int]]:
+    def _stands(self, position: FloatArray) -> list[tuple[int, int]]:
         """First and last sample of each stand that lasts."""
-        slow = speed <= (STANDING_ESTIMATE if table.estimated else STANDSTILL)
+        time = self.table.time
+        slow = self.speed <= (STANDING_ESTIMATE if self.table.estimated else STANDSTILL)
         merged: list[tuple[int, int]] = []
         for begin, end in runs_of(slow):
             near = merged and position[begin] - position[merged[-1][1]] < 2.0
-            if near and table.time[begin] - table.time[merged[-1][1]] < SHORTEST_STOP:
-                merged[-1] = (merged[-1][0], end - 1)
-            else:
-                merged.append((begin, end - 1))
-        return [
-            each for each in merged if table.time[each[1]] - table.time[each[0]] >= SHORTEST_STOP
-        ]
+            if near and time[begin] - time[merged[-1][1]] < SHORTEST_STOP:
+                begin = merged.pop()[0]
+            merged.append((begin, end - 1))
+        return [each for each in merged if time[each[1]] - time[each[0]] >= SHORTEST_STOP]
 
-    def _doubtful(
-        self, table: Samples, recorded: FloatArray, speed: FloatArray
-    ) -> tuple[BoolArray, list[str]]:
+    def _doubtful(self, recorded: FloatArray) -> tuple[BoolArray, list[str]]:
         """Samples before which a position is missing or jumps, and what they are."""
-        step, moved = np.diff(table.time), np.diff(recorded)
+        step, moved = np.diff(self.table.time), np.diff(recorded)
         gap = (step > LONGEST_GAP) & (moved > GAP_DISTANCE)
-        expected = 0.5 * (speed[1:] + speed[:-1]) * step
+        expected = 0.5 * (self.speed[1:] + self.speed[:-1]) * step
         jump = ~gap & (np.abs(moved - expected) > JUMP + 0.2 * expected)
         notes = [
             f"no position for {step[row]:.0f} s before"
@@ -901,11 +881,11 @@ class _Reduction:
         ]
         return np.concatenate(([False], gap | jump)), notes
 
-    def _gap_notes(self, table: Samples, position: FloatArray) -> list[str]:
+    def _gap_notes(self, position: FloatArray) -> list[str]:
         """What was not recorded for longer while the train moved, and what stands for it."""
         found = []
-        for gap in table.gaps:
-            place = np.interp([gap.first, gap.last], table.time, position)
+        for gap in self.table.gaps:
+            place = np.interp([gap.first, gap.last], self.table.time, position)
             silent = gap.missing == "sample" and gap.seconds > LONGEST_GAP  # stated as no position
             if place[1] - place[0] > GAP_DISTANCE and not silent:
                 first, last = in_km(self.line, place).tolist()
@@ -913,9 +893,17 @@ class _Reduction:
         rest = len(found) - LISTED_GAPS
         return found[:LISTED_GAPS] + ([f"and {counted(rest, 'more gap')}"] if rest > 0 else [])
 
-    def _flags(self, table: Samples, speed: FloatArray) -> dict[str, BoolArray]:
+    def _unknown_speed(self) -> BoolArray:
+        """Samples before which the speed is neither recorded nor bridged."""
+        time, found = self.table.time, np.zeros(self.table.time.size, dtype=np.bool_)
+        for gap in self.table.gaps:
+            if not gap.bridge and gap.missing in ("speed", "sample"):
+                found |= (time > gap.first) & (time <= gap.last + 1e-6)
+        return found
+
+    def _flags(self) -> dict[str, BoolArray]:
         """What the train did at each sample."""
-        values, found = table.values, dict[str, BoolArray]()
+        values, speed, found = self.table.values, self.speed, dict[str, BoolArray]()
         active = values.get("active")
         if active is not None and np.isfinite(active).any():
             found["slip"] = np.nan_to_num(active) > 0.0
@@ -923,7 +911,7 @@ class _Reduction:
         if effort is None or not np.isfinite(effort).any():
             return found
         effort = np.nan_to_num(effort)
-        braking = [np.nan_to_num(values[name]) for name in EFFORTS[1:] if name in values]
+        braking = [np.nan_to_num(values[name]) for name in [*EFFORTS][1:] if name in values]
         largest = float(np.max(effort)) if self.train is None else self.train.max_tractive_effort
         idle = np.maximum.reduce([np.abs(effort), *map(np.abs, braking)]) < COASTING_SHARE * largest
         found["coasting"] = idle & (speed > 1.0)
@@ -934,15 +922,6 @@ class _Reduction:
             full |= effort >= FULL_EFFORT * self.train.tractive_effort_limit(speed)
         found["full_effort"] = full & (effort > 0.0)
         return found
-
-
-def _within(table: Samples) -> BoolArray:
-    """Samples before which the speed is neither recorded nor bridged."""
-    found = np.zeros(table.time.size, dtype=np.bool_)
-    for gap in table.gaps:
-        if not gap.bridge and gap.missing in ("speed", "sample"):
-            found |= (table.time > gap.first) & (table.time <= gap.last + 1e-6)
-    return found
 
 
 _OF_MOTION = ("slip", "doubtful", "unknown_speed")

@@ -122,7 +122,7 @@ def trip_cost(given: Given) -> TripCost:
     LogError
         If the trip has no speed, no efforts, or never moves.
     """
-    view = view_of(given, (*TOPICS, REFERENCE.name))
+    view = view_of(given, TOPICS)
     bare, train, driven = view.trip, view.train, driven_trip(view)
     if "traction" not in driven.sums:
         raise LogError(
@@ -130,21 +130,16 @@ def trip_cost(given: Given) -> TripCost:
             place="topic /train/controls",
             remedy="record efforts, or name their columns in the profile",
         )
-    running = float(driven.running[-1] - driven.running[0])
-    traction, dynamic = (
-        float(driven.sums[name][-1]) if name in driven.sums else 0.0
-        for name in ("traction", "dynamic_braking")
-    )
+    running = float(np.ptp(driven.running))
+    traction, dynamic = driven.work("traction"), driven.work("dynamic_braking")
     notes = list(driven.notes)
     if driven.gain.known and driven.gain.value != 1.0:
         notes.append(
             f"efforts are the recorded ones over the passport's gain, {driven.gain.text(digits=3)}"
         )
     if driven.unknown():
-        notes.append(f"{RECORDED_PART} {kwh(traction)} of traction at the wheel rims")
-        traction = float("nan")
-    if "dynamic_braking" in driven.sums and driven.unknown("dynamic_braking"):
-        dynamic = float("nan")
+        known = float(driven.sums["traction"][-1])
+        notes.append(f"{RECORDED_PART} {kwh(known)} of traction at the wheel rims")
     brake = bare.metadata.get(RECORDED_BRAKE)
     if brake is not None:
         notes.append(f"the recorded dynamic brake {brake}: its energy may be less")
@@ -254,13 +249,10 @@ def punctuality(followed: Sequence[Given]) -> Punctuality:
     LogError
         If one of them has no reference.
     """
-    late, slips = list[float](), list[int | None]()
-    for given in followed:
-        trip = trip_of(given, [REFERENCE.name, EVENTS.name, TRAIN_SLIP_PROTECTION.name])
-        late.append(lateness_of(trip))
-        slips.append(_slips(trip))
-    known = [each for each in slips if each is not None]
-    acted = sum(known) if len(known) == len(slips) else None
+    topics = [REFERENCE.name, EVENTS.name, TRAIN_SLIP_PROTECTION.name]
+    trips = [trip_of(given, topics) for given in followed]
+    late, slips = [lateness_of(trip) for trip in trips], [_slips(trip) for trip in trips]
+    acted = None if None in slips else sum(each or 0 for each in slips)
     return Punctuality(len(late), max(late, key=abs), acted)
 
 
@@ -350,17 +342,12 @@ class GroupComparison(Presented):
         title = "Tractive energy at the wheel rims, running time, how often slip protection acted"
         table = new_table(title, *PAIR_COLUMNS, name="pairs").add_rows(self.pairs)
         if len(self.pairs) > 1:
-            each = [pair.traction for pair in self.pairs]
-            mean, std = float(np.mean(each)), float(np.std(each, ddof=1))
-            table.add_row(
-                "mean ± std",
-                *(
-                    Said(None, _mean([getattr(pair, side) for pair in self.pairs]))
-                    for side in ("driver", "trajectory")
-                ),
-                Said(None, f"{kwh(mean)} ± {kwh(std)}"),
-                *[Said(None, "")] * 3,
-            )
+            sides = [
+                [getattr(pair, side) for pair in self.pairs] for side in ("driver", "trajectory")
+            ]
+            saved = _spread([pair.traction for pair in self.pairs])
+            cells = (*map(_mean, sides), saved, "", "", "")
+            table.add_row("mean ± std", *(Said(None, words) for words in cells))
         return [table]
 
     @property
@@ -425,33 +412,30 @@ def compare_groups(
     0.0
     """
     known = [(trip_of(trip, []), trip) for trip in each_given(drivers)]
-    candidates = [(trip_of(trip, []), trip) for trip in each_given(followed)]
-    candidates = _that_followed(candidates)
+    candidates = _that_followed([(trip_of(trip, []), trip) for trip in each_given(followed)])
     pairs, remarks, unlike = list[Saving](), list[str](), list[tuple[int, str]]()
     for bare, trip in candidates:
         configuration = bare.metadata["configuration"]
         alike = [each for each in known if _same_train_and_line(each[0], bare)]
-        observed = [recorded for about, recorded in alike if about.name == configuration]
-        nominal = not observed and configuration == NOMINAL
-        if nominal:
-            observed = [recorded for _, recorded in alike]
-        if len(observed) > 1 and not nominal:
-            words = f"{len(observed)} trips are called '{configuration}', the configuration of"
+        named = [recorded for about, recorded in alike if about.name == configuration]
+        nominal = not named and configuration == NOMINAL
+        observed = [recorded for _, recorded in alike] if nominal else named
+        if len(named) > 1:
+            words = f"{len(named)} trips are called '{configuration}', the configuration of"
             unlike.append((0, f"{words} '{bare.name}'"))
             continue
         if not observed:
             missing = "train" if nominal else "configuration"
-            words = f"there is no trip of the {missing} that '{bare.name}' drove with"
-            unlike.append((0, words))
+            unlike.append((0, f"there is no trip of the {missing} that '{bare.name}' drove with"))
         for each in observed:
-            driver, cost = trip_cost(each), trip_cost(trip)
-            differs = _unlike(driver, cost)
+            pair = Saving(trip_cost(each), trip_cost(trip))
+            differs = _unlike(pair.driver, pair.trajectory)
             if differs is not None:
                 unlike.append(differs)
                 continue
-            pairs.append(Saving(driver, cost))
+            pairs.append(pair)
             if nominal:
-                remarks.append(_masses(driver, cost))
+                remarks.append(_masses(pair.driver, pair.trajectory))
     if not pairs:
         nearest = max(unlike, key=lambda each: each[0])[1]
         raise LogError(
@@ -476,9 +460,7 @@ def _masses(driver: TripCost, followed: TripCost) -> str:
     )
 
 
-def _that_followed(
-    trips: Sequence[Candidate],
-) -> list[Candidate]:
+def _that_followed(trips: Sequence[Candidate]) -> list[Candidate]:
     """The trips, each with its description first, that state the configuration they drove with."""
     remedy = "give trips recorded by 'trainlog simulate follow' or analysis.follow"
     if not trips:
@@ -514,9 +496,13 @@ def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:
     return None
 
 
+def _spread(energies: Sequence[float]) -> str:
+    """Mean of energies [J], and how much they differ."""
+    return f"{kwh(float(np.mean(energies)))} ± {kwh(float(np.std(energies, ddof=1)))}"
+
+
 def _mean(costs: Sequence[TripCost]) -> str:
     """Mean work and running time of a group of trips, with how much they differ."""
-    works = [each.traction for each in costs]
     times = [each.running_time for each in costs]
-    work = f"{kwh(float(np.mean(works)))} ± {kwh(float(np.std(works, ddof=1)))}"
+    work = _spread([each.traction for each in costs])
     return f"{work}, {np.mean(times):.0f} ± {np.std(times, ddof=1):.0f} s"

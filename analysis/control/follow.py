@@ -464,25 +464,17 @@ def run_of(
     InputError
         See `Follower`.
     """
-    trajectory.check(line.name, train.name)
-    trajectory.check_forces(line, train)
+    trajectory.check_run(line, train)
     start, end = float(trajectory.positions[0]), float(trajectory.positions[-1])
-    if end > line.length + 1.0:
-        raise InputError(
-            f"trajectory ends at km {end / 1e3:.3f}, line '{line.name}' at"
-            f" km {line.length / 1e3:.3f}",
-            remedy="give the line that the trajectory was made for",
-        )
     if np.any(trajectory.speeds[:, -1] > 0.1):
         raise InputError(
             f"the trajectory passes its end at km {end / 1e3:.3f} and does not stop there",
             remedy="plan it with a final speed of 0",
         )
-    settings = trajectory.provenance.get("settings", {})
     return TrajectoryProblem(
         line, train, trajectory.configurations, start=start, end=min(end, line.length),
         condition_map=condition, layer=layer,
-        protected_length=float(settings.get("protected_length", 0.0)),
+        protected_length=trajectory.protected_length,
         direction=trajectory.direction,
     )  # fmt: skip
 

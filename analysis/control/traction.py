@@ -9,10 +9,10 @@ to slip (after Kadowaki et al., 2007). Without either the plant's own slip prote
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train
 from trainlog.railway.adhesion import creep_coefficients
-from trainlog.simulation import Drive, DriveReading, DriveSensors, Scenario
+from trainlog.simulation import Drive, DriveReading, DriveSensors, Scenario, TractionControl
 from trainlog.simulation.scenario import LARGEST_LOAD
 from trainlog.simulation.sensors import weighed_load
 
@@ -116,7 +116,7 @@ class CooperativeTraction:
     ((4,), True, 0)
     """
 
-    name = "cooperative"
+    name, period = "cooperative", TUNING.period
 
     def __init__(
         self,
@@ -130,12 +130,10 @@ class CooperativeTraction:
     ) -> None:
         if condition is not None:
             condition.check_line(line.name, line.length, 1.0, "cooperative control")
-            condition.layer(layer)
         self._train, self._line = train, line
         self._map, self._reverse = condition, direction == "reverse"
-        mass = train.mass if mass is None else mass
-        self._mass = mass
-        self._model = drive_model(train, mass)
+        self._mass = train.mass if mass is None else mass
+        self._model = drive_model(train, self._mass)
         seen = DriveSensors()
         self.controller = CooperativeController(self._model, TUNING)
         # Wheels that differ in diameter differ in speed at 20 m/s as if by noise.
@@ -143,19 +141,13 @@ class CooperativeTraction:
         self._estimator = RailEstimator(self._model, TUNING, seen.speed_noise, wheel)
         if condition is not None:
             # Once for the whole line: a decision has a millisecond.
-            places = condition.centres
-            mean, low = (
-                np.log(condition.lower_bound(layer, places, sigmas, likely=True))
+            self._mean, low = (
+                np.log(condition.lower_bound(layer, condition.centres, sigmas, likely=True))
                 for sigmas in (0.0, 1.0)
             )
-            self._mean, self._std = mean, mean - low
+            self._std = self._mean - low
         self._ahead = TUNING.period * (np.arange(TUNING.horizon) + 0.5)
         self._direction = 0.0
-
-    @property
-    def period(self) -> float:
-        """Time from one decision to the next [s]."""
-        return TUNING.period
 
     @property
     def unsolved(self) -> int:
@@ -427,30 +419,23 @@ def with_traction(
     >>> with_traction(draw_scenarios(line, train, 1), "readhesion")[0].traction().name
     'readhesion'
     """
-    if traction not in ("cooperative", "readhesion"):
+    if traction not in get_args(TractionName):
         raise InputError(
             f"traction control '{traction}' is unknown",
             remedy="one of cooperative, readhesion; none: the plant's own slip protection",
         )
-    if traction == "readhesion":
-        return [
-            replace(each, traction=partial(ReadhesionControl, each.train)) for each in scenarios
-        ]
     found = []
     for each in scenarios:
-        load = 0.0
-        if each.sensors.load_error is not None:
-            largest = each.train.max_load or LARGEST_LOAD
-            load, _ = weighed_load(each.load, largest, each.sensors, each.seed)
-        make = partial(
-            CooperativeTraction,
-            each.train,
-            each.travelled,
-            condition=condition,
-            layer=layer or each.weather,
-            direction=each.direction,
-            mass=each.train.mass + load,
-        )
+        make: Callable[[], TractionControl] = partial(ReadhesionControl, each.train)
+        if traction == "cooperative":
+            load = 0.0
+            if each.sensors.load_error is not None:
+                largest = each.train.max_load or LARGEST_LOAD
+                load, _ = weighed_load(each.load, largest, each.sensors, each.seed)
+            make = partial(
+                CooperativeTraction, each.train, each.travelled, condition=condition,
+                layer=layer or each.weather, direction=each.direction, mass=each.train.mass + load,
+            )  # fmt: skip
         make()  # a map that does not fit is refused before anything is driven
         found.append(replace(each, traction=make))
     return found

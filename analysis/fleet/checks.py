@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.comparison.driven import SHORT_GAP, SILENCE
+from analysis.comparison.driven import silent_rows
 from analysis.resistance.recording import scale_of
 from analysis.view import TripView
 from trainlog.errors import TrainlogError
@@ -121,8 +121,8 @@ def _gaps(trip: Trip) -> dict[str, Any]:
     frame = trip.topics.get(TRAIN_STATE.name)
     if frame is None or len(frame) < 2:
         return {}
-    step = np.diff(seconds(frame))
-    silent = step[step > max(SILENCE * float(np.median(step)), SHORT_GAP)]
+    time = seconds(frame)
+    silent = np.diff(time)[silent_rows(time)]
     position = frame["position"].to_numpy(np.float64)
     known = position[np.isfinite(position)]
     return {

@@ -124,7 +124,7 @@ def _belongs(stand: Stand, edges: FloatArray, number: int) -> bool:
 def _losses(trip: TripView, sections: Sections) -> tuple[list[dict[str, float]], list[float]]:
     """Time lost in each section by cause, and the shortest running time; NaN where not known."""
     count = sections.edges.size - 1
-    unknown = {f"lost_{cause.replace(' ', '_')}": float("nan") for cause in LOST}
+    unknown = dict.fromkeys(LOST.values(), float("nan"))
     driven = driven_trip(trip)
     reference = shortest_trip(driven)
     if reference is None:
@@ -135,7 +135,7 @@ def _losses(trip: TripView, sections: Sections) -> tuple[list[dict[str, float]],
     rows = [dict(none) for _ in range(count)]
     for section, cause, seconds in lost.losses[["section", "cause", "lost"]].to_numpy().tolist():
         if cause in LOST:
-            rows[section][f"lost_{cause.replace(' ', '_')}"] += seconds
+            rows[section][LOST[cause]] += seconds
     times = np.diff(reference.at(reference.running, sections.edges))
     return rows, times.tolist()
 

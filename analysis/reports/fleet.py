@@ -445,8 +445,7 @@ def _lost(rows: pd.DataFrame) -> WordTable:
         "Time against the shortest run with the same stops", "cause", Column("a run", DURATION),
         Column("share of the running time", SHARE, "share"), "which is", name="lost_time",
     )  # fmt: skip
-    for cause in LOST:
-        column = f"lost_{cause.replace(' ', '_')}"
+    for cause, column in LOST.items():
         if column not in rows:
             continue
         values = rows[column].to_numpy(np.float64)

@@ -83,7 +83,11 @@ def used_score(estimate: AdhesionEstimate, adhesion: ArrayLike) -> FloatArray:
     return np.asarray(np.log((1.0 - CONTAMINATION) * survival + CONTAMINATION * uniform))
 
 
-def crps(estimate: AdhesionEstimate, adhesion: ArrayLike, steps: int = 600) -> FloatArray:
+STEPS = 600
+"""Of an integral over adhesion from 0.001 to 2."""
+
+
+def crps(estimate: AdhesionEstimate, adhesion: ArrayLike) -> FloatArray:
     """Continuous ranked probability score of measured maxima, in log adhesion; (n,) array.
 
     ``integral of (F(y) - 1{y >= x})² dy``: 0 at best; of a forecast without spread the distance.
@@ -94,8 +98,6 @@ def crps(estimate: AdhesionEstimate, adhesion: ArrayLike, steps: int = 600) -> F
         Of n passages.
     adhesion : (n,) array
         Measured.
-    steps : int
-        Of the integral over adhesion from 0.001 to 2.
 
     Examples
     --------
@@ -104,7 +106,7 @@ def crps(estimate: AdhesionEstimate, adhesion: ArrayLike, steps: int = 600) -> F
     True
     """
     value = np.log(np.asarray(adhesion, dtype=np.float64))
-    edges = np.linspace(np.log(1e-3), np.log(2.0), steps + 1)
+    edges = np.linspace(np.log(1e-3), np.log(2.0), STEPS + 1)
     step = edges[1] - edges[0]
     passed = np.clip((edges[1:] - value[:, None]) / step, 0.0, 1.0)
     below = estimate.below(np.exp(0.5 * (edges[1:] + edges[:-1]))[:, None]).T
@@ -145,9 +147,7 @@ class BrierScore:
         return np.asarray(1.0 - self.score / safe)
 
 
-def brier_sums(
-    probability: FloatArray, trips: FloatArray, events: FloatArray, classes: FloatArray = CLASSES
-) -> FloatArray:
+def brier_sums(probability: FloatArray, trips: FloatArray, events: FloatArray) -> FloatArray:
     """What a Brier score is made of, by class; (4, classes) array that adds up over days.
 
     Rows: trips, events, sum of the probabilities and of their squares less twice those of events.
@@ -158,8 +158,8 @@ def brier_sums(
     trips, events : (n,) array
         For which the probability was forecast, and of these those on which the event came.
     """
-    count = classes.size - 1
-    place = np.clip(np.searchsorted(classes, probability, side="right") - 1, 0, count - 1)
+    count = CLASSES.size - 1
+    place = np.clip(np.searchsorted(CLASSES, probability, side="right") - 1, 0, count - 1)
     rows = (
         trips,
         events,
@@ -268,7 +268,7 @@ def observed_shares(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def day_weights(days: int, draws: int, seed: int = 0) -> FloatArray:
+def day_weights(days: int, draws: int) -> FloatArray:
     """How often each day is drawn in a bootstrap by day; (draws, days) array.
 
     What is met on one day hangs together over bins and trips, so that days are what is drawn with
@@ -281,7 +281,7 @@ def day_weights(days: int, draws: int, seed: int = 0) -> FloatArray:
     """
     if days < 1:
         raise InputError("there is no day to draw from", remedy="give trips of one day at least")
-    drawn = np.random.default_rng(seed).multinomial(days, np.full(days, 1.0 / days), size=draws)
+    drawn = np.random.default_rng(0).multinomial(days, np.full(days, 1.0 / days), size=draws)
     return np.asarray(drawn, dtype=np.float64)
 
 

@@ -49,6 +49,7 @@ NEAREST = {
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
     "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
     " trajectory_answers",
+    "analysis/trajectory/instructions.py": "trajectory_advice driver_advice advice_obeyed",
     "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest live",
 }
 """Modules, and the tests that a fault in them should fail, the quickest first."""

@@ -315,16 +315,12 @@ _POLACH = {"dry": (1.0, 0.4, 0.55, 0.4, 0.6), "wet": (0.3, 0.1, 0.3, 0.4, 0.2)}
 """k_A, k_S, mu_0, A and B [s/m]; Polach (2005), table 1."""
 
 
-def polach_curve(
-    condition: Literal["dry", "wet"], stiffness: float = CLEAN_STIFFNESS
-) -> PolachCurve:
+def polach_curve(condition: Literal["dry", "wet"]) -> PolachCurve:
     """Polach's curve of a dry or a wet rail, with the parameters that Polach (2005) recommends.
 
     Parameters
     ----------
     condition : {"dry", "wet"}
-    stiffness : float
-        Of a clean contact, see `PolachCurve`.
 
     Raises
     ------
@@ -339,7 +335,7 @@ def polach_curve(
     """
     if condition not in _POLACH:
         raise InputError(f"rail condition '{condition}' is unknown", remedy="give dry or wet")
-    return PolachCurve(stiffness, *_POLACH[condition])
+    return PolachCurve(CLEAN_STIFFNESS, *_POLACH[condition])
 
 
 @dataclass(frozen=True, eq=False)

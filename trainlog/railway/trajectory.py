@@ -341,15 +341,16 @@ class Trajectory(Declared):
                     remedy=f"give that {what}, or plan for this one",
                 )
 
-    def check_forces(self, line: Line, train: Train) -> None:
-        """Refuse files that state other forces than those it was planned with.
+    def check_run(self, line: Line, train: Train) -> None:
+        """Refuse files of another line or train, or with other forces than it was planned with.
 
         Raises
         ------
         InputError
-            If the curve resistance of the line, or the mass model or the limits of acceleration of
-            the train are others.
+            If line or train have other names, the line is shorter, or the curve resistance of the
+            line, or the mass model or the limits of acceleration of the train are others.
         """
+        self.check(line.name, train.name)
         settings = self.provenance.get("settings", {})
         for what, name, thing in (
             ("line", "curve_resistance", line),
@@ -363,6 +364,13 @@ class Trajectory(Declared):
                     f" '{thing.name}' states '{stated}'",
                     remedy=f"give the {what} that it was planned with, or plan for this one",
                 )
+        end = float(self.positions[-1])
+        if end > line.length + 1.0:
+            raise InputError(
+                f"trajectory ends at km {end / 1e3:.3f}, line '{line.name}' at"
+                f" km {line.length / 1e3:.3f}",
+                remedy="give the line that the trajectory was made for",
+            )
 
     def index_of(self, configuration: str) -> int:
         """Row of the configuration called `configuration`.

@@ -529,7 +529,6 @@ def trajectory_scenarios(
     seed: int = 1,
     *,
     weather: str = "dry",
-    sensors: Sensors | None = None,
     locates: Callable[[Sensors, float], Locator] | None = None,
 ) -> list[Scenario]:
     """Scenarios in which trains in certain configurations follow a trajectory.
@@ -546,7 +545,6 @@ def trajectory_scenarios(
         Makes the driver of each trip.
     seed : int
     weather : {"dry", "wet"}
-    sensors : Sensors, optional
     locates : callable, optional
         See `Scenario`.
 
@@ -573,15 +571,8 @@ def trajectory_scenarios(
     >>> [each.name for each in driven]
     ['driven-nominal']
     """
-    trajectory.check(line.name, train.name)
-    trajectory.check_forces(line, train)
+    trajectory.check_run(line, train)
     _check_brakes(train)
-    if float(trajectory.positions[-1]) > line.length + 1.0:
-        raise InputError(
-            f"trajectory ends at km {trajectory.positions[-1] / 1e3:.3f}, line '{line.name}' at"
-            f" km {line.length / 1e3:.3f}",
-            remedy="give the line that the trajectory was made for",
-        )
     base, survey = base_map(line, weather, seed), survey_error(line, seed)
     scenarios = []
     for number, name in enumerate(names):
@@ -601,7 +592,6 @@ def trajectory_scenarios(
                 max_power=configuration.max_power,
                 maximum_adhesion=trip_profile(line, base, weather, generator),
                 survey_error=survey,
-                sensors=sensors or Sensors(),
                 seed=int(generator.integers(2**31)),
                 start=START + (24 + number) * 3600 * NANOSECONDS,
                 trajectory=trajectory,
