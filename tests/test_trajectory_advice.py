@@ -160,40 +160,42 @@ def test_a_speed_is_held_only_where_the_plan_drives_or_brakes() -> None:
 
 
 BRAKES = {"H": 30e3, "B": 60e3}
-STEPS = {"T": (5.0, 40.0), "P": (-2.0, 4.0), "C": (-9.0, 4.0), "H": (-8.0, 1.0), "B": (-40.0, -5.0)}
+STEPS = {
+    "T": (-9.0, 40.0),
+    "P": (-2.0, 4.0),
+    "C": (-9.0, 5.0),
+    "H": (-8.0, 1.0),
+    "B": (-40.0, -5.0),
+}
 """By how much the speed changes in a cell of each phase [km/h]."""
 
 
 @st.composite
 def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
     """A plan of two configurations, of which one may brake where the other coasts, and limits."""
-    letters, speeds, faster, brakes = "T", [0.0, draw(st.floats(40.0, 90.0))], [0.0], ""
-    for letter in draw(st.lists(st.sampled_from("TPPCCHB"), min_size=3, max_size=12)):
+    letters, speeds, more, others = "T", [0.0, draw(st.floats(40.0, 90.0))], [0.0, 0.0], "T"
+    for letter in draw(st.lists(st.sampled_from("TPPCCCHB"), min_size=3, max_size=14)):
         after = speeds[-1] + draw(st.floats(*STEPS[letter]))
         if 20.0 < after < 140.0:
             letters, speeds = letters + letter, [*speeds, after]
-    for letter in letters:
-        more = min(draw(st.sampled_from([0.0, 0.5, 3.0, 9.0])), 2.0 * faster[-1] + 9.0)
-        brakes += "B" if letter == "C" and more < faster[-1] - 2.0 else letter
-        faster.append(more)
-    plan = _with_phases(letters + "B", [*speeds, 0.0])
-    every = np.array([speeds, np.add(speeds, faster)]) / 3.6
-    every = np.column_stack((every, np.zeros(2)))
-    one, braking = (
-        plan.configurations[0],
-        [[BRAKES.get(x, 0.0) for x in each + "B"] for each in (letters, brakes)],
-    )
-    ahead = np.maximum(every[:, 1:], every[:, :-1]).max(axis=0)
-    slack = np.array([draw(st.sampled_from([0.0, 0.3, 4.0, 60.0])) for _ in ahead]) / 3.6
-    limits = StepProfile(plan.positions[:-1], ahead + slack)
+            more.append(min(draw(st.sampled_from([0.0, 0.5, 3.0, 9.0])), more[-1] + 5.0))
+            others += "B" if letter == "C" and more[-1] < more[-2] - 2.0 else letter
+    plan, phases = _with_phases(letters + "B", [*speeds, 0.0]), [letters + "B", others + "B"]
+    every = np.column_stack((np.array([speeds, np.add(speeds, more)]) / 3.6, np.zeros(2)))
+    fastest = np.maximum(every[1, 1:], every[1, :-1])
+    pieces = np.cumsum([draw(st.booleans()) for _ in letters] + [True])
+    slack = draw(st.lists(st.sampled_from([0.0, 0.3, 4.0, 60.0]), min_size=16, max_size=16))
+    values = [fastest[pieces == each].max() + slack[each] / 3.6 for each in np.unique(pieces)]
+    starts = np.flatnonzero(np.diff(pieces, prepend=-1))
+    one = plan.configurations[0]
     return replace(
         plan, configurations=(one, replace(one, name="faster")), speeds=every,
-        times=np.stack((plan.times[0], plan.times[0] - 1e-3)), braking_effort=np.array(braking),
-        certificate={"phases": [letters + "B", brakes + "B"]},
-    ), limits  # fmt: skip
+        times=np.stack((plan.times[0], plan.times[0] - 1e-3)), certificate={"phases": phases},
+        braking_effort=np.array([[BRAKES.get(x, 0.0) for x in each] for each in phases]),
+    ), StepProfile(plan.positions[starts], np.array(values))  # fmt: skip
 
 
-@settings(max_examples=150)
+@settings(max_examples=200)
 @given(drawn_plans())
 def test_rows_say_what_any_plan_does(drawn: tuple[Trajectory, StepProfile]) -> None:
     plan, limits = drawn
@@ -201,38 +203,51 @@ def test_rows_say_what_any_plan_does(drawn: tuple[Trajectory, StepProfile]) -> N
     phases = np.array([["TPCHB".index(x) for x in each] for each in plan.certificate["phases"]])
     rows = instructions(plan, limits)
     assert (rows[0].position, rows[-1].end) == (0.0, places[-1])
-    for before, row in pairwise(rows):
-        assert (before.end, before.until) == (row.position, row.speed)
-        assert (before.phase, before.hold, before.target) != (row.phase, row.hold, row.target)
-    for row in rows:
+    for row, after in zip(rows, [*rows[1:], None], strict=True):
         first, last = np.searchsorted(places, [row.position, row.end]).tolist()
         own, inside = phases[:, first:last], speeds[first : last + 1]
-        lowest = limits.values[first:last].min()
+        assert after is None or (row.end, row.until) == (after.position, after.speed)
         assert (row.speed, row.until) == (inside[0], inside[-1])
         assert (row.lowest, row.highest) == (inside.min(), inside.max())
         assert abs(3.6 * row.target - round(3.6 * row.target)) < 1e-6
-        # A speed to hold is the plan's and within the limits; other rows lead to a speed of it.
         if row.hold:
             assert np.all(np.abs(inside - row.target) <= 2.0 * top + 1e-9)
-            assert row.target <= lowest + 0.01
-            assert not row.caps
+            assert row.target <= limits(places[first:last]).min() + 0.01
+            assert row.caps == ()
             continue
         drives, brakes = row.phase <= Phase.CRUISING, row.phase > Phase.COASTING
         assert not drives or np.all(own[0] <= Phase.CRUISING)
         assert not brakes or np.all((own >= Phase.PARTIAL_BRAKING).any(axis=0))
         assert row.phase is not Phase.MAXIMUM_TRACTION or own[0].min() == 0
-        assert row.phase is not Phase.PARTIAL_BRAKING or ((own[0] == 3).any() and own[0].max() == 3)
-        assert row.position < row.by <= row.end
-        # Its course turns at speeds of the plan, up and down in turn.
+        assert (row.phase is Phase.PARTIAL_BRAKING) == (brakes and own[0].max() == 3)
+        # It leads to a speed that is held, or to one of the plan: of who brakes.
+        slows = row.phase is Phase.MAXIMUM_TRACTION and row.highest > row.until + top
+        alone = brakes and own[0].max() < Phase.PARTIAL_BRAKING
+        goal = row.highest if slows else plan.speeds[1, last] if alone else row.until
+        if after is not None and after.hold and not slows and row.phase is not Phase.COASTING:
+            assert row.target == after.target
+        else:
+            most = goal if not drives else min(goal + 0.5 * top, limits(row.end - 1e-3))
+            assert min(goal, most) - top < row.target + 1e-6 <= most + 0.01
+        assert row.by == row.end if not brakes else row.position < row.by <= row.end
         turns = np.diff(row.course)
         assert (row.course[0], row.course[-1]) == (row.speed, row.until)
         assert row.lowest <= min(row.course) <= max(row.course) <= row.highest
         assert np.all(turns[1:-1] * turns[:-2] < 0.0)
-        # No configuration is asked to be slower than it is planned.
+        assert row.highest - max(row.course) <= 2.0 * top + 1e-9
+        # No configuration is asked to be slower than it is planned, or led over a limit.
+        stated = np.full(places.size, np.inf)
         for cap in row.caps:
             assert row.position <= cap.start <= cap.end <= row.end
             some = (places >= cap.start) & (places <= cap.end)
             assert plan.speeds[:, some].max() <= cap.speed + top + 1e-9
+            stated[some] = np.minimum(stated[some], cap.speed)
+        for cell in range(first, last - 1):
+            here, after = float(limits(places[cell] + 1.0)), plan.speeds[1, cell + 1]
+            near, rises = after > here - 8.0 * top, after > plan.speeds[1, cell] + 0.2 * top
+            coasts = row.phase is Phase.COASTING and places[cell + 1] not in limits.positions
+            if near and ((coasts and rises) or (drives and here < row.target - top)):
+                assert stated[cell + 1] <= here + 1e-9
 
 
 @given(drawn_plans())

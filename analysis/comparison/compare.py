@@ -729,6 +729,11 @@ class ComparedTrip:
     common: tuple[float, float] | None
     energy: Band | None = None
 
+    @staticmethod
+    def alone(trip: DrivenTrip, sections: Sections) -> ComparedTrip:
+        """A trip that is compared with none: a reference, or beside one."""
+        return ComparedTrip(trip, section_table(trip, sections), None, trip.covered)
+
     @property
     def name(self) -> str:
         """Of the trip."""
@@ -911,11 +916,9 @@ class ComparedDirection:
     def trips_table(self) -> WordTable:
         """Each trip as a whole: part of the line, times, energy, time lost by cause."""
         planned = "the trajectory" if self.reference.planned else f"'{self.reference.name}'"
-        rows = list(self.trips)
-        for each in (self.reference, self.obeyed) if self.reference.planned else ():
-            if each is not None:
-                table = section_table(each, self.sections)
-                rows.append(ComparedTrip(each, table, None, each.covered))
+        plans = (self.reference, self.obeyed) if self.reference.planned else ()
+        beside = [ComparedTrip.alone(each, self.sections) for each in plans if each is not None]
+        rows = [*self.trips, *beside]
         return new_table(
             f"{self.name}: trips; time lost against {planned}",
             Column("trip", of="name"),
@@ -1255,7 +1258,7 @@ def _direction(
     compared = [
         _compared(trip, reference, sections, forces, by_time_of_day)
         if trip is not reference
-        else ComparedTrip(trip, section_table(trip, sections), None, trip.covered)
+        else ComparedTrip.alone(trip, sections)
         for trip in trips
     ]
     used = any(each.energy is not None for each in compared)

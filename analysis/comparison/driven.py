@@ -244,15 +244,11 @@ def _agreeing(
     time: FloatArray, speed: FloatArray, values: FloatArray, near: BoolArray, place: FloatArray
 ) -> tuple[float, FloatArray] | None:
     """Another speed, corrected to the recorded one, and how far it is off; None if it is not it."""
-    known = np.isfinite(values)
+    known, gap = np.isfinite(values), np.flatnonzero(~np.isfinite(speed))
     both = near & known
-    gap = np.flatnonzero(~np.isfinite(speed) & ~near)
-    if both.sum() < 5 or known.sum() < 2 or not gap.size:
+    if both.sum() < 5 or np.diff(time[known]).max() > SHORT_GAP:
         return None
-    window = time[known]
-    if np.diff(window).max() > SHORT_GAP:
-        return None
-    values = np.interp(time, window, values[known])
+    values = np.interp(time, time[known], values[known])
     square = float(values[both] @ values[both])
     factor = float(speed[both] @ values[both]) / square if square > 4.0 * both.sum() else 1.0
     if abs(factor - 1.0) > SCALE:

@@ -118,6 +118,10 @@ def energy_of_audit(answer: Answer, rollout: Audit) -> float:
     return float(energies.max())
 
 
+WORST = ("shortfall", "end_speed", "overspeed", "power", "effort", "braking", "adhesion")
+"""What the audit states of each configuration, and the certificate of the worst."""
+
+
 def certificate_of(
     answer: Answer,
     bound: ContinuousBound,
@@ -148,13 +152,7 @@ def certificate_of(
             "substeps": rollout.substeps,
             "arrival": rollout.arrival.tolist(),
             "lateness": float(rollout.arrival.max()) - running_time,
-            "shortfall": float(rollout.shortfall.max()),
-            "end_speed": float(rollout.end_speed.max()),
-            "overspeed": float(rollout.overspeed.max()),
-            "power": float(rollout.power.max()),
-            "effort": float(rollout.effort.max()),
-            "braking": float(rollout.braking.max()),
-            "adhesion": float(rollout.adhesion.max()),
+            **{name: float(getattr(rollout, name).max()) for name in WORST},
             **_passings(run, rollout),
         },
         "solver": {

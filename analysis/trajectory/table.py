@@ -199,30 +199,23 @@ def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTabl
     }
     of = f" {section}" if section else ""
     facts = facts_table(f"Robust trajectory{of} on {trajectory.line}, {trajectory.train}", rows)
+    every, wheel, drawn = (
+        trajectory.configurations,
+        *(np.asarray(certificate[name]) for name in ("wheel_energy", "line_energy")),
+    )
+    arrival = replace(DURATION, digits=2)
     table = new_table(
         f"Energy of each configuration{of and ','}{of}",
-        Column("configuration"),
-        Column("mass", MASS, each=True),
-        Column("arrival", replace(DURATION, digits=2), each=True),
-        Column("top speed", SPEED, each=True),
-        Column("at the wheels", ENERGY, each=True, key="wheel_energy"),
-        Column("from the line", ENERGY, each=True, key="line_energy"),
+        Column("configuration", of=lambda row: every[row].name),
+        Column("mass", MASS, each=True, of=lambda row: every[row].mass),
+        Column("arrival", arrival, each=True, of=lambda row: trajectory.times[row, -1]),
+        Column("top speed", SPEED, each=True, of=lambda row: trajectory.speeds[row].max()),
+        Column("at the wheels", ENERGY, "wheel_energy", each=True, of=lambda row: wheel[row]),
+        Column("from the line", ENERGY, "line_energy", each=True, of=lambda row: drawn[row]),
         name="configurations",
     )
-    rest = len(trajectory.configurations) - LISTED
-    table.caption = f"and {rest} more" if rest > 0 else None
-    energies = certificate["wheel_energy"], certificate["line_energy"]
-    order = np.argsort(-np.asarray(energies[trajectory.objective != "wheel"]), kind="stable")
-    for row in order[:LISTED]:
-        configuration = trajectory.configurations[row]
-        table.add_cells(
-            configuration.name,
-            configuration.mass,
-            float(trajectory.times[row, -1]),
-            float(trajectory.speeds[row].max()),
-            *(float(each[row]) for each in energies),
-        )
-    return [facts, table]
+    order = np.argsort(-(wheel if trajectory.objective == "wheel" else drawn), kind="stable")
+    return [facts, table.add_rows(order.tolist(), LISTED)]
 
 
 def certified(trajectory: Trajectory) -> dict[str, Any]:
