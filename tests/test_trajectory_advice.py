@@ -211,6 +211,7 @@ def test_rows_say_what_any_plan_does(drawn: tuple[Trajectory, StepProfile]) -> N
         assert (row.lowest, row.highest) == (inside.min(), inside.max())
         assert abs(3.6 * row.target - round(3.6 * row.target)) < 1e-6
         if row.hold:
+            assert row.stated_until == row.stated_target == row.target
             assert np.all(np.abs(inside - row.target) <= 2.0 * top + 1e-9)
             assert row.target <= limits(places[first:last]).min() + 0.01
             assert row.caps == ()
@@ -229,6 +230,10 @@ def test_rows_say_what_any_plan_does(drawn: tuple[Trajectory, StepProfile]) -> N
         else:
             most = goal if not drives else min(goal + 0.5 * top, limits(row.end - 1e-3))
             assert min(goal, most) - top < row.target + 1e-6 <= most + 0.01
+        if row.phase is Phase.COASTING or slows:
+            capped = {each.speed for each in row.caps if each.speed > row.until - top}
+            assert min(abs(row.stated_until - each) for each in {row.until, *capped}) < 1e-9
+            assert row.until - top < row.stated_until < row.until + 1e-9
         assert row.by == row.end if not brakes else row.position < row.by <= row.end
         turns = np.diff(row.course)
         assert (row.course[0], row.course[-1]) == (row.speed, row.until)
