@@ -115,9 +115,7 @@ def _efforts(trips: Sequence[Trip]) -> Panel:
     return Panel("kN", curves, 0.9, "Tractive effort asked for, braking effort below", rules=ZERO)
 
 
-def traction_charts(
-    trip: Trip, condition: TrackConditionMap | None = None, layer: str | None = None
-) -> list[Chart]:
+def traction_charts(trip: Trip, condition: TrackConditionMap | None = None) -> list[Chart]:
     """The rail as a traction control used it.
 
     Speed; slip speeds of the powered axles, by the true speed; their efforts; the adhesion that
@@ -129,9 +127,7 @@ def traction_charts(
     trip : Trip
         Simulated.
     condition : TrackConditionMap, optional
-        That the control knew.
-    layer : str, optional
-        Of the map; default: the trip's weather.
+        That the control knew; its layer of the trip's weather is drawn.
 
     Raises
     ------
@@ -153,7 +149,7 @@ def traction_charts(
     )
     used, title = list[Curve](), "Adhesion"
     if condition is not None:
-        layer = layer or trip.metadata.get("weather", "dry")
+        layer = trip.metadata.get("weather", "dry")
         observed = condition.layers[layer].observed
         likely, low, high = (
             np.where(
