@@ -273,7 +273,7 @@ def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float)
     )
     sooner = running_time - _RESPONSE.lateness
     try:
-        best = minimise(apart, driven, np.zeros(q), sooner, _RESPONSE, iterations=5, given=True)
+        best = minimise(apart, driven, np.zeros(q), sooner, _RESPONSE, iterations=15, given=True)
     except NoSolutionError:
         return driven
     except OutOfTimeError as stop:
