@@ -32,6 +32,7 @@ from analysis.trajectory.discretisation import (
     Plan,
     Taper,
     effort_limits,
+    most_efforts,
 )
 from analysis.trajectory.envelope import Envelope, Floor
 from analysis.trajectory.problem import TrajectoryProblem
@@ -388,6 +389,9 @@ _AT_LIMIT = 1e-5
 _LEVEL = 1e-5
 """Within which a costate is at the level where a control is partial."""
 
+_INSIDE, _NEAR_LEVEL = 1e-3, 1e-2
+"""Part of its limit by which a control is inside, and within which its costate is at the level."""
+
 _STANDING = 0.1
 """Speed below which a plan that could go faster all but stands [m/s]."""
 
@@ -485,16 +489,26 @@ def partial_cells(hamiltonian: Hamiltonian, mean: FloatArray) -> tuple[BoolArray
 
     By common traction, or a common brake, that is the sum of the costates.
     """
-    problem, prices = hamiltonian.problem, hamiltonian.prices
+    problem, prices, plan = hamiltonian.problem, hamiltonian.prices, hamiltonian.plan
     own, regained = mean * problem.gain[:, None], prices.regained[:, None]
     worth = np.asarray(own.sum(axis=0))
-    shared = np.abs(worth - prices.traction) < _LEVEL
+    pull, brake = most_efforts(problem, plan)
+    # Multipliers are less exact than controls: one well inside its limits tells a level, too.
+    near = np.where(_inside(plan.traction, pull), _NEAR_LEVEL, _LEVEL)
+    shared = np.abs(worth - prices.traction) < near
+    braked = np.where(_inside(plan.braking, brake), _NEAR_LEVEL, _LEVEL)
     if problem.common:
-        shared |= (np.abs(worth) < _LEVEL) | (np.abs(worth - regained.sum()) < _LEVEL)
+        near = braked[0]
+        shared |= (np.abs(worth) < near) | (np.abs(worth - regained.sum()) < near)
         alone = np.zeros(own.shape, dtype=np.bool_)
     else:
-        alone = np.asarray((np.abs(own) < _LEVEL) | (np.abs(own - regained) < _LEVEL))
+        alone = np.asarray((np.abs(own) < braked) | (np.abs(own - regained) < braked))
     return np.asarray(shared | alone), alone
+
+
+def _inside(effort: FloatArray, most: FloatArray) -> BoolArray:
+    """Where an effort is well above none and well below the most."""
+    return np.asarray((effort > _INSIDE * most) & (effort < (1.0 - _INSIDE) * most))
 
 
 def _together(

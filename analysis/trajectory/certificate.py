@@ -19,12 +19,11 @@ from analysis.trajectory.convex import (
     time_left,
     time_limit,
 )
-from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
+from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_efforts
 from analysis.trajectory.envelope import Envelope, Floor, closer, floor_of
 from analysis.trajectory.instructions import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY
-from trainlog.arrays import FloatArray
 
 _BOUND_TIME = 2.0
 """Time that a relaxation has at least [s], that an answer has its gap."""
@@ -209,7 +208,7 @@ def _agreement(problem: DiscreteProblem, answer: Answer) -> dict[str, float]:
     feeds back it pays at two levels, and is left out.
     """
     run, solution, part = problem.run, answer.solution, problem.select(answer.active)
-    pull, brake = _most(part, solution.plan)
+    pull, brake = most_efforts(part, solution.plan)
     level = _levels(run)["traction"]
     found = {"traction": agreement(solution.plan.traction, pull, solution.switching - level)}
     if not run.at_line:
@@ -229,19 +228,10 @@ def _passings(run: TrajectoryProblem, rollout: Audit) -> dict[str, float]:
     return {name: float(values.max()) for name, values in worst.items() if values.max() > -np.inf}
 
 
-def _most(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
-    """The most that common traction, (n,), and each brake, (q, n), can do at the plan's speeds."""
-    pull, by_speed = most_traction(problem, plan.z), problem.dynamic_by_speed(plan.z, 1e-9)
-    brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
-    if problem.common:
-        brake = np.broadcast_to(brake.min(axis=0), brake.shape)
-    return pull, brake
-
-
 def _phases(problem: DiscreteProblem, answer: Answer) -> list[str]:
     """The phase of each cell for each configuration, one letter a cell."""
     plan = answer.plan
-    pull, brake = _most(problem, plan)
+    pull, brake = most_efforts(problem, plan)
     return [
         phase_letters(phases_by_control(plan.traction, plan.braking[row], pull, brake[row]))
         for row in range(problem.shape[0])

@@ -384,10 +384,15 @@ class Plan:
         )
 
 
-def most_traction(problem: DiscreteProblem, z: FloatArray) -> FloatArray:
-    """Largest common traction at the speeds of all configurations, (n,) [m/s²]: a cell's mean."""
+def most_efforts(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """The most that common traction, (n,), and each brake, (q, n), can do in cells [m/s²]."""
     by_effort = problem.traction - np.abs(problem.taper.fall)
-    return np.asarray(np.minimum(by_effort, problem.traction_by_power(z + 1e-9).min(axis=0)))
+    pull = np.minimum(by_effort, problem.traction_by_power(plan.z + 1e-9).min(axis=0))
+    by_speed = problem.dynamic_by_speed(plan.z, 1e-9)
+    brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
+    if problem.common:
+        brake = np.broadcast_to(brake.min(axis=0), brake.shape)
+    return np.asarray(pull), np.asarray(brake)
 
 
 def taper_along(problem: DiscreteProblem, plan: Plan) -> Taper:
