@@ -76,20 +76,31 @@ def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str)
     assert np.all(within(TRAINS[train], trajectory) <= 1.0 + 1e-6)
 
 
+@pytest.mark.usefixtures("unrenewed")
+@pytest.mark.parametrize("kind", ["effort", "braking"])
 def test_what_an_audit_finds_beyond_a_curve_is_taken_off_it(
-    monkeypatch: pytest.MonkeyPatch,
+    kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As for a train that gives a ten-thousandth less than its curve states."""
 
     def less(answer: active_set.Answer) -> Audit:
         found = driven(answer)
-        return replace(found, effort=1.0001 * found.effort)
+        return replace(found, **{kind: 1.0001 * getattr(found, kind)})
 
     driven = active_set.driven
     monkeypatch.setattr(active_set, "driven", less)
-    train = TRAINS["linear"]
+    # All braking is dynamic, and goes with its curve at high speeds.
+    train = replace(
+        FLIRT, traction_curve=LINEAR, dynamic_braking_curve=curve((0, 90), (60, 60), (162, 20)),
+        max_pneumatic_braking_effort=1.0,
+    )  # fmt: skip
     trajectory = optimised(LINES["level"], train, drawn(train, 2, seed=3), reserve=0.1, cells=80)
-    assert 0.999 < within(train, trajectory).max() <= 1.0 / 1.0001 + 1e-6
+    used = within(train, trajectory).max()
+    if kind == "braking":
+        fastest = np.maximum(trajectory.speeds[:, :-1], trajectory.speeds[:, 1:])
+        most = 1.0 + train.dynamic_braking_effort_limit(fastest)
+        used = (trajectory.braking_effort / most).max()
+    assert 0.999 < used <= 1.0 / 1.0001 + 1e-6
 
 
 def test_a_common_brake_stops_a_train_whose_dynamic_brake_fades() -> None:

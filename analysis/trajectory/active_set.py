@@ -681,9 +681,11 @@ def _stricter(problem: DiscreteProblem, found: Audit) -> DiscreteProblem:
     ceiling = problem.ceiling - over * np.sqrt(2.0 * np.maximum(problem.ceiling, 0.0))
     ceiling[0] = max(ceiling[0], problem.initial)
     pull, brake = min(effort, adhesion), min(braking, adhesion)
+    curves, dynamic_curves = problem.curves, problem.dynamic_curves
     return replace(
         problem,
-        curves=None if problem.curves is None else problem.curves.kept_to(effort),
+        curves=None if curves is None else curves.kept_to(effort),
+        dynamic_curves=None if dynamic_curves is None else dynamic_curves.kept_to(braking),
         power=power * problem.power,
         traction=pull * problem.traction,
         braking=brake * problem.braking,
