@@ -150,6 +150,10 @@ _CURVE_PARTS, _SHORTEST = 32, 1.02
 as short, too."""
 
 
+_BESIDE = 0.05
+"""Part of the speed within which a knot of a curve is next to it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Taper:
     """Traction that is linear in a cell, where it follows the power as the speed changes.
@@ -735,10 +739,24 @@ class Curves:
         """Highest speed [m/s] at which each configuration has efforts, (q, n)."""
         return self.kept.speed_at(effort) * self.share[:, None]
 
-    def line(self, row: int, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Effort and slope of a configuration's curve at speeds, (n,)."""
-        share = float(self.share[row])
-        return self.kept(speed / share), self.kept.slope(speed / share) / share
+    def lines(self, row: int, speed: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Lines above a configuration's curve near speeds, (n,): effort there, and slope.
+
+        The curve's own piece; and next to a knot where it bends down the piece beyond it, infinite
+        elsewhere: a step across the knot would leave the curve.
+        """
+        share, speeds, efforts = float(self.share[row]), self.kept.speeds, self.kept.efforts
+        v = speed / share
+        found = [(self.kept(v), self.kept.slope(v) / share)]
+        if speeds.size > 2:
+            slopes = np.diff(efforts) / np.diff(speeds)
+            knot = np.searchsorted(0.5 * (speeds[1:-2] + speeds[2:-1]), v)
+            before, after, away = slopes[knot], slopes[knot + 1], v - speeds[knot + 1]
+            slope = np.where(away < 0.0, after, before)
+            beside = (after < before) & (np.abs(away) < _BESIDE * v)
+            value = np.where(beside, efforts[knot + 1] + slope * away, np.inf)
+            found.append((value, slope / share))
+        return found
 
     def bounds(
         self,

@@ -414,11 +414,13 @@ class QPSubproblem:
         if curves is None:
             return []
         v = np.sqrt(self.speed[a, nodes] ** 2 + 2.0 * self.problem.bulge)
-        value, slope = curves.line(a, v)
-        at = np.flatnonzero(value * part < _NEAR_POWER * most)
-        gained = (part * slope * self.scale[a, nodes] / np.maximum(v, SLOW))[at]
-        change, right = self.unknowns.z[a, nodes][at], (value * part - above)[at]
-        return [(a, at, self.below.add(right, (effort[at], 1.0), (change, -gained)))]
+        found = []
+        for value, slope in curves.lines(a, v):
+            at = np.flatnonzero(value * part < _NEAR_POWER * most)
+            gained = (part * slope * self.scale[a, nodes] / np.maximum(v, SLOW))[at]
+            change, right = self.unknowns.z[a, nodes][at], (value * part - above)[at]
+            found.append((a, at, self.below.add(right, (effort[at], 1.0), (change, -gained))))
+        return found
 
 
 def least_z(problem: DiscreteProblem) -> FloatArray:
