@@ -22,6 +22,5 @@ def opened(data: bytes, name: str = "track.map") -> Iterator[MapFile]:
 
 
 def map_from_bytes(data: bytes) -> TrackConditionMap:
-    """The map in the bytes of a file."""
     with opened(data) as file:
         return file.read()

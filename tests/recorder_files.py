@@ -224,7 +224,6 @@ def nmea_lines(
 
 
 def ubx(kind: bytes, payload: bytes) -> bytes:
-    """A UBX message with its checksum."""
     body = kind + len(payload).to_bytes(2, "little") + payload
     first = second = 0
     for octet in body:

@@ -313,7 +313,6 @@ def profile_for(fixes: Received) -> Profile:
 
 
 def write_gpx(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -> Path:
-    """The fixes as a GPX track."""
     begun = pd.Timestamp(start, tz="UTC")
     kept = np.flatnonzero(np.isfinite(fixes.points))
     latitude, longitude = from_plane(fixes.points[kept], fixes.origin)

@@ -157,7 +157,6 @@ def test_results_are_recorded_once_and_merged_in_the_order_of_trip(
 def _record(
     catalogue: Catalogue, todo: pd.DataFrame, of: Computation = STOPS, stops: int = 1
 ) -> int:
-    """Record two rows of each trip."""
     keys = [key for key in todo["key"] for _ in range(2)]
     table = pa.table({"key": keys, "stops": [stops] * len(keys)})
     done = [ResultOutcome(row.key, row.sha256, rows=2) for row in todo.itertuples()]

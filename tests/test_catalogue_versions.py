@@ -62,7 +62,6 @@ def first_version(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def _structure(place: str) -> dict[str, Any]:
-    """Columns and indices of the tables."""
     with open_catalogue(place) as catalogue, catalogue.engine.connect() as connection:
         schema = catalogue.schema if "://" in place else None
         about = sa.inspect(connection)

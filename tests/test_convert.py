@@ -144,7 +144,6 @@ def test_a_csv_file_that_was_damaged_is_named(case: str, log: Path, tmp_path: Pa
 
 
 def damage(path: Path, chunks: slice) -> None:
-    """Damage chunks of a log."""
     data = bytearray(path.read_bytes())
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()

@@ -133,11 +133,3 @@ def test_positive_radii_bend_to_the_right() -> None:
     assert abs(right.scale - 1.0) < 1e-3
     assert left.residuals.max() > 1000.0
     assert abs(left.scale - 1.0) > 5e-3
-
-
-@needs_track
-def test_published_altitudes_confirm_the_positions_of_the_stations() -> None:
-    track = read_track(TRACK)
-    published = np.array([637.9, 610.7, 563.8, 570.8])
-    found = track.altitudes(np.array([anchor.position for anchor in ANCHORS]))
-    assert np.abs(found - published).max() < 1.3

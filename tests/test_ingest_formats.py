@@ -122,14 +122,6 @@ def test_a_stray_quotation_mark_costs_its_cell_only(tmp_path: Path) -> None:
     assert report.counts == {"not_a_number": 1}
 
 
-def test_quoted_cells_may_hold_the_delimiter(tmp_path: Path) -> None:
-    rows = [f'{row},"doors, left"' for row in clean_run(10, 1.0).rows()]
-    columns = {**PLAIN["columns"], "/events.message": {"column": "e"}}
-    path = write(tmp_path / "run.csv", rows, "t,v,s,e")
-    trip = ingest(path, profile=plain_profile(columns=columns))
-    assert set(trip["/events"]["message"]) == {"doors, left"}
-
-
 def blocks(language: str, name: str) -> str:
     """The block of the page in `language` whose first line names a file."""
     found = re.findall(rf"^```{language}\n# {re.escape(name)}\n(.*?)^```", PAGE, re.M | re.S)

@@ -27,7 +27,6 @@ AT_SPEED = f'columns."{SPEED}"'
 
 
 def column_of(field: str, stated: str) -> str:
-    """A profile that states this of one field."""
     return f"{HEAD}[columns]\n'{field}' = {{{stated}}}"
 
 

@@ -307,7 +307,6 @@ def test_live_a_network_is_refused(tmp_path: Path) -> None:
 
 
 def with_stations(network: Network, places: dict[str, list[tuple[str, float]]]) -> Network:
-    """The network with further stations inside edges."""
     edges = []
     for each in network.edges:
         more = [Station(*place) for place in places.get(each.name, ())]

@@ -81,7 +81,6 @@ def telegrams(run: Run, kind: int = 7) -> list[bytes]:
 
 
 def udp(payload: bytes, port: int = 5005) -> bytes:
-    """An Ethernet frame with the datagram."""
     datagram = struct.pack(">HHHH", 4000, port, 8 + len(payload), 0) + payload
     address = socket.inet_aton("10.0.0.1"), socket.inet_aton("10.0.0.2")
     head = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(datagram), 1, 0, 64, 17, 0)

@@ -92,7 +92,6 @@ def assert_as_ingested(found: Trip, expected: Trip, topics: list[str]) -> None:
 
 
 def sample(second: float, **values: Any) -> bytes:
-    """A JSON object of the train's state."""
     return json.dumps({"topic": STATE, "time": EPOCH + second, **values}).encode()
 
 

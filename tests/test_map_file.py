@@ -68,7 +68,6 @@ def bytes_of(path: Path) -> bytes:
 
 
 def merged(folder: Path, paths: list[Path]) -> bytes:
-    """The bytes of the maps' files merged."""
     folder.mkdir(exist_ok=True)
     output = folder / f"merged-{len(list(folder.iterdir()))}.map"
     merge_files(paths, output)

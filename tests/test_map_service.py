@@ -50,7 +50,6 @@ def content(path: Path) -> Content:
 
 
 def of_killed_updaters(work: str, *words: object) -> Any:
-    """What `killed_updaters.py` reports."""
     shown = subprocess.run(
         [sys.executable, str(KILLED), work, *map(str, words)],
         capture_output=True, text=True, env=ENVIRONMENT, check=False,

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from mcap.reader import SeekingReader
 from mcap.records import ChunkIndex
+from mcap_mutations import records_of
 from mcap_trips import ATTACHMENTS, assert_same, trip_of
 from refusals import refused
 
@@ -144,3 +145,25 @@ def test_any_part_of_a_file_is_read_as_it_stands(parts):
                 assert source.read(offset, length) == data[offset : offset + length]
                 assert source.read(offset, length % 99) == data[offset : offset + length % 99]
             assert source.checksum(7, 190_000) == zlib.crc32(data[7:190_000])
+
+
+@pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
+@settings(max_examples=25)
+@given(drawn=st.data())
+def test_forged_lengths_and_cuts_cost_rows_and_change_none(
+    trip: Trip, data: bytes, tmp_path: Path, drawn: st.DataObject
+) -> None:
+    """A record whose length is any number, in a log that ends at any byte."""
+    record = drawn.draw(st.sampled_from(records_of(data)))
+    forged = bytearray(data)
+    length = drawn.draw(st.integers(0, 2**64 - 1) | st.integers(0, len(data)))
+    struct.pack_into("<Q", forged, record.start + 1, length)
+    path = tmp_path / "forged.mcap"
+    path.write_bytes(forged[: drawn.draw(st.just(len(data)) | st.integers(0, len(data)))])
+    try:
+        found, named = read_log(path).topics, path
+    except LogError as error:
+        found, named = {}, error.file
+    assert named == path
+    for name, frame in found.items():
+        assert frame.equals(trip[name].loc[frame.index, list(frame)])

@@ -115,7 +115,6 @@ class Reading:
         raise AssertionError(position)
 
     def gradient(self, track: str, at: float) -> float:
-        """As the file states it there, along the section."""
         found = [s["gradient"] for s in self.tracks[track]["slopes"] if s["begin"] < at < s["end"]]
         return found[-1] / 1000.0 if found else 0.0
 

@@ -145,7 +145,6 @@ def test_there_is_no_advice_for_what_lies_behind(plan: Path, wil: Path, tmp_path
 
 
 def with_segments(journey: Path, folder: Path) -> None:
-    """Copy what lies beside a journey into a folder."""
     for file in journey.glob("[!j]*.xml"):
         shutil.copy(file, folder)
 
