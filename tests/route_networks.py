@@ -214,10 +214,7 @@ def doubled(aside: float) -> Network:
             ("east", "C", "D", straight(7000, 11000)),
         ],
         "AD",
-        {
-            "B": (("west", "main"), ("west", "relief")),
-            "C": (("main", "east"), ("relief", "east")),
-        },
+        {"B": (("west", "main"), ("west", "relief")), "C": (("main", "east"), ("relief", "east"))},
     )
 
 

@@ -344,10 +344,7 @@ def shown_speed(
 
 
 def receive(
-    geometry: Geometry,
-    run: tuple[np.ndarray, np.ndarray, np.ndarray],
-    field: Field,
-    seed: int,
+    geometry: Geometry, run: tuple[np.ndarray, np.ndarray, np.ndarray], field: Field, seed: int
 ) -> tuple[Trip, pd.DataFrame]:
     """A trip as a receiver of the field records it, and its truth."""
     generator = np.random.default_rng(seed)

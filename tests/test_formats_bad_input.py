@@ -293,11 +293,7 @@ def whole(kind: str) -> Any:
         ("train", {"max_tractive_effort": of(800, "kN")}, "1.13 times the weight on the power"),
         ("line", {"speed_limits.values.0.1": 900}, "900 km/h is not plausible: speed limits are"),
         ("line", {"gradients.units.gradient": "1"}, "steeper than 200 per mille"),
-        (
-            "line",
-            {"length.unit": "km"},
-            "a line of 2.95561e+07 m: not plausible; were km",
-        ),
+        ("line", {"length.unit": "km"}, "a line of 2.95561e+07 m: not plausible; were km"),
         ("line", {"altitude.value": 68_000}, "68000 m is not plausible: railways lie between"),
         (
             "line",

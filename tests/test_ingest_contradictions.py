@@ -16,14 +16,7 @@ from simulated_line import flirt, hilly_line
 
 from trainlog.cli.options import pairs
 from trainlog.errors import InputError
-from trainlog.ingest import (
-    Profile,
-    ingest,
-    ingest_all,
-    propose_profile,
-    repairs_of,
-    report_of,
-)
+from trainlog.ingest import Profile, ingest, ingest_all, propose_profile, repairs_of, report_of
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 

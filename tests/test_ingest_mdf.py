@@ -97,10 +97,7 @@ def test_channels_come_back_in_the_files_units(tmp_path: Path, version: str) -> 
 
 def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path: Path) -> None:
     """They share a frame with the instants of both; nothing is made up in between."""
-    groups = [
-        [signal(speed(FAST), FAST, "v", "km/h")],
-        [signal(SLOW * 20.0, SLOW, "s", "m")],
-    ]
+    groups = [[signal(speed(FAST), FAST, "v", "km/h")], [signal(SLOW * 20.0, SLOW, "s", "m")]]
     columns = {
         "/train/state.speed": {"column": "v"},
         "/train/state.position": {"column": "s", "unit": "m"},

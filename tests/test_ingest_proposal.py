@@ -589,8 +589,7 @@ def test_day_and_month(tmp_path: Path, days: list[str], pattern: str, opened: bo
     else:
         stamps = stamps - pd.Timedelta(hours=5)
     path = written(
-        tmp_path,
-        {"Date": day, "Time": stamps.dt.strftime("%H:%M:%S"), "Speed [km/h]": run.v * 3.6},
+        tmp_path, {"Date": day, "Time": stamps.dt.strftime("%H:%M:%S"), "Speed [km/h]": run.v * 3.6}
     )
     proposal = propose_profile(path)
     assert proposal.profile.time is not None

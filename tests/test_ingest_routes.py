@@ -50,10 +50,7 @@ RATE_2 = replace(UBLOX, rate=2.0)
 
 
 def ingested(
-    folder: Path,
-    fixes: Received,
-    network: Network,
-    metadata: dict[str, str] | None = None,
+    folder: Path, fixes: Received, network: Network, metadata: dict[str, str] | None = None
 ) -> Trip:
     file = write_csv(folder / "run.csv", fixes)
     return ingest(file, profile_for(fixes), network=network, metadata=metadata)

@@ -308,9 +308,7 @@ def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path: Path) -> Non
     refused(InputError, "no route", network.route, "main/2@13.8", "loop@0.1")
 
 
-def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
-    tmp_path: Path,
-) -> None:
+def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_path: Path) -> None:
     (network,), *_ = railml(RAILML_2, tmp_path)
     line = network.route("Anfang", "Cham").line
     # Track 'main' from its pos 500 on: position s is pos s + 500; 'onward' from 3500 on.
@@ -365,9 +363,7 @@ def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path: Path)
     assert any(each.startswith("level where no gradients are stated: 1.550 km") for each in assumed)
 
 
-def test_locations_of_railml_3_are_shares_positions_measures_and_directions(
-    tmp_path: Path,
-) -> None:
+def test_locations_of_railml_3_are_shares_positions_measures_and_directions(tmp_path: Path) -> None:
     (network,), *_ = railml(RAILML_3, tmp_path)
     main, other = network.edge("ne_a").line, network.edge("ne_b").line
     # 10 per mille for 0.9 of it, an arc to -4, whose mean is 3.

@@ -109,8 +109,7 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
     back = read_parquet(tmp_path / "trip.parquet", [EVENTS.name, TRAIN_STATE.name, "/unheard"])
     assert list(back.topics) == [TRAIN_STATE.name, EVENTS.name]
     some = read_parquet(
-        tmp_path / "trip.parquet",
-        {TRAIN_STATE.name: ["speed", "unheard"], TRAIN_AXLES.name: None},
+        tmp_path / "trip.parquet", {TRAIN_STATE.name: ["speed", "unheard"], TRAIN_AXLES.name: None}
     )
     pd.testing.assert_frame_equal(some[TRAIN_STATE.name], trip[TRAIN_STATE.name][["speed"]])
     assert some[TRAIN_STATE.name].attrs["units"] == {"speed": "m/s"}

@@ -72,9 +72,7 @@ def test_constraints_and_stops_are_kept_and_only_without_the_map_axles_skid(
     assert blind.worst[1] > 0.0
 
 
-def test_the_second_day_beats_the_first_in_slip_and_is_punctual(
-    days: list[Day],
-) -> None:
+def test_the_second_day_beats_the_first_in_slip_and_is_punctual(days: list[Day]) -> None:
     first, second = days
     assert first.slip_events > 0
     assert second.slip_events == 0
