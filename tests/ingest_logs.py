@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from hypothesis import strategies as st
+from recorder_files import SECOND, START, Drive, ublox_text
 
 from trainlog.ingest import Profile, profile_of
-
-START = pd.Timestamp("2024-05-01T06:00:00Z").value
-SECOND = 1_000_000_000
 
 HEAD = {"format": "trainlog/recorder-profile", "version": 1, "name": "plain"}
 PLAIN = {
@@ -131,35 +129,13 @@ def damaged_runs(draw: st.DrawFn) -> Damaged:
     return found
 
 
-UBLOX_HEADER = (
-    "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt1,Alt2,hAcc,vAcc,speed,speedAcc,PDOP,"
-)
-
-
-@dataclass(frozen=True)
-class Ublox:
-    """Rows of a u-blox file as numbers, before they are written."""
-
-    seconds: np.ndarray
-    """Whole second that each row is labelled with, since `START`."""
-    true: np.ndarray
-    """True time of each row [s]."""
-    speed: np.ndarray
-
-    def _distance(self) -> np.ndarray:
-        """The integral of `speed` [m]."""
-        return 20.0 * self.true + 50.0 * (1.0 - np.cos(0.1 * self.true))
-
-    def text(self, before: list[str] | None = None) -> str:
-        stamps = pd.DatetimeIndex(START + self.seconds * SECOND, tz="UTC")
-        rows = [
-            f"{t.year},{t.month},{t.day},{t.hour},{t.minute},{t.second},9,"
-            f"{93_000_000 + round(1e7 * d / 75_300.0)},{474_000_000 + 10 * i},"
-            f"500000,452100,2500,4000,{round(1e3 * v)},80,160,"
-            for i, (t, v, d) in enumerate(zip(stamps, self.speed, self._distance(), strict=True))
-        ]
-        return "\n".join([UBLOX_HEADER, *(before or []), *rows]) + "\n"
-
-
-def ublox(seconds: np.ndarray, true: np.ndarray) -> Ublox:
-    return Ublox(seconds.astype(np.int64), true, 20.0 + 5.0 * np.sin(0.1 * true))
+def ublox(seconds: np.ndarray, true: np.ndarray, before: list[str] | None = None) -> str:
+    """A u-blox file whose rows are labelled with whole seconds, and were measured at true times."""
+    ones = np.ones(true.size)
+    way = 20.0 * true + 50.0 * (1.0 - np.cos(0.1 * true))
+    run = Drive(
+        START + seconds.astype(np.int64) * SECOND, 47.4 + 1e-6 * np.arange(true.size),
+        9.3 + way / 75_300.0, 452.1 * ones, 20.0 + 5.0 * np.sin(0.1 * true), 1.6 * ones,
+        np.full(true.size, 9),
+    )  # fmt: skip
+    return ublox_text(run, before or [])

@@ -150,6 +150,23 @@ def mtk_rows(run: Drive, scaled: bool = False) -> list[str]:
     return rows
 
 
+UBLOX_HEADER = (
+    "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt1,Alt2,hAcc,vAcc,speed,speedAcc,PDOP,"
+)
+
+
+def ublox_text(run: Drive, before: tuple[str, ...] | list[str] = ()) -> str:
+    """The file of a u-blox logger: whole seconds, places and sizes as whole numbers."""
+    rows = [
+        f"{t.year},{t.month},{t.day},{t.hour},{t.minute},{t.second},{run.satellites[i]},"
+        f"{round(1e7 * run.longitude[i])},{round(1e7 * run.latitude[i])},"
+        f"{round(1e3 * run.altitude[i])},{round(1e3 * run.altitude[i])},3000,5000,"
+        f"{round(1e3 * run.speed[i])},100,{round(100 * run.hdop[i])},"
+        for i, t in enumerate(pd.DatetimeIndex(run.time))
+    ]
+    return "\n".join([UBLOX_HEADER, *before, *rows]) + "\n"
+
+
 def mtk(seed: int, *, before: int = 3000, scaled: bool = False) -> Recorded:
     """3 minutes at 10 Hz with whole seconds; before the first fix the date is 2000,0,0."""
     rng = np.random.default_rng(seed)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from ingest_logs import profile
 
 from trainlog.arrays import ComplexArray, FloatArray
 from trainlog.ingest import Profile
@@ -267,18 +268,11 @@ def drive(
 
 def write_csv(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -> Path:
     """The fixes as a table that its own profile describes."""
-    at = fixes.points.copy()
-    lost = np.isnan(at)
-    at[lost] = 0.0
-    latitude, longitude = from_plane(at, fixes.origin)
+    lost = np.isnan(fixes.points)
+    latitude, longitude = from_plane(np.where(lost, 0.0, fixes.points), fixes.origin)
     time = pd.Timestamp(start, tz="UTC") + pd.to_timedelta(fixes.seconds, unit="s")
-    frame = pd.DataFrame(
-        {
-            "time": time.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
-            "latitude": latitude.round(8),
-            "longitude": longitude.round(8),
-        }
-    )
+    stamps = time.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    frame = pd.DataFrame({"time": stamps, "latitude": latitude, "longitude": longitude}).round(8)
     if np.isfinite(fixes.stated).any():
         frame["accuracy"] = fixes.stated
     if fixes.speed is not None:
@@ -297,16 +291,7 @@ def profile_for(fixes: Received) -> Profile:
         columns["/gnss/fix.horizontal_accuracy"] = {"column": "accuracy", "unit": "m"}
     if fixes.speed is not None:
         columns["/gnss/motion.speed"] = {"column": "speed", "unit": "m/s"}
-    return Profile.model_validate(
-        {
-            "format": "trainlog/recorder-profile",
-            "version": 1,
-            "name": "drawn",
-            "file": {"format": "csv"},
-            "time": {"column": "time", "format": "iso"},
-            "columns": columns,
-        }
-    )
+    return profile(columns, file={"format": "csv"}, time={"column": "time", "format": "iso"})
 
 
 def write_gpx(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -> Path:

@@ -86,20 +86,17 @@ def drive(
         seen &= (t < begin) | (t >= end)
     stamps = START + (t[seen] * 1e9).astype(np.int64)
     ones = np.ones(stamps.size)
-    fix = frame_of(
-        GNSS_FIX,
-        stamps,
-        {
-            "latitude": (latitude + error.imag * metre)[seen],
-            "longitude": (longitude + error.real * metre / np.cos(np.radians(latitude)))[seen],
-            "horizontal_accuracy": receiver.noise * ones,
-        },
-    )
+    east = error.real * metre / np.cos(np.radians(latitude))
+    fix = {
+        "latitude": (latitude + error.imag * metre)[seen], "longitude": (longitude + east)[seen],
+        "horizontal_accuracy": receiver.noise * ones,
+    }  # fmt: skip
     noisy = np.abs(v + receiver.speed_noise * generator.standard_normal(t.size))[seen]
-    doppler = frame_of(
-        GNSS_MOTION, stamps, {"speed": noisy, "speed_accuracy": receiver.speed_noise * ones}
-    )
-    topics = {"/gnss/fix": fix, "/gnss/motion": doppler}
+    doppler = {"speed": noisy, "speed_accuracy": receiver.speed_noise * ones}
+    topics = {
+        "/gnss/fix": frame_of(GNSS_FIX, stamps, fix),
+        "/gnss/motion": frame_of(GNSS_MOTION, stamps, doppler),
+    }
     index = pd.DatetimeIndex(START + (time * 1e9).astype(np.int64), tz="UTC")
     if receiver.wheels:
         stated = np.maximum(1.008 * speed + 0.05 * generator.standard_normal(time.size), 0.0)
@@ -394,17 +391,9 @@ def receive(
     stated = (
         worse * size * field.stated * np.exp(0.3 * heavy(t.size, field.interval, 30.0, generator))
     )
-    topics = {
-        "/gnss/fix": frame_of(
-            GNSS_FIX,
-            stamps,
-            {
-                "latitude": latitude[seen],
-                "longitude": longitude[seen],
-                "horizontal_accuracy": stated[seen] if field.stated else np.full(seen.sum(), 5.0),
-            },
-        )
-    }
+    fix = {"latitude": latitude[seen], "longitude": longitude[seen]}
+    fix["horizontal_accuracy"] = stated[seen] if field.stated else np.full(seen.sum(), 5.0)
+    topics = {"/gnss/fix": frame_of(GNSS_FIX, stamps, fix)}
     if shown is not None:
         columns = {"speed": shown[seen]}
         if field.speed_stated:

@@ -41,11 +41,8 @@ def hilly_line() -> Line:
     return Line(
         name="hilly",
         length=length,
-        stations=(
-            Station("Aach", 0.0),
-            Station("Berg", 3_900.0),
-            Station("Chur", 7_050.0),
-            Station("Dorf", length),
+        stations=tuple(
+            map(Station, ("Aach", "Berg", "Chur", "Dorf"), (0.0, 3_900.0, 7_050.0, length))
         ),
         speed_limits=steps(
             (0.0, 80 / KMH),

@@ -178,20 +178,14 @@ def test_a_byte_order_mark_is_no_mistake() -> None:
     assert parse_json(b'\xef\xbb\xbf{"a": 1}', file="a.json") == {"a": 1}
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("write", "Trip"),
-        ("write_parquet", "Trip"),
-        ("write_line", "Line"),
-        ("write_journey", "Journey"),
-        ("write_train", "Train"),
-        ("write_consist", "Consist"),
-        ("write_map", "TrackConditionMap"),
-        ("write_parameters", "ParameterSet"),
-        ("write_trajectory", "Trajectory"),
-    ],
-)
+ALIKE = ("Line", "Journey", "Train", "Consist", "Trajectory")
+WRITERS = {f"write_{kind.lower()}": kind for kind in ALIKE} | {
+    "write": "Trip", "write_parquet": "Trip", "write_map": "TrackConditionMap",
+    "write_parameters": "ParameterSet",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "kind"), WRITERS.items())
 def test_what_a_file_cannot_hold_is_named(name: str, kind: str, tmp_path: Path) -> None:
     write, path = getattr(trainlog, name), tmp_path / "file"
     remedy = f"was given where a {kind} is expected; give the {kind} first, then the path"

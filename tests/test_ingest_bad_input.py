@@ -194,7 +194,7 @@ def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
         return folder / "run.dat", sink.getvalue().to_pybytes()
     text = {
         "csv": plain_text(clean_run(60, 0.5).rows()),
-        "ublox": ublox(ticks // 5, ticks / 5).text(),
+        "ublox": ublox(ticks // 5, ticks / 5),
         "gpx": gpx_text(run),
         "nmea": "\n".join(nmea_lines(run)),
         "hexlines": hexlines(0, 8, 20).text,

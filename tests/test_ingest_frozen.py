@@ -83,15 +83,9 @@ def test_sound_trips_hold_nothing_frozen(log: str) -> None:
 
 def exact_trip(cruising: float, *, position: bool = True, step: float = 0.0) -> pd.DataFrame:
     """A train without any noise: it stands, gathers speed, cruises exactly, brakes and stands."""
-    speed = np.concatenate(
-        [
-            np.zeros(600),
-            np.arange(0.0, 25.0, 0.05),
-            np.full(round(10 * cruising), 25.0),
-            np.arange(25.0, 0.0, -0.07),
-            np.zeros(900),
-        ]
-    )
+    rising, cruise = np.arange(0.0, 25.0, 0.05), np.full(round(10 * cruising), 25.0)
+    falling = np.arange(25.0, 0.0, -0.07)
+    speed = np.concatenate((np.zeros(600), rising, cruise, falling, np.zeros(900)))
     driven = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
     if step:
         speed = np.round(speed / step) * step

@@ -544,17 +544,8 @@ def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) ->
 def test_south_west_in_degrees_and_minutes(tmp_path: Path) -> None:
     run = drive()
     stamps = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(run.t, unit="s")
-    path = written(
-        tmp_path,
-        {
-            "time": stamps,
-            "lat": 3330.0 + run.s / 1853.25,
-            "NS": "S",
-            "lon": 7040.0,
-            "EW": "W",
-            "speed [kn]": run.v * 1.943844,
-        },
-    )
+    places = {"lat": 3330.0 + run.s / 1853.25, "NS": "S", "lon": 7040.0, "EW": "W"}
+    path = written(tmp_path, {"time": stamps, **places, "speed [kn]": run.v * 1.943844})
     fix = ingest(path, propose_profile(path).profile)["/gnss/fix"]
     assert fix["latitude"].iloc[0] == pytest.approx(-33.5)
     assert fix["longitude"].iloc[0] == pytest.approx(-70.0 - 40.0 / 60.0)

@@ -310,7 +310,7 @@ def test_seconds_with_four_and_six_rows_come_out_exactly(
             second[edge] -= 1
         else:
             second[edge - 1] += 1
-    trip = read_ublox(tmp_path, ublox(second, ticks / 5).text())
+    trip = read_ublox(tmp_path, ublox(second, ticks / 5))
     np.testing.assert_allclose(elapsed(trip), ticks / 5, atol=1e-9)
     assert report_of(trip).rows_dropped == 0
 
@@ -324,7 +324,7 @@ def test_lost_rows_cost_their_neighbours_less_than_a_period(
     lost = {10 * i + data.draw(st.integers(0, 4)) for i in data.draw(st.sets(st.integers(1, 28)))}
     outage = data.draw(st.sampled_from([range(0), range(100, 123), range(121, 139)]))
     ticks = np.array([tick for tick in ticks if tick not in lost and tick not in outage])
-    trip = read_ublox(tmp_path, ublox(ticks // 5, ticks / 5).text())
+    trip = read_ublox(tmp_path, ublox(ticks // 5, ticks / 5))
     found = elapsed(trip)
     assert np.all(np.diff(found) > 0.0)
     np.testing.assert_allclose(found, ticks / 5, atol=0.2 - 1e-9)
@@ -334,7 +334,7 @@ def test_lost_rows_cost_their_neighbours_less_than_a_period(
 
 def test_a_log_that_says_nothing_is_refused(tmp_path: Path) -> None:
     ticks = np.arange(100)
-    text = ublox(ticks // 5, ticks / 5).text().replace(",9,93", ",0,93")
+    text = ublox(ticks // 5, ticks / 5).replace(",9,93", ",0,93")
     off = plain_profile(repair={"before_first_fix": False})
     with pytest.raises(InputError, match=r"gnss\.csv: nothing is left of 100 rows after repair; "):
         read_ublox(tmp_path, text, profile=off)

@@ -335,14 +335,11 @@ def write_odometer(
 
 
 def odometer_profile(**columns: str) -> Profile:
-    return plain_profile(
-        time={"column": "time"},
-        columns={
-            "/train/state.position": {"column": "position", "unit": "m"},
-            "/train/state.speed": {"column": "speed", "unit": "m/s"},
-        },
-        trip={"columns": columns},
-    )
+    mapped = {
+        f"/train/state.{name}": {"column": name, "unit": unit}
+        for name, unit in (("position", "m"), ("speed", "m/s"))
+    }
+    return plain_profile(time={"column": "time"}, columns=mapped, trip={"columns": columns})
 
 
 def test_without_fixes_the_distances_between_stops_show_the_route(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pytest
 from hypothesis import given, settings, strategies as st
 from ingest_logs import HEAD, PLAIN
-from recorder_files import MTK_HEADER, START, Drive, gpx_text, mtk_rows, nmea_lines
+from recorder_files import MTK_HEADER, START, Drive, gpx_text, mtk_rows, nmea_lines, ublox_text
 from satellite_trips import PACES, paced
 from simulated_line import hilly_line
 
@@ -88,55 +88,21 @@ def drive(line: str, rate: float, count: int, begin: float = BEGIN) -> Drive:
     )
 
 
-Writer = Callable[[Path, Drive, np.ndarray, np.ndarray], None]
-"""Writes a drive with the recorder's clock [ns] and the distance that its wheels count [m]."""
-
-
 @dataclass(frozen=True)
 class Layout:
-    """How a recorder writes: file name, rows a second, and the text of a drive."""
+    """How a recorder writes: file name, rows a second, and the text of a drive.
+
+    The text is of what the receiver gives, and of the distance that wheels count [m].
+    """
 
     name: str
     rate: float
-    write: Writer
+    text: Callable[[Drive, np.ndarray], str | bytes]
     profile: dict[str, Any] | None = None
 
-
-def _mtk(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
-    path.write_text("\n".join([MTK_HEADER, *mtk_rows(replace(run, time=clock))]) + "\n")
-
-
-def _ublox(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
-    head = "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt1,Alt2,hAcc,vAcc,speed,speedAcc,PDOP,"
-    rows = [
-        f"{t.year},{t.month},{t.day},{t.hour},{t.minute},{t.second},"
-        f"{run.satellites[i]},{round(1e7 * run.longitude[i])},"
-        f"{round(1e7 * run.latitude[i])},{round(1e3 * run.altitude[i])},"
-        f"{round(1e3 * run.altitude[i])},3000,5000,"
-        f"{round(1e3 * run.speed[i])},100,{round(100 * run.hdop[i])},"
-        for i, t in enumerate(pd.DatetimeIndex(clock))
-    ]
-    path.write_text("\n".join([head, *rows]) + "\n")
-
-
-def _gpx(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
-    path.write_text(gpx_text(replace(run, time=clock)))
-
-
-def _nmea(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
-    lines = nmea_lines(replace(run, time=clock), ("RMC", "GGA"))
-    path.write_text("\r\n".join(lines) + "\r\n")
-
-
-def _state(pattern: str, *, fractions: bool) -> Writer:
-    def write(path: Path, run: Drive, clock: np.ndarray, distance: np.ndarray) -> None:
-        text = pd.DatetimeIndex(clock).strftime(pattern)
-        if fractions:
-            text = [t[:-3] for t in text]
-        rows = [f"{t},{v:.2f},{s:.1f}" for t, v, s in zip(text, run.speed, distance, strict=True)]
-        path.write_text("\n".join(["t,v,s", *rows]) + "\n")
-
-    return write
+    def write(self, path: Path, run: Drive, distance: np.ndarray) -> None:
+        text = self.text(run, distance)
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
 
 
 def distance(line: str, run: Drive) -> np.ndarray:
@@ -145,18 +111,33 @@ def distance(line: str, run: Drive) -> np.ndarray:
     return 1.004 * np.interp((run.time - START) / SECOND, at, position)
 
 
-def _elapsed(path: Path, run: Drive, clock: np.ndarray, distance: np.ndarray) -> None:
-    rows = [
-        f"{round((t - START) / 1e6)},{3.6 * v:.2f},{s:.1f}"
-        for t, v, s in zip(clock, run.speed, distance, strict=True)
-    ]
-    path.write_text("\n".join(["t,v,s", *rows]) + "\n")
+def _mtk(run: Drive, _: np.ndarray) -> str:
+    return "\n".join([MTK_HEADER, *mtk_rows(run)]) + "\n"
 
 
-def _parquet(path: Path, run: Drive, clock: np.ndarray, distance: np.ndarray) -> None:
-    pd.DataFrame(
-        {"t": pd.DatetimeIndex(clock).tz_localize("UTC"), "v": run.speed, "s": distance}
-    ).to_parquet(path)
+def _nmea(run: Drive, _: np.ndarray) -> str:
+    return "\r\n".join(nmea_lines(run, ("RMC", "GGA"))) + "\r\n"
+
+
+def _state(stamps: Callable[[np.ndarray], Any], size: float = 1.0) -> Any:
+    def text(run: Drive, distance: np.ndarray) -> str:
+        cells = zip(stamps(run.time), size * run.speed, distance, strict=True)
+        return "\n".join(["t,v,s", *(f"{t},{v:.2f},{s:.1f}" for t, v, s in cells)]) + "\n"
+
+    return text
+
+
+def _seconds(clock: np.ndarray) -> Any:
+    return pd.DatetimeIndex(clock).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _milliseconds(clock: np.ndarray) -> list[str]:
+    return [t[:-3] for t in pd.DatetimeIndex(clock).strftime("%Y-%m-%dT%H:%M:%S.%f")]
+
+
+def _parquet(run: Drive, distance: np.ndarray) -> bytes:
+    stamps = pd.DatetimeIndex(run.time).tz_localize("UTC")
+    return pd.DataFrame({"t": stamps, "v": run.speed, "s": distance}).to_parquet()
 
 
 def table_profile(time: dict[str, Any], speed: str = "m/s", **file: Any) -> dict[str, Any]:
@@ -164,21 +145,20 @@ def table_profile(time: dict[str, Any], speed: str = "m/s", **file: Any) -> dict
     return {**PLAIN, "file": file, "time": {"column": "t"} | time, "columns": columns}
 
 
+ELAPSED = {"format": "elapsed", "unit": "ms", "start": "2024-05-01T06:00:00Z"}
 LAYOUTS = (
     Layout("mtk.csv", 10.0, _mtk),
-    Layout("ublox.csv", 5.0, _ublox),
+    Layout("ublox.csv", 5.0, lambda run, _: ublox_text(run)),
     Layout("log.nmea", 5.0, _nmea),
-    Layout("log.gpx", 1.0, _gpx),
-    Layout("whole.csv", 5.0, _state("%Y-%m-%dT%H:%M:%SZ", fractions=False), table_profile({})),
-    Layout("fine.csv", 10.0, _state("%Y-%m-%dT%H:%M:%S.%f", fractions=True), table_profile({})),
+    Layout("log.gpx", 1.0, lambda run, _: gpx_text(run)),
+    Layout("whole.csv", 5.0, _state(_seconds), table_profile({})),
+    Layout("fine.csv", 10.0, _state(_milliseconds), table_profile({})),
     Layout(
-        "elapsed.csv",
-        2.0,
-        _elapsed,
-        table_profile({"format": "elapsed", "unit": "ms", "start": "2024-05-01T06:00:00Z"}, "km/h"),
+        "elapsed.csv", 2.0, _state(lambda t: np.round((t - START) / 1e6).astype(int), 3.6),
+        table_profile(ELAPSED, "km/h"),
     ),
     Layout("table.parquet", 10.0, _parquet, table_profile({}, format="parquet")),
-)
+)  # fmt: skip
 
 STEPS = {"back": -2, "forward": 3, "mixed": -2, "back 7.4": -7.4, "forward 2.6": 2.6,
          "forward 30": 30}  # fmt: skip
@@ -224,7 +204,7 @@ def recorded(
         # The clock after the step is right.
         clock[~new] -= round(STEPS[step] * SECOND)
     path = folder / layout.name
-    layout.write(path, run, clock, distance(line, run))
+    layout.write(path, replace(run, time=clock), distance(line, run))
     profile = None if layout.profile is None else profile_of(layout.profile)
     return Case(path, profile, run.time, 1.0 / layout.rate)
 
@@ -400,7 +380,7 @@ def test_any_seconds_may_be_set_and_a_cut_agrees(tmp_path: Path, step: str) -> N
 def without_step(tmp_path: Path, run: Drive, shown: np.ndarray) -> np.ndarray:
     """Times of the fixes of a GPX file in which no step of the clock is found."""
     path = tmp_path / "log.gpx"
-    _gpx(path, run, shown, run.time)
+    path.write_text(gpx_text(replace(run, time=shown)))
     trip = ingest(path)
     assert not {"clock_step", "clock_step_suspected"} & set(report_of(trip).counts)
     return trip["/gnss/fix"].index.as_unit("ns").asi8
@@ -459,7 +439,7 @@ def test_a_step_back_that_gives_times_again_needs_no_distance(tmp_path: Path, la
     order = np.argsort(np.where((number >= 700) & (number < 720), number + 30.0, number))
     order = order if late else number
     path = tmp_path / "fine.csv"
-    LAYOUTS[5].write(path, run.take(order), clock[order], distance("hilly", run))
+    LAYOUTS[5].write(path, replace(run, time=clock).take(order), distance("hilly", run))
     profile = table_profile({})
     del profile["columns"]["/train/state.position"]
     trip = ingest(path, profile=profile_of(profile))
@@ -607,7 +587,7 @@ def disturbed(run: Drive, rate: float, seed: int) -> Drive:
 def test_other_defects_are_no_steps_of_the_clock(tmp_path: Path, layout: Layout, seed: int) -> None:
     run = disturbed(drive("hilly", layout.rate, int(200 * layout.rate)), layout.rate, seed)
     path = tmp_path / layout.name
-    layout.write(path, run, run.time, distance("hilly", run))
+    layout.write(path, run, distance("hilly", run))
     profile = None if layout.profile is None else profile_of(layout.profile)
     assert "clock_step" not in report_of(ingest(path, profile=profile)).counts
 

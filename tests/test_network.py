@@ -50,14 +50,8 @@ CASES = settings(
 
 
 def plain_line(name: str, length: float, gradient: float = 0.0, **others: Any) -> Line:
-    return Line(
-        name=name,
-        length=length,
-        stations=(),
-        speed_limits=StepProfile([0.0], [20.0 + 100.0 * abs(gradient)]),
-        gradients=StepProfile([0.0], [gradient]),
-        **others,
-    )
+    limits = StepProfile([0.0], [20.0 + 100.0 * abs(gradient)])
+    return Line(name, length, (), limits, StepProfile([0.0], [gradient]), **others)
 
 
 def edge(name: str, start: str, end: str, length: float = 1_000.0, **others: Any) -> Edge:
@@ -66,16 +60,12 @@ def edge(name: str, start: str, end: str, length: float = 1_000.0, **others: Any
 
 def y_network(turns: dict[str, tuple[tuple[str, str], ...]] | None = None) -> Network:
     """A trunk from A to the junction J, and two branches to B and C."""
-    return Network(
-        "Y",
-        (Node("A"), Node("B"), Node("C"), Node("J", "junction")),
-        (
-            edge("trunk", "A", "J", 3_000.0, gradient=0.01),
-            edge("to B", "J", "B", 2_000.0, gradient=0.02),
-            edge("to C", "C", "J", 1_000.0, gradient=-0.005),
-        ),
-        turns or {},
+    edges = (
+        edge("trunk", "A", "J", 3_000.0, gradient=0.01),
+        edge("to B", "J", "B", 2_000.0, gradient=0.02),
+        edge("to C", "C", "J", 1_000.0, gradient=-0.005),
     )
+    return Network("Y", (*map(Node, "ABC"), Node("J", "junction")), edges, turns or {})
 
 
 @st.composite
@@ -100,13 +90,9 @@ def networks(draw: Callable[..., Any]) -> Network:
 def routes(draw: Callable[..., Any]) -> trainlog.Route:
     network = draw(networks())
     stops = [each.line.stations[0].name for each in network.edges]
-    places = draw(
-        st.lists(
-            st.sampled_from([*(node.name for node in network.nodes), *stops]),
-            min_size=2,
-            max_size=4,
-        ).filter(lambda names: all(a != b for a, b in pairwise(names)))
-    )
+    place = st.sampled_from([*(node.name for node in network.nodes), *stops])
+    several = st.lists(place, min_size=2, max_size=4)
+    places = draw(several.filter(lambda names: all(a != b for a, b in pairwise(names))))
     try:
         return network.route(*places)
     except InputError:  # only junctions on the way, where trains do not turn back

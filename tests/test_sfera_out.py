@@ -77,17 +77,11 @@ def constraints_in(journey: SferaJourney, tag: str) -> Iterator[tuple[float, flo
             found = each.first(tag)
             if found is None:
                 continue
-            ends = [
-                each.number(name, default)
-                for name, default in (
-                    ("startLocation", segment.length if segment.reverse else 0.0),
-                    ("endLocation", 0.0 if segment.reverse else segment.length),
-                )
-            ]
-            first, last = (
-                segment.begin + (segment.length - at if segment.reverse else at) for at in ends
-            )
-            yield first, last, found
+            back, length = segment.reverse, segment.length
+            first = each.number("startLocation", length if back else 0.0)
+            last = each.number("endLocation", 0.0 if back else length)
+            ends = (segment.begin + (length - at if back else at) for at in (first, last))
+            yield *ends, found
 
 
 def test_a_line_as_a_journey_comes_back_as_the_line(wil: Path) -> None:
