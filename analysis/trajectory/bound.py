@@ -493,7 +493,7 @@ def partial_cells(hamiltonian: Hamiltonian, mean: FloatArray) -> tuple[BoolArray
     own, regained = mean * problem.gain[:, None], prices.regained[:, None]
     worth = np.asarray(own.sum(axis=0))
     pull, brake = most_efforts(problem, plan)
-    # Multipliers are less exact than controls: one well inside its limits tells a level, too.
+    # Multipliers are less exact than controls: where one is inside its limits a level is wide.
     near = np.where(_inside(plan.traction, pull), _NEAR_LEVEL, _LEVEL)
     shared = np.abs(worth - prices.traction) < near
     braked = np.where(_inside(plan.braking, brake), _NEAR_LEVEL, _LEVEL)
