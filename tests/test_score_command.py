@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ CH_StGallen_Wil,,15,29,2024-10-07,2024-10-08,2024-10-06T18:00Z,0.1,0.25
 """
 
 
+@cache
 def month() -> TrackConditionMap:
     """Twelve days on a line with a place that always slips, and one that slips for three days."""
     days = []
@@ -66,6 +68,7 @@ def scored(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
     return found
 
 
+@cache
 def first_days() -> TrackConditionMap:
     """The month up to its seventh day, not estimated."""
     known = month().layer("wet").evidence.between(0, FIRST + 6)

@@ -40,10 +40,8 @@ def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back):
-    whole, held = (
-        read_log(there_and_back, module.TOPICS),
-        rows_of_log(there_and_back, module.TOPICS),
-    )
+    whole = read_log(there_and_back, ["/train/state", "/train/axles"])
+    held = rows_of_log(there_and_back, module.TOPICS)
     for rows in (held - 1, held // 7):
         parts = [part.trip for part in module.views_of(there_and_back, module.TOPICS, rows=rows)]
         for topic in whole:
