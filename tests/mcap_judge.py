@@ -129,11 +129,7 @@ def foreign(compression: CompressionType, *, chunks: bool = True) -> bytes:
     """A log as another program writes it: JSON, schemas in the chunks, own sequence numbers."""
     stream = BytesIO()
     writer = Writer(
-        stream,
-        chunk_size=1000,
-        compression=compression,
-        use_chunking=chunks,
-        enable_data_crcs=True,
+        stream, chunk_size=1000, compression=compression, use_chunking=chunks, enable_data_crcs=True
     )
     writer.start(profile="other", library="other 1")
     random = np.random.default_rng(8)

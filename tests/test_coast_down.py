@@ -22,12 +22,7 @@ from trainlog.arrays import FloatArray
 from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
-from trainlog.formats.railway import (
-    CoastDownResult,
-    line_to_bytes,
-    read_coast_down,
-    train_of,
-)
+from trainlog.formats.railway import CoastDownResult, line_to_bytes, read_coast_down, train_of
 from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Line, Station, StepProfile

@@ -40,10 +40,7 @@ def size(covariance: FloatArray, study: Study) -> float:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param("pieces of 100 to 200 m", marks=pytest.mark.long),
-        "pieces of 0.3 to 2 km",
-    ],
+    [pytest.param("pieces of 100 to 200 m", marks=pytest.mark.long), "pieces of 0.3 to 2 km"],
 )
 def test_a_trip_is_known_as_well_as_the_bound_allows(name):
     study = STUDIES[name]

@@ -38,10 +38,7 @@ DATA, TIMES = bytes([1, 2, 3]), (0, 2, 1, 3, 3, 5, 4, 7, 8, 9)
 
 INPUTS: dict[str, list[McapRecord]] = {
     "NoData": [],
-    "OneSchemalessMessage": [
-        Channel(1, "example", "text", {}, 0),
-        Message(1, 2, DATA, 1, 10),
-    ],
+    "OneSchemalessMessage": [Channel(1, "example", "text", {}, 0), Message(1, 2, DATA, 1, 10)],
     "OneMessage": [_SCHEMA, _CHANNEL, Message(1, 2, DATA, 1, 10)],
     "OneAttachment": [Attachment(1, 2, "myFile", "application/octet-stream", DATA)],
     "OneMetadata": [Metadata(metadata={"foo": "bar"}, name="myMetadata")],

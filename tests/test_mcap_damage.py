@@ -120,8 +120,7 @@ def test_files_that_are_no_log(content, said, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("conversion", "old", "new"),
-    [("CRLF to LF", b"\r\n", b"\n"), ("LF to CRLF", b"\n", b"\r\n")],
+    ("conversion", "old", "new"), [("CRLF to LF", b"\r\n", b"\n"), ("LF to CRLF", b"\n", b"\r\n")]
 )
 def test_converted_line_ends_are_named(conversion, old, new, data, tmp_path):
     """As git or a transfer in text mode does it; no byte behind the first is where it was."""

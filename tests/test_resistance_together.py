@@ -112,11 +112,7 @@ def test_band_of_the_common_curve_covers():
 
 
 @settings(max_examples=50)
-@given(
-    r0=st.floats(-3000.0, 5000.0),
-    r1=st.floats(-300.0, 300.0),
-    r2=st.floats(1.0, 30.0),
-)
+@given(r0=st.floats(-3000.0, 5000.0), r1=st.floats(-300.0, 300.0), r2=st.floats(1.0, 30.0))
 def test_nearest_physical_resistance(r0, r1, r2):
     covariance = covariance_of((300.0, 50.0, 100.0))
     beta = np.array([r0, r1, r2])

@@ -14,12 +14,7 @@ from scipy.special import ndtri
 from analysis.resistance import TripFit, TripRefusedError, fit_trip
 from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.recording import REASONS
-from analysis.resistance.regression import (
-    LEAST_FORCE,
-    Residuals,
-    diagnosed,
-    fit_windows,
-)
+from analysis.resistance.regression import LEAST_FORCE, Residuals, diagnosed, fit_windows
 from analysis.resistance.windows import Windows, build_windows
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_to_bytes
@@ -149,13 +144,7 @@ def test_outliers_are_left_out():
     assert np.ptp(off[~points.used]) > 10.0 * scale
 
 
-@pytest.mark.parametrize(
-    ("first", "last", "force"),
-    [
-        (300.0, 420.0, 0.02),
-        (0.0, 500.0, -0.02),
-    ],
-)
+@pytest.mark.parametrize(("first", "last", "force"), [(300.0, 420.0, 0.02), (0.0, 500.0, -0.02)])
 def test_a_stretch_with_a_force_of_its_own_is_found(first, last, force):
     """Over mass, of a part of 20 min. A long one may be the right part: the band holds both."""
     windows = build_windows(recording(noise=0.02, seed=4))

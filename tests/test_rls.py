@@ -205,10 +205,7 @@ def test_time_resets_fall_on_multiples_of_the_period_despite_rounding():
 
 
 @settings(max_examples=40)
-@given(
-    st.lists(st.floats(0.0, 1_100.0), min_size=2, max_size=40),
-    st.integers(1, 39),
-)
+@given(st.lists(st.floats(0.0, 1_100.0), min_size=2, max_size=40), st.integers(1, 39))
 def test_blocks_do_not_matter(positions, cut):
     cut = min(cut, len(positions) - 1)
     whole = edges_crossed(EDGES, positions)

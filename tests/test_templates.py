@@ -139,10 +139,7 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
     assert line.reversed().kilometre(0.0) == pytest.approx(24_300.0)
 
 
-@given(
-    st.lists(st.integers(1, 5_000), min_size=1, max_size=30),
-    st.data(),
-)
+@given(st.lists(st.integers(1, 5_000), min_size=1, max_size=30), st.data())
 @quick
 def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
     """Values hold until the next that is given, whatever cells are empty."""

@@ -56,11 +56,7 @@ def test_each_bin_is_seen_demonstrated_or_assumed():
     assert found.profile(210.0) == found.values[8] > 0.05
 
 
-@given(
-    st.lists(st.integers(0, 5), min_size=4, max_size=4),
-    st.floats(0.0, 3.0),
-    st.integers(0, 3),
-)
+@given(st.lists(st.integers(0, 5), min_size=4, max_size=4), st.floats(0.0, 3.0), st.integers(0, 3))
 def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_nothing_away(
     trips, sigmas, further
 ):
