@@ -67,7 +67,9 @@ def test_code_runs(page, tmp_path, monkeypatch):
     outputs = list(pages.execute(text))
     assert len(outputs) == len(pages.blocks_of(text))
     if text.startswith(pages.EXECUTED):
-        assert_written(page, tmp_path)
+        for target in LINK.findall(text):
+            if target.endswith((".png", ".html")) and not (page.parent / target).is_file():
+                assert (tmp_path / target).stat().st_size > 5_000, target
     if page == TUTORIAL:
         for title in TITLES:
             begins = re.compile(rf"<div><b>{title}|<table><caption[^>]*><b>{title}")
@@ -76,14 +78,6 @@ def test_code_runs(page, tmp_path, monkeypatch):
 
 TITLES = ("Trip ", "Line ", "Train ", "Track-condition map ", "Running res", "Trajectory ")
 """Of the objects that the developer's tutorial shows."""
-
-
-def assert_written(page: Path, folder: Path) -> None:
-    """Every picture that an executed page shows is in the documentation or was written."""
-    for target in LINK.findall(page.read_text("utf-8")):
-        if target.endswith((".png", ".html")):
-            written = folder / target
-            assert (page.parent / target).is_file() or written.stat().st_size > 5_000, target
 
 
 def test_the_notebook_is_the_tutorial():

@@ -53,27 +53,12 @@ COLUMNS = {
     "/reference": "speed tractive_effort braking_effort lateness",
     "/truth": "position speed acceleration running_resistance maximum_adhesion energy",
 }
-ROWS = 6
 START = 1_735_689_600 * 10**9
 """2025-01-01T00:00:00Z"""
 
 METADATA = {"trip": "kept 1", "train": "FLIRT", "line": "St.Gallen–Wil", "direction": "reverse"}
 PROVENANCE = ({"step": "written by hand", "inputs": {"a": "00"}}, {"step": "second", "count": 2})
 ATTACHMENTS = {"line.json": b'{"kept": true}', "train.json": b"{}"}
-
-
-def time_of(topic: str) -> np.ndarray:
-    """Half a second between rows, the last two rows at the same time, each topic a bit later."""
-    steps = np.array([0, 1, 2, 3, 4, 4]) * 500_000_000
-    return START + steps + list(COLUMNS).index(topic)
-
-
-def column_of(topic: str, column: str) -> np.ndarray:
-    """Eighths that differ by topic, column and row; the third row is absent."""
-    number = COLUMNS[topic].split().index(column)
-    values = list(COLUMNS).index(topic) * 100 + number * 10 + np.arange(ROWS) / 8
-    values[2] = np.nan
-    return values
 
 
 EVENTS = {
@@ -84,14 +69,19 @@ EVENTS = {
 
 
 def kept_trip() -> Trip:
+    """Half a second between rows, the last two at the same time, each topic a bit later.
+
+    Values are eighths that differ by topic, column and row; the third row is absent.
+    """
     frames = {}
-    for name, columns in COLUMNS.items():
-        data = (
-            {key: np.array(values) for key, values in EVENTS.items()}
-            if name == "/events"
-            else {column: column_of(name, column) for column in columns.split()}
-        )
-        frames[name] = frame_of(TOPICS[name], time_of(name), data)
+    for topic, (name, columns) in enumerate(COLUMNS.items()):
+        data: dict[str, object] = dict(EVENTS)
+        if name != "/events":
+            for number, column in enumerate(columns.split()):
+                data[column] = np.array([0, 1, np.nan, 3, 4, 5]) / 8 + topic * 100 + number * 10
+        times = START + np.array([0, 1, 2, 3, 4, 4]) * 500_000_000 + topic
+        kept = {column: np.array(data[column]) for column in columns.split()}
+        frames[name] = frame_of(TOPICS[name], times, kept)
     return Trip(frames, METADATA, PROVENANCE, ATTACHMENTS)
 
 

@@ -32,17 +32,12 @@ def stopping() -> Trip:
     return trainlog.read("sample_logs/stopping.mcap")
 
 
-def scaled(trip: Trip, factor: float) -> Trip:
-    """The trip with all recorded efforts of the train times a factor."""
-    controls = trip["/train/controls"]
-    efforts = {name: factor * controls[name] for name in controls if name.endswith("_effort")}
-    return trip.with_topic(controls.assign(**efforts))
-
-
 def test_late_efforts_with_a_wrong_gain_are_found(stopping):
     clean = estimated_passport(stopping)
-    defect = estimated_passport(with_effort_delay(scaled(stopping, 1.1), -0.33))
-
+    controls = stopping["/train/controls"]
+    efforts = {name: 1.1 * controls[name] for name in controls if name.endswith("_effort")}
+    scaled = stopping.with_topic(controls.assign(**efforts))
+    defect = estimated_passport(with_effort_delay(scaled, -0.33))
     assert defect.effort_delay.source == defect.effort_gain.source == "estimated"
     assert defect.effort_delay.value - clean.effort_delay.value == pytest.approx(0.33, abs=0.03)
     assert defect.effort_gain.value / clean.effort_gain.value == pytest.approx(1.1, abs=0.01)

@@ -163,15 +163,6 @@ def test_a_formation_adds_its_vehicles_up():
     refused(InputError, "no vehicle has tractive effort", coupled, "wagons", (wagon,))
 
 
-def path_file(folder: Path, sections: str) -> Path:
-    file = folder / "path.yaml"
-    file.write_text(
-        "schema: https://railtoolkit.org/schema/running-path.json\nschema_version: '2024.07'\n"
-        f"paths:\n  - id: here\n    characteristic_sections:\n{sections}"
-    )
-    return file
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -221,7 +212,10 @@ def test_what_an_import_cannot_use_is_refused(words, message, tmp_path):
         STOCK.replace("vehicles:", "trains: [{id: ore, name: ore, formation: [V90, F]}]")
     )
     rows = (f"      - {{position: {at}, speed: 80}}\n" for at in (0, 900))
-    path_file(tmp_path, "".join(rows))
+    (tmp_path / "path.yaml").write_text(
+        "schema: https://railtoolkit.org/schema/running-path.json\nschema_version: '2024.07'\n"
+        f"paths:\n  - id: here\n    characteristic_sections:\n{''.join(rows)}"
+    )
     with pytest.raises(InputError, match=message):
         cli.run(["import", str(tmp_path / words[0]), *words[1:], "-o", str(tmp_path / "out")])
     assert not list(tmp_path.glob("out/*"))

@@ -83,10 +83,6 @@ def drawn(
     return fits, true
 
 
-def relative(beta: FloatArray, true: FloatArray) -> float:
-    return float(np.sqrt(np.mean((basis(SPEED) @ beta / (basis(SPEED) @ true) - 1.0) ** 2)))
-
-
 def beta_of(resistance: RunningResistance) -> FloatArray:
     return np.array([resistance.r0, resistance.r1, resistance.r2])
 
@@ -152,7 +148,8 @@ def test_logs_to_parameters_and_pictures(tmp_path):
     assert "vary too little" in str(fits.refused["dull"])
     assert all(len(detail["sha256"]) == 64 for detail in fits.parameters.details)
     assert set(fits.parameters.provenance["inputs"]) == {one.name for one in trips}
-    assert relative(beta_of(fits.common.resistance), TRUE) < 0.02
+    off = fits.common.resistance(SPEED) / RESISTANCE(SPEED) - 1.0
+    assert np.sqrt(np.mean(off**2)) < 0.02
     write_parameters(fits.parameters, tmp_path / "parameters.json")
     back = read_parameters(tmp_path / "parameters.json")
     assert back.configurations == fits.parameters.configurations

@@ -23,12 +23,6 @@ def columns(plant: Plant, rows: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(plant.columns, rows.T, strict=True))
 
 
-def slips(plant: Plant, rows: np.ndarray) -> np.ndarray:
-    found = columns(plant, rows)
-    speeds = [found[f"wheel_speed_{axle + 1}"] for axle in range(plant.axles)]
-    return np.column_stack(speeds) - found["speed"][:, None]
-
-
 def rolling(plant: Plant, position: float, speed: float) -> PlantState:
     state = plant.at(position, speed)
     assert state.speed == speed
@@ -136,7 +130,9 @@ def test_slip_protection_catches_the_wheels(braking, effort, peak):
     plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, peak)))
     state = rolling(plant, 0.0, 20.0)
     rows = plant.advance(state, 0.0 if braking else effort, effort if braking else 0.0, 2_000, 5)
-    slip = slips(plant, rows)
+    found = columns(plant, rows)
+    wheels = np.column_stack([found[f"wheel_speed_{axle + 1}"] for axle in range(plant.axles)])
+    slip = wheels - found["speed"][:, None]
     size = np.abs(slip)
     assert 3.0 < size.max() < 7.0
     assert np.all(np.sign(slip[size > 1.5]) == (-1.0 if braking else 1.0))
@@ -145,7 +141,6 @@ def test_slip_protection_catches_the_wheels(braking, effort, peak):
     edges = np.flatnonzero(np.diff(np.concatenate(([0], runaway.astype(int), [0]))))
     assert len(edges) >= 2
     assert np.diff(edges)[::2].max() * 0.025 < 2.0
-    found = columns(plant, rows)
     assert found["protected_axles"].max() == 4.0
 
 
