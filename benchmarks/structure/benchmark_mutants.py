@@ -64,6 +64,7 @@ WIDER = {
     "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",
     "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
     "analysis/trajectory/bound.py": "trajectory_curves trajectory_limits",
+    "analysis/trajectory/instructions.py": "sfera_out optimise_command trajectory_journey",
     "trainlog/ingest/clock.py": "ingest_recorders ingest_formats golden",
 }
 
