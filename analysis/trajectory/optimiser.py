@@ -102,9 +102,9 @@ _CUT, _LOWER = 0.7, 2e-4
 _LONGER = 2.5
 """Times the time that twice as many cells take."""
 
-EFFORT, _LONGEST = 14.0, 18.0
-"""Processor time of programs after which nothing is begun that improves a plan; and no first bound
-[s]."""
+EFFORT, _LITTLE_LEFT, _LONGEST = 14.0, 10.0, 18.0
+"""Processor time of programs after which nothing is begun that improves a plan, or one that is all
+but as good as it can be; and no first bound [s]."""
 
 
 def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
@@ -346,7 +346,8 @@ def _renewed(
         elif number >= RENEWALS:
             enough = max(enough, tolerated(bound.value, fastest))
         now = worked()
-        if missing <= enough or time_left() <= 0.0 or now - begun + taken > EFFORT:
+        least = _LITTLE_LEFT if missing <= 2.0 * enough else EFFORT
+        if missing <= enough or time_left() <= 0.0 or now - begun + taken > least:
             break
         note(f"the gap is {gap_of(found.energy, bound.value):.3%}; cells are laid anew")
         again = _searched_again(last, excess, cells, fastest, running_time)
