@@ -26,7 +26,10 @@ def modules() -> list[str]:
 
 
 PACKAGES = ("trainlog", "analysis", "estimators")
-LONG = ("analysis.geometry.centre_line", "analysis.trajectory.referee", "trainlog.condition")
+LONG = (
+    *("analysis.geometry.centre_line", "analysis.trajectory.journey", "trainlog.condition"),
+    *("analysis.trajectory.referee", "trainlog.formats.mapfile", "trainlog.simulation.fleet"),
+)
 """Modules whose examples take more than a second."""
 
 
