@@ -402,7 +402,7 @@ def test_settings_bins_and_lists_that_no_map_takes_are_refused() -> None:
         ("trip_std must be positive", lambda: empty_map(LINE, settings={"trip_std": 0.0})),
         ("bin_length must be positive", lambda: empty_map(LINE, bin_length=-25.0)),
         ("fit", lambda: update(empty_map(LINE), [replace(piece(1), bin_length=50.0)])),
-        ("of line 'level', 2000 m, not of 'far'", lambda: update(empty_map(LINE), [replace(piece(1), line="far")])),
+        ("not of 'far'", lambda: update(empty_map(LINE), [replace(piece(1), line="far")])),
         ("no trip was given", lambda: adhesion_map([])),
     ):
         refused(InputError, words, call)
