@@ -98,7 +98,11 @@ def _speeds(trips: Sequence[Trip], line: Line) -> Panel:
         rows = trip["/train/state"].index.searchsorted([] if when is None else when)
         slips.append(Curve("", _km(trip)[rows], speed[rows], RED, "points", width=2.0))
     count = sum(np.size(each.x) for each in slips)
-    acted = f"slip protection acted {counted(count, 'time')}" if recorded else "slip protection not recorded"
+    acted = (
+        f"slip protection acted {counted(count, 'time')}"
+        if recorded
+        else "slip protection not recorded"
+    )
     title = f"Speed, {counted(len(trips), 'trip')}; {acted}{' (red)' * (count > 0)}"
     return Panel("km/h", [*curves, *slips], 1.5, title, from_zero=True)
 
