@@ -428,7 +428,9 @@ class Costate:
         return np.where(self.even[:, :, None], line, self.begin[:, :, None] + step), slope
 
 
-def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
+def costate_of(
+    hamiltonian: Hamiltonian, multipliers: Multipliers, near: float = _NEAR_LEVEL
+) -> Costate:
     """The multipliers of cells as a function of the position.
 
     A multiplier is the mean of the costate over its cell. Where a control is partial the costate
@@ -440,7 +442,7 @@ def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
     limit, floor = node_limits(hamiltonian)
     limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
     held = limited[:, :-1] & limited[:, 1:]
-    partial, alone = partial_cells(hamiltonian, mean)
+    partial, alone = partial_cells(hamiltonian, mean, near)
     flat = alone | (held & (shape.mean(axis=2) < 0.0))
     flat |= _standing(hamiltonian)
     creeping = _creeping(problem, hamiltonian.fastest, plan)
@@ -484,7 +486,9 @@ def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
     return 0.5 * np.minimum(lowest, own) ** 2, problem.floor
 
 
-def partial_cells(hamiltonian: Hamiltonian, mean: FloatArray) -> tuple[BoolArray, BoolArray]:
+def partial_cells(
+    hamiltonian: Hamiltonian, mean: FloatArray, near: float
+) -> tuple[BoolArray, BoolArray]:
     """Cells in which a control is partial, (q, n); and those in which the costate itself is level.
 
     By common traction, or a common brake, that is the sum of the costates.
@@ -494,12 +498,11 @@ def partial_cells(hamiltonian: Hamiltonian, mean: FloatArray) -> tuple[BoolArray
     worth = np.asarray(own.sum(axis=0))
     pull, brake = most_efforts(problem, plan)
     # Multipliers are less exact than controls: where one is inside its limits a level is wide.
-    near = np.where(_inside(plan.traction, pull), _NEAR_LEVEL, _LEVEL)
-    shared = np.abs(worth - prices.traction) < near
-    braked = np.where(_inside(plan.braking, brake), _NEAR_LEVEL, _LEVEL)
+    pulled = np.where(_inside(plan.traction, pull), near, _LEVEL)
+    shared = np.abs(worth - prices.traction) < pulled
+    braked = np.where(_inside(plan.braking, brake), near, _LEVEL)
     if problem.common:
-        near = braked[0]
-        shared |= (np.abs(worth) < near) | (np.abs(worth - regained.sum()) < near)
+        shared |= (np.abs(worth) < braked[0]) | (np.abs(worth - regained.sum()) < braked[0])
         alone = np.zeros(own.shape, dtype=np.bool_)
     else:
         alone = np.asarray((np.abs(own) < braked) | (np.abs(own - regained) < braked))
@@ -661,12 +664,16 @@ def _bound(
     prices = Prices.of(problem, multipliers.convex())
     segments, times = Segments.of(problem, _POINTS), prices.of_times(problem, running_time)
     hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
-    costate = costate_of(hamiltonian, multipliers)
-    values, slopes = costate.along(hamiltonian)
-    least, spent = hamiltonian.least(values, slopes), hamiltonian.of_plan(values, slopes)
-    total = float((least * segments.weights).sum()) + costate.at_nodes - times
-    excess = ((spent - least) * segments.weights).sum(axis=1)
-    return ContinuousBound(total, np.maximum(excess, 0.0)), _falls(hamiltonian, multipliers)
+    found: list[ContinuousBound] = []
+    for near in (_NEAR_LEVEL, _LEVEL):
+        costate = costate_of(hamiltonian, multipliers, near)
+        values, slopes = costate.along(hamiltonian)
+        least, spent = hamiltonian.least(values, slopes), hamiltonian.of_plan(values, slopes)
+        total = float((least * segments.weights).sum()) + costate.at_nodes - times
+        excess = ((spent - least) * segments.weights).sum(axis=1)
+        found.append(ContinuousBound(total, np.maximum(excess, 0.0)))
+    best = max(each.value for each in found)
+    return replace(found[0], value=best), _falls(hamiltonian, multipliers)
 
 
 def _falls(hamiltonian: Hamiltonian, multipliers: Multipliers) -> FloatArray:

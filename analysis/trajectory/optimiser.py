@@ -102,7 +102,7 @@ _CUT, _LOWER = 0.7, 2e-4
 _LONGER = 2.5
 """Times the time that twice as many cells take."""
 
-EFFORT, _LITTLE_LEFT, _LONGEST = 14.0, 10.0, 18.0
+EFFORT, _LITTLE_LEFT, _LONGEST = 14.0, 10.0, 16.0
 """Processor time of programs after which nothing is begun that improves a plan, or one that is all
 but as good as it can be; and no first bound [s]."""
 
@@ -332,8 +332,8 @@ def _renewed(
     taken = 0.5 * (worked() - begun)
     # New cells lower the energy, too: a cone program that takes longer waits for them. For a common
     # brake its multipliers have to show where cells are too long.
-    first = for_bound() if found.problem.common else taken
-    bound = best_bound(found.answer, fastest, running_time, first)
+    common = found.problem.common
+    bound = best_bound(found.answer, fastest, running_time, for_bound() if common else 0.0)
     last, excess = found, bound.excess
     lower = False
     for number in itertools.count():
@@ -358,9 +358,9 @@ def _renewed(
             cells, taken = 2 * cells, 0.0
             continue
         lower = again.energy < (1.0 - _LOWER) * found.energy
-        # While the energy falls the bound only guides the cells; its cone program can wait.
-        left = 0.0 if lower else for_bound()
         taken = worked() - now
+        # While the energy falls the bound only guides the cells; its cone program can wait.
+        left = 0.0 if lower else for_bound() if common else taken
         other = best_bound(again.answer, fastest, running_time, left)
         last, excess = again, other.excess
         # On these cells the cone program that bounds best would take too long.
@@ -379,9 +379,9 @@ def _renewed(
             continue
         cells, taken = 2 * cells, _LONGER * taken
     missing = found.energy - bound.value
-    asked = found.problem.common or bound.source != MULTIPLIERS
+    asked = common or bound.source != MULTIPLIERS
     waits = number == 0 and missing > enough and not asked
-    if waits or (lower and missing > tolerated(bound.value, fastest)):
+    if waits or ((lower or not asked) and missing > tolerated(bound.value, fastest)):
         other = best_bound(found.answer, fastest, running_time, for_bound())
         bound = max(bound, other, key=lambda each: each.value)
     return found, bound
