@@ -216,7 +216,7 @@ def _configurations(train: Train) -> list[Configuration]:
         ("DE_Chemnitz_Cranzahl", "virm", 0.12),
     ],
 )
-def test_no_row_leads_over_a_limit(name: str, train: str, reserve: float, tmp_path: Path) -> None:
+def test_no_row_leads_over_a_limit(name, train, reserve, tmp_path):
     line, driver = _line(name), TRAINS[train]
     plan = optimised(line, driver, _configurations(driver), reserve=reserve, cells=100)
     write_journey_advice(journey_advice([plan], line), tmp_path / "advice.csv")
@@ -234,7 +234,7 @@ def test_no_row_leads_over_a_limit(name: str, train: str, reserve: float, tmp_pa
         assert time <= (1.0 + LATE) * plan.running_time + SECONDS, f"{time} {plan.running_time}"
 
 
-def test_speeds_are_whole_rounded_down_and_below_each_limit_of_the_row() -> None:
+def test_speeds_are_whole_rounded_down_and_below_each_limit_of_the_row():
     """57 mph are 91.7 km/h: the speed to hold is 91, and 90 where that is the limit ahead."""
     line = replace(
         level_line(12_000.0, (0.0, 120.0), (5_000.0, 57 * 1.609344), (8_000.0, 130.0)),
@@ -280,7 +280,7 @@ def outcomes(plan: Trajectory, train: Train, attention: Attention, seed: int = 1
 
 
 @pytest.mark.parametrize(("train", "reserve"), [("flirt", 0.1), ("freight", 0.3)])
-def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train: str, reserve: float) -> None:
+def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train, reserve):
     """With brakes that take their time, which the plan does not know."""
     plan = plan_of(train, reserve)
     late, energy, over, stop = outcomes(plan, TRAINS[train], EXACT).T
@@ -290,7 +290,7 @@ def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train: str, reserve:
     assert np.all(energy < 0.03)
 
 
-def test_a_person_is_further_off_than_who_obeys_to_the_letter() -> None:
+def test_a_person_is_further_off_than_who_obeys_to_the_letter():
     plan = plan_of("flirt")
     exact = outcomes(plan, FLIRT, EXACT)
     persons = [outcomes(plan, FLIRT, Attention(), seed) for seed in range(2)]
@@ -301,7 +301,7 @@ def test_a_person_is_further_off_than_who_obeys_to_the_letter() -> None:
     assert np.all(late < 0.1 * plan.running_time)
 
 
-def test_a_trip_is_compared_with_its_advice() -> None:
+def test_a_trip_is_compared_with_its_advice():
     """Energies of the trip, of the plan and of the advice stand in one table."""
     plan = plan_of("flirt")
     trip = obeyed_trip(plan, LINE, FLIRT)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,7 +51,7 @@ def heavier(factor: float) -> Train:
     return replace(TRAIN, mass=factor * TRAIN.mass, rotating_mass_factor=rotating)
 
 
-def test_the_true_model_calculates_the_true_work_and_time() -> None:
+def test_the_true_model_calculates_the_true_work_and_time():
     """A set of the one true configuration; its band is that of gradients, load and efforts."""
     true = Configuration(
         "true",
@@ -104,14 +103,14 @@ def against_the_file(recorded: bool) -> Calculation:
     return calculate(windy(recorded), TRAIN)
 
 
-def test_a_wind_that_is_not_recorded_is_no_error_of_the_file() -> None:
+def test_a_wind_that_is_not_recorded_is_no_error_of_the_file():
     unknown, known = against_the_file(False), against_the_file(True)
     assert unknown.diagnosis.wrong == known.diagnosis.wrong == ()
     assert unknown.outside == known.outside == []
     assert "head wind not recorded" in unknown._repr_html_()
 
 
-def test_a_recorded_wind_makes_bands_narrower_and_times_truer() -> None:
+def test_a_recorded_wind_makes_bands_narrower_and_times_truer():
     unknown, known = against_the_file(False), against_the_file(True)
     assert known.total("time_std") < 0.6 * unknown.total("time_std")
     off = [abs(each.total("calculated_time") - each.total("time")) for each in (unknown, known)]
@@ -122,7 +121,7 @@ def test_a_recorded_wind_makes_bands_narrower_and_times_truer() -> None:
 
 
 @pytest.mark.parametrize("name", ["r0", "r2"])
-def test_a_coefficient_that_is_four_times_too_large_is_named(name: str) -> None:
+def test_a_coefficient_that_is_four_times_too_large_is_named(name):
     found = calculate(driven(), wrong_file(name), wind_std=3.0)
     (named,) = found.diagnosis.wrong
     assert named.name == name
@@ -131,7 +130,7 @@ def test_a_coefficient_that_is_four_times_too_large_is_named(name: str) -> None:
     assert found.explained["running resistance"] > 0.9
 
 
-def test_a_mass_that_is_ten_per_cent_off_is_named_with_the_efforts() -> None:
+def test_a_mass_that_is_ten_per_cent_off_is_named_with_the_efforts():
     found = calculate(driven(), heavier(0.9))
     (named,) = found.diagnosis.wrong
     assert (named.name, named.alternatives) == ("mass", ("recorded efforts",))
@@ -139,7 +138,7 @@ def test_a_mass_that_is_ten_per_cent_off_is_named_with_the_efforts() -> None:
     assert found.explained["mass or gain of efforts"] > 0.8
 
 
-def test_without_a_recorded_load_a_mass_is_not_named_and_the_band_is_wide() -> None:
+def test_without_a_recorded_load_a_mass_is_not_named_and_the_band_is_wide():
     metadata = {k: v for k, v in driven().metadata.items() if not k.startswith("load")}
     unknown = calculate(replace(driven(), metadata=metadata), TRAIN)
     known = calculate(driven(), TRAIN)
@@ -148,7 +147,7 @@ def test_without_a_recorded_load_a_mass_is_not_named_and_the_band_is_wide() -> N
     assert unknown.total("work_std") > 1.05 * known.total("work_std")
 
 
-def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_truth() -> None:
+def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_truth():
     topics = {
         k: v for k, v in driven().topics.items() if k not in ("/train/controls", "/train/axles")
     }
@@ -161,7 +160,7 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     assert found.diagnosis.not_judged
 
 
-def test_brakes_that_are_not_recorded_are_no_error_of_the_model() -> None:
+def test_brakes_that_are_not_recorded_are_no_error_of_the_model():
     """Without them the model seemed to need half of the work, and was contradicted."""
     unrecorded = ["pneumatic_braking_effort", "dynamic_braking_effort"]
     whole = read_log(sample("stopping.mcap"))
@@ -180,9 +179,7 @@ def test_brakes_that_are_not_recorded_are_no_error_of_the_model() -> None:
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_names_what_is_wrong(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_names_what_is_wrong(tmp_path, capsys):
     path = tmp_path / "wrong.train.json"
     write_train(replace(TRAIN, resistance=replace(OWN, r2=4.0 * OWN.r2)), path)
     log = str(sample("stopping.mcap"))
@@ -192,7 +189,7 @@ def test_the_command_names_what_is_wrong(
     assert len(trip["sections"]) == 4
 
 
-def test_trips_together_contradict_what_one_leaves_open() -> None:
+def test_trips_together_contradict_what_one_leaves_open():
     logs = [sample("stopping.mcap"), sample("nonstop.mcap")]
     trips = [calculate(log, wrong_file("r2")) for log in logs]
     together = judged_together(trips)

@@ -80,9 +80,7 @@ def logs(written: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(written, tmp_path / "logs"))
 
 
-def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
+def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(where, logs):
     catalogue = where()
     first, again = catalogue.add(logs), catalogue.add(logs)
     found = {Path(each.path).stem: each.state for each in first.outcomes}
@@ -104,9 +102,7 @@ def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(
     assert catalogue.open(row) == trip
 
 
-def test_another_content_under_a_name_is_a_new_version_that_is_computed_again(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
+def test_another_content_under_a_name_is_a_new_version_that_is_computed_again(where, logs):
     catalogue = where()
     catalogue.add(logs)
     _record(catalogue, catalogue.pending(STOPS))
@@ -129,9 +125,7 @@ def test_another_content_under_a_name_is_a_new_version_that_is_computed_again(
     assert len(catalogue.pending(STOPS)) == 0
 
 
-def test_results_are_recorded_once_and_merged_in_the_order_of_trip(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
+def test_results_are_recorded_once_and_merged_in_the_order_of_trip(where, logs):
     catalogue, other = where(), where()
     catalogue.add(logs)
     todo = catalogue.pending(LIMITED)
@@ -226,13 +220,8 @@ def _killed(catalogue: Catalogue, place: str, logs: Path, adders: int, kills: in
     indirect=["place"],
 )
 def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
-    where: Callable[[], Catalogue],
-    place: str,
-    many_logs: Path,
-    tmp_path: Path,
-    adders: int,
-    kills: int,
-) -> None:
+    where, place, many_logs, tmp_path, adders, kills
+):
     with open_catalogue(tmp_path / "alone") as alone:
         added = alone.add(many_logs)
         assert len(added.of("refused")) == 2
@@ -248,9 +237,7 @@ def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
     assert len(catalogue.pending(Computation("length", "1"))) == 0
 
 
-def test_files_that_vanish_are_stated_and_come_back(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
+def test_files_that_vanish_are_stated_and_come_back(where, logs):
     catalogue = where()
     catalogue.add(logs)
     path = logs / "deep" / "stopping.mcap"
@@ -280,9 +267,7 @@ def test_files_that_vanish_are_stated_and_come_back(
     assert catalogue.query()["path"].tolist() == left
 
 
-def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
+def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(where, logs):
     catalogue = where()
     bad = logs / "bad.mcap"
     bad.write_text("no log at all")
@@ -301,8 +286,8 @@ def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(
 
 
 def test_many_files_are_read_by_several_processes_with_the_same_result(
-    many_logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    many_logs, tmp_path, monkeypatch
+):
     monkeypatch.setattr("trainlog.catalogue.registration._WORTH_PROCESSES", 2)
     held = []
     for jobs in (1, 2):
@@ -312,7 +297,7 @@ def test_many_files_are_read_by_several_processes_with_the_same_result(
     assert held[0] == held[1]
 
 
-def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_catalogue_is_refused(tmp_path):
     refused(InputError, "has no catalogue", open_catalogue, tmp_path / "none", create=False)
     place = "oracle://me:secret@host/database"
     said = r"holds a catalogue|is not a database"
@@ -321,9 +306,7 @@ def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
     refused(InputError, "file is not a database", open_catalogue, tmp_path)
 
 
-def test_commands_take_the_trips_of_an_expression(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], logs: Path, tmp_path: Path
-) -> None:
+def test_commands_take_the_trips_of_an_expression(monkeypatch, capsys, logs, tmp_path):
     fleet = str(tmp_path / "fleet")
 
     def ran(*words: object) -> tuple[int, str, str]:
@@ -362,9 +345,7 @@ def test_commands_take_the_trips_of_an_expression(
     assert "vanished: trip-01" in said
 
 
-def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_first(
-    where: Callable[[], Catalogue], tmp_path: Path
-) -> None:
+def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_first(where, tmp_path):
     intact = tmp_path / "named-last.mcap"
     shutil.copy(SAMPLES / "nonstop.mcap", intact)
     with Source(intact) as source:
@@ -392,9 +373,7 @@ def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_fir
     assert catalogue.pending(STOPS)["path"].tolist() == [str(intact)]
 
 
-def test_unknown_labels_and_values_of_passports_are_named(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
+def test_unknown_labels_and_values_of_passports_are_named(where, logs):
     catalogue = where()
     catalogue.add(logs)
     known = sorted(catalogue.query()["labels"].iloc[0])
@@ -406,9 +385,7 @@ def test_unknown_labels_and_values_of_passports_are_named(
     assert "trainlog fleet query" in why
 
 
-def test_statements_of_one_reading_see_one_state(
-    where: Callable[[], Catalogue], logs: Path
-) -> None:
+def test_statements_of_one_reading_see_one_state(where, logs):
     catalogue, other = where(), where()
     catalogue.add(logs / "nonstop.mcap")
     count = sa.select(sa.func.count()).select_from(metadata.tables["trips"])
@@ -447,7 +424,7 @@ def _standings(catalogue: Catalogue) -> dict[str, tuple[str, str | None, float |
 
 @settings(max_examples=12)
 @given(st.data())
-def test_what_counts_is_what_one_look_at_all_recordings_says(data: st.DataObject) -> None:
+def test_what_counts_is_what_one_look_at_all_recordings_says(data):
     """However many are registered at once, and in which order: chains of overlaps, and files that
     were ingested with other times."""
     recordings = []
@@ -489,7 +466,7 @@ def test_what_counts_is_what_one_look_at_all_recordings_says(data: st.DataObject
         assert _standings(catalogue) == expected_of(others)
 
 
-def test_an_older_version_does_not_count_even_where_the_later_one_vanished(tmp_path: Path) -> None:
+def test_an_older_version_does_not_count_even_where_the_later_one_vanished(tmp_path):
     one, two = tmp_path / "one", tmp_path / "two"
     for each in (one, two):
         each.touch()

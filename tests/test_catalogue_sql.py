@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -62,7 +61,7 @@ def judged() -> pd.DataFrame:
     return frame
 
 
-def test_a_statement_joins_results_with_trips_and_counts_each_once(catalogue: Catalogue) -> None:
+def test_a_statement_joins_results_with_trips_and_counts_each_once(catalogue):
     statement = """
         select t.train, count(distinct key) as trips, sum(value) as total, min(t.start) as first
         from "top speed" join trips t using (key) group by t.train order by t.train
@@ -79,7 +78,7 @@ def test_a_statement_joins_results_with_trips_and_counts_each_once(catalogue: Ca
     pd.testing.assert_frame_equal(catalogue.sql(statement).set_index("train"), found)
 
 
-def test_tables_of_the_database_are_those_of_the_trips_that_count(catalogue: Catalogue) -> None:
+def test_tables_of_the_database_are_those_of_the_trips_that_count(catalogue):
     frame = judged()
     found = catalogue.sql("select * from trips order by name")
     assert set(found) == set(catalogue.query().columns) - {"path"}
@@ -122,9 +121,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("place", ["sqlite"], indirect=True)
 @pytest.mark.parametrize("statement", REFUSED)
-def test_what_is_wrong_in_a_statement_is_one_message_with_what_is_known(
-    catalogue: Catalogue, statement: str
-) -> None:
+def test_what_is_wrong_in_a_statement_is_one_message_with_what_is_known(catalogue, statement):
     with pytest.raises(InputError, match=REFUSED[statement]) as refused:
         catalogue.sql(statement)
     assert "\n" not in str(refused.value)
@@ -139,9 +136,7 @@ def test_what_is_wrong_in_a_statement_is_one_message_with_what_is_known(
         ("select list(a.range) from range(300000000) a", {"memory": 5e7}, r"0\.05 GB of memory;"),
     ],
 )
-def test_a_statement_ends_at_its_limits(
-    catalogue: Catalogue, statement: str, limit: dict[str, float], problem: str
-) -> None:
+def test_a_statement_ends_at_its_limits(catalogue, statement, limit, problem):
     with pytest.raises(InputError, match=problem):
         catalogue.sql(statement, **limit)
     assert len(catalogue.sql("select * from trips limit 3")) == 3
@@ -189,8 +184,8 @@ def as_found(statement: str, frame: pd.DataFrame) -> list[str]:
 
 
 def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register(ENTRIES[:20])
         part = catalogue.pending(FIRST).iloc[:15]
@@ -207,9 +202,7 @@ def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
 
 
 @pytest.mark.parametrize("kept", [0.5, -1])
-def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
-    tmp_path: Path, kept: float
-) -> None:
+def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(tmp_path, kept):
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register(ENTRIES[:4])
         for half in (0, 2):
@@ -248,7 +241,7 @@ def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
         assert catalogue.forget(FIRST) == 0
 
 
-def test_overviews_sum_the_trips_by_what_is_asked(catalogue: Catalogue) -> None:
+def test_overviews_sum_the_trips_by_what_is_asked(catalogue):
     frame = judged()
     for by in ("train", "line", "day", "weather", "kind"):
         found = catalogue.overview(by).set_index(by)

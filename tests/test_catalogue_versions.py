@@ -74,9 +74,7 @@ def _structure(place: str) -> dict[str, Any]:
         }
 
 
-def test_an_earlier_version_is_brought_to_the_latest_with_all_it_holds(
-    first_version: str, tmp_path: Path
-) -> None:
+def test_an_earlier_version_is_brought_to_the_latest_with_all_it_holds(first_version, tmp_path):
     with pytest.warns(UserWarning, match="brought from version 1 to 2"):
         opened = open_catalogue(first_version)
     with opened as catalogue:
@@ -102,8 +100,8 @@ def test_an_earlier_version_is_brought_to_the_latest_with_all_it_holds(
 
 
 def test_of_processes_that_open_an_earlier_version_at_once_one_migrates_even_if_one_is_killed(
-    first_version: str,
-) -> None:
+    first_version,
+):
     words = [sys.executable, "tests/catalogue_openers.py", first_version, "3"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -115,9 +113,7 @@ def test_of_processes_that_open_an_earlier_version_at_once_one_migrates_even_if_
         assert catalogue.version == migration.VERSION
 
 
-def test_a_change_that_fails_leaves_the_version_before(
-    first_version: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_change_that_fails_leaves_the_version_before(first_version, monkeypatch):
     last = migration.STEPS[-1]
 
     def change(connection: sa.Connection) -> None:
@@ -134,9 +130,7 @@ def test_a_change_that_fails_leaves_the_version_before(
         assert len(catalogue) == 6
 
 
-def test_a_later_version_is_refused_if_it_must_be_known_and_used_if_not(
-    first_version: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_later_version_is_refused_if_it_must_be_known_and_used_if_not(first_version, monkeypatch):
     compatible = migration.Step(3, "0.2.0", lambda connection: None)
     breaking = migration.Step(4, "0.3.0", lambda connection: None, breaking=True)
     known = migration.STEPS

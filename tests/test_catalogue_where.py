@@ -132,16 +132,14 @@ CHOSEN: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("text", CHOSEN)
-def test_an_expression_means_the_same_to_each_database_and_to_pandas(
-    catalogues: dict[str, Callable[[str], list[str]]], text: str
-) -> None:
+def test_an_expression_means_the_same_to_each_database_and_to_pandas(catalogues, text):
     chosen = CHOSEN[text].astype("boolean").fillna(False).to_numpy(dtype=bool)
     expected = sorted(FRAME["name"][np.flatnonzero(chosen)])
     for name, ask in catalogues.items():
         assert ask(text) == expected, name
 
 
-def test_each_expression_chooses_some_trips_and_few_all() -> None:
+def test_each_expression_chooses_some_trips_and_few_all():
     counts = [each.fillna(False).sum() for each in CHOSEN.values()]
     assert sum(0 < count < TRIPS for count in counts) > 0.8 * len(counts)
 
@@ -180,7 +178,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", REFUSED)
-def test_what_is_not_allowed_is_refused_with_the_place_and_the_remedy(text: str) -> None:
+def test_what_is_not_allowed_is_refused_with_the_place_and_the_remedy(text):
     column, problem = REFUSED[text]
     with pytest.raises(InputError, match=problem) as refused:
         condition_of(text)
@@ -189,9 +187,7 @@ def test_what_is_not_allowed_is_refused_with_the_place_and_the_remedy(text: str)
         assert f", column {column}:" in str(refused.value)
 
 
-def test_times_without_a_zone_are_of_the_zone_that_is_given(
-    catalogues: dict[str, Callable[[str], list[str]]], tmp_path: Path
-) -> None:
+def test_times_without_a_zone_are_of_the_zone_that_is_given(catalogues, tmp_path):
     with open_catalogue(tmp_path / "one") as catalogue:
         catalogue.register(ENTRIES)
         start = pd.Timestamp(FRAME["start"].iloc[3]).tz_convert("Asia/Tokyo")
@@ -209,7 +205,7 @@ def test_times_without_a_zone_are_of_the_zone_that_is_given(
 @pytest.mark.parametrize(
     "text", ["04.10.2026", "13.10.2026", "10/05/2026", "06.10.26", "5 Oct 2026", "2026-13-10"]
 )
-def test_a_day_whose_numbers_are_ambiguous_is_refused_wherever_a_time_is_given(text: str) -> None:
+def test_a_day_whose_numbers_are_ambiguous_is_refused_wherever_a_time_is_given(text):
     askers: list[Callable[[], object]] = [
         lambda: condition_of(f"start >= '{text}'"),
         lambda: times_of(text),

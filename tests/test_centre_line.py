@@ -55,7 +55,7 @@ def centre_line() -> CentreLine:
     return geometry_of(trips(3))
 
 
-def test_the_deviations_of_a_curve_are_its_errors() -> None:
+def test_the_deviations_of_a_curve_are_its_errors():
     """Curves whose curvature wanders as the fit expects, seen with noise of 3 m."""
     generator = np.random.default_rng(1)
     fine = np.arange(0.0, 3_000.0, 1.0)
@@ -76,7 +76,7 @@ def test_the_deviations_of_a_curve_are_its_errors() -> None:
     assert 0.85 < np.std(bend) < 1.15
 
 
-def test_a_line_lies_where_its_trips_ran(centre_line: CentreLine) -> None:
+def test_a_line_lies_where_its_trips_ran(centre_line):
     error = across(centre_line, winding())
     assert np.sqrt(np.mean(error**2)) < 1.2
     assert np.mean(np.abs(error) < 1.96 * centre_line.std) > 0.9
@@ -92,7 +92,7 @@ def test_a_line_lies_where_its_trips_ran(centre_line: CentreLine) -> None:
     assert np.sqrt(np.mean((centre_line.curvature - true)[middle] ** 2)) < 0.3e-3
 
 
-def test_a_further_trip_finds_its_chainage_on_the_line_built(centre_line: CentreLine) -> None:
+def test_a_further_trip_finds_its_chainage_on_the_line_built(centre_line):
     line = line_of(centre_line, "built")
     backwards = centre_line.latitude[0] > centre_line.latitude[-1]
     trip, truth = drive(winding(), Receiver(), 9, reverse=backwards)
@@ -103,7 +103,7 @@ def test_a_further_trip_finds_its_chainage_on_the_line_built(centre_line: Centre
     assert "gradients, stations, tunnels: not known" in line.source
 
 
-def test_stretches_without_fixes_are_reported() -> None:
+def test_stretches_without_fixes_are_reported():
     """All trips are blind at the same place: a tunnel."""
     found = []
     for seed in range(3):
@@ -124,7 +124,7 @@ def test_stretches_without_fixes_are_reported() -> None:
     assert any("no fixes from km 4." in stated for stated in centre_line.notes)
 
 
-def test_trips_over_parts_of_a_line_are_put_together() -> None:
+def test_trips_over_parts_of_a_line_are_put_together():
     whole = [drive(winding(), Receiver(), seed)[0] for seed in range(2)]
     parts = []
     for trip, share in zip(whole, (slice(0, 0.7), slice(0.3, 1.0)), strict=True):
@@ -135,7 +135,7 @@ def test_trips_over_parts_of_a_line_are_put_together() -> None:
     assert len(centre_line.used) == 2
 
 
-def test_a_trip_elsewhere_is_reported_and_not_used() -> None:
+def test_a_trip_elsewhere_is_reported_and_not_used():
     away, _ = drive(curve_of(np.zeros(1_000), heading=2.0), Receiver(), 7)
     centre_line = geometry_of([*trips(2), away])
     assert [name for name, _ in centre_line.refused] == ["trip-07"]
@@ -143,7 +143,7 @@ def test_a_trip_elsewhere_is_reported_and_not_used() -> None:
     assert len(centre_line.used) == 2
 
 
-def test_trips_without_fixes_make_no_line() -> None:
+def test_trips_without_fixes_make_no_line():
     trip = trips(1)[0]
     with pytest.raises(InputError, match="none of the trips has satellite fixes"):
         geometry_of([Trip({"/gnss/motion": trip["/gnss/motion"]}, trip.metadata)])
@@ -156,7 +156,7 @@ METRO = ("007", "015", "016", "017", "024", "026", "034", "035", "036", "038", "
 
 
 @pytest.mark.skipif(not AALTO.is_file(), reason="the Aalto data are not here")
-def test_phones_on_a_metro_make_its_line() -> None:
+def test_phones_on_a_metro_make_its_line():
     """Real movement: a fix every 11 s, good to 20 m, none in the tunnels and no speed."""
     rides = {ride.name.split("-")[1]: ride for ride in ingest_each(AALTO)}
     centre_line = geometry_of([rides[number] for number in METRO])

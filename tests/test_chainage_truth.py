@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -70,9 +69,7 @@ BURSTS = ((280.0, 305.0, 30.0 + 10.0j), (330.0, 350.0, -15.0 + 30.0j))
         (Receiver(outages=OUTAGES, bursts=BURSTS, wheels=True), 2.0, False),
     ],
 )
-def test_chainage_holds_through_outages_and_reflections(
-    receiver: Receiver, bound: float, reverse: bool
-) -> None:
+def test_chainage_holds_through_outages_and_reflections(receiver, bound, reverse):
     found, stds, speeds = [], [], []
     for seed in (1, 2, 3):
         trip, truth = drive(winding(), receiver, seed, reverse=reverse)
@@ -92,7 +89,7 @@ def test_chainage_holds_through_outages_and_reflections(
 
 
 @pytest.mark.parametrize("reverse", [False, True])
-def test_a_line_that_comes_near_itself_is_followed_in_its_order(reverse: bool) -> None:
+def test_a_line_that_comes_near_itself_is_followed_in_its_order(reverse):
     """At a hairpin and a loop; the nearest place would jump by kilometres."""
     track = valley()
     length = float(track.positions[-1])
@@ -112,7 +109,7 @@ def test_a_line_that_comes_near_itself_is_followed_in_its_order(reverse: bool) -
         assert np.mean(np.abs(error) <= 1.96 * std) >= 0.90
 
 
-def test_reflections_are_counted_and_may_be_kept() -> None:
+def test_reflections_are_counted_and_may_be_kept():
     receiver = Receiver(bursts=((280.0, 305.0, 40.0 + 30.0j),))
     trip, truth = drive(winding(), receiver)
     careful = estimated(trip, winding())
@@ -125,7 +122,7 @@ def test_reflections_are_counted_and_may_be_kept() -> None:
     assert rms(errors(trusting.frame, truth, "position")[0]) > 2.0
 
 
-def test_slipping_wheels_do_not_carry_the_train_away() -> None:
+def test_slipping_wheels_do_not_carry_the_train_away():
     receiver = Receiver(outages=((120.0, 180.0),), wheels=True)
     trip, truth = drive(winding(), receiver)
     state = trip["/train/state"].copy()
@@ -141,7 +138,7 @@ def test_slipping_wheels_do_not_carry_the_train_away() -> None:
     assert rms(errors(trusting.frame, truth, "position")[0]) > 2.0
 
 
-def test_a_trip_elsewhere_or_the_other_way_is_refused() -> None:
+def test_a_trip_elsewhere_or_the_other_way_is_refused():
     trip, _ = drive(winding(), Receiver(), 1)
     away = replace(winding(), latitudes=winding().latitudes + 0.1)
     refused(InputError, r"half of the \d+ fixes lie .* km or more .*; give", estimated, trip, away)
@@ -151,7 +148,7 @@ def test_a_trip_elsewhere_or_the_other_way_is_refused() -> None:
     refused(InputError, "against the direction of travel", estimated, silent, winding())
 
 
-def test_a_branch_is_not_the_line() -> None:
+def test_a_branch_is_not_the_line():
     """Four of twelve kilometres together, then apart: the trip followed the other branch."""
     s = np.arange(0.0, 12_000.0, 5.0)
     main = curve_of(np.zeros(s.size))
@@ -160,7 +157,7 @@ def test_a_branch_is_not_the_line() -> None:
     refused(InputError, "give the line that was driven", estimated, trip, main)
 
 
-def test_a_line_that_lies_right_is_rarely_called_misplaced() -> None:
+def test_a_line_that_lies_right_is_rarely_called_misplaced():
     """Errors of 3 m that last make few independent samples: their mean is no misfit."""
     misfits = []
     for seed in range(12):
@@ -218,9 +215,7 @@ def _field_cases() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("name", "interval"), list(_field_cases()))
-def test_bands_hold_whatever_the_receiver_does(
-    name: str, interval: float, field_rides: list[tuple]
-) -> None:
+def test_bands_hold_whatever_the_receiver_does(name, interval, field_rides):
     found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {"position": [], "speed": []}
     for seed, (track, run) in enumerate(field_rides):
         trip, truth = receive(track, run, replace(FIELD[name], interval=interval), 21 + seed)
@@ -238,7 +233,7 @@ def test_bands_hold_whatever_the_receiver_does(
 
 
 @pytest.mark.parametrize("interval", [0.2, 1.0, 11.0])
-def test_fixes_that_are_late_are_brought_forward(interval: float, field_rides: list[tuple]) -> None:
+def test_fixes_that_are_late_are_brought_forward(interval, field_rides):
     held: list[np.ndarray] = []
     for seed, (track, run) in enumerate(field_rides):
         late = Field(interval=interval, places="late")
@@ -254,9 +249,7 @@ def test_fixes_that_are_late_are_brought_forward(interval: float, field_rides: l
 
 
 @pytest.mark.parametrize("speed", ["good", "none"])
-def test_replayed_fixes_count_where_they_were_measured(
-    speed: str, field_rides: list[tuple]
-) -> None:
+def test_replayed_fixes_count_where_they_were_measured(speed, field_rides):
     """After 40 s without sky a receiver shows the way of these 40 s, as late, for two minutes."""
     track, run = field_rides[0]
     quiet = Field(outages=0.0, reflections=0.0, speed=speed)
@@ -281,14 +274,14 @@ def test_replayed_fixes_count_where_they_were_measured(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_fixes_on_time_stay(seed: int, field_rides: list[tuple]) -> None:
+def test_fixes_on_time_stay(seed, field_rides):
     track, run = field_rides[seed % 3]
     speed = ("good", "lasting")[seed % 2]
     found = estimated(receive(track, run, Field(memory=60.0, speed=speed), 31 + seed)[0], track)
     assert "receiver.lateness" not in found.metadata
 
 
-def test_late_speeds_and_those_in_another_unit_are_reported(field_rides: list[tuple]) -> None:
+def test_late_speeds_and_those_in_another_unit_are_reported(field_rides):
     track, run = field_rides[0]
     quiet = Field(outages=0.0, reflections=0.0)
     late = estimated(receive(track, run, replace(quiet, speed="late"), 1)[0], track)
@@ -316,7 +309,7 @@ def late(trip: Trip, delay: float, *topics: str) -> Trip:
 
 
 @pytest.mark.parametrize(("delay", "rate"), [(0.2, 5.0), (0.5, 1.0), (1.0, 1.0)])
-def test_fixes_and_speeds_that_are_late_together_are_put_back(delay: float, rate: float) -> None:
+def test_fixes_and_speeds_that_are_late_together_are_put_back(delay, rate):
     trip, truth = drive(winding(), Receiver(rate=rate, wheels=True), seed=3)
     estimate = estimated(late(trip, delay, "/gnss/fix", "/gnss/motion"), winding())
     found, std = (float(estimate.metadata[f"receiver.{n}"]) for n in ("delay", "delay_std"))
@@ -331,7 +324,7 @@ def test_fixes_and_speeds_that_are_late_together_are_put_back(delay: float, rate
 
 
 @pytest.mark.parametrize(("seed", "rate"), [(1, 5.0), (2, 1.0)])
-def test_satellites_on_time_are_not_shifted(rate: float, seed: int) -> None:
+def test_satellites_on_time_are_not_shifted(rate, seed):
     trip, _ = drive(winding(), Receiver(rate=rate, wheels=True), seed=seed)
     assert "receiver.delay" not in estimated(trip, winding()).metadata
     # Speeds that are late alone do not make the fixes late, nor do late wheels.
@@ -342,7 +335,7 @@ def test_satellites_on_time_are_not_shifted(rate: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("rate", "wheels"), [(1.0, True), (2.0, False)])
-def test_fixes_that_a_faster_table_repeats_are_used_once(rate: float, wheels: bool) -> None:
+def test_fixes_that_a_faster_table_repeats_are_used_once(rate, wheels):
     trip, truth = drive(winding(), Receiver(rate=rate, wheels=True), seed=2)
     rows = trip["/train/state"].index
     topics = {n: trip[n].reindex(rows, method="ffill") for n in ("/gnss/fix", "/gnss/motion")}
@@ -356,7 +349,7 @@ def test_fixes_that_a_faster_table_repeats_are_used_once(rate: float, wheels: bo
     assert np.mean(np.abs(error) < 1.96 * std) >= 0.9
 
 
-def test_a_delay_that_the_trip_does_not_show_is_not_known() -> None:
+def test_a_delay_that_the_trip_does_not_show_is_not_known():
     trip, _ = drive(winding(), Receiver(rate=5.0, wheels=True), seed=3)
     begin = trip.start + pd.Timedelta(80, "s")
     cruise = {n: f.loc[begin : begin + pd.Timedelta(90, "s")] for n, f in trip.topics.items()}
@@ -365,7 +358,7 @@ def test_a_delay_that_the_trip_does_not_show_is_not_known() -> None:
     )
 
 
-def test_the_noise_of_a_receiver_is_estimated_and_not_believed(field_rides: list[tuple]) -> None:
+def test_the_noise_of_a_receiver_is_estimated_and_not_believed(field_rides):
     track, run = field_rides[1]
     sizes = []
     for stated in (0.2, 1.0, 5.0):
@@ -377,7 +370,7 @@ def test_the_noise_of_a_receiver_is_estimated_and_not_believed(field_rides: list
 
 
 @pytest.mark.parametrize("interval", [0.2, 1.0])
-def test_wild_speeds_go_without_a_line_and_good_ones_stay(interval: float, tmp_path: Path) -> None:
+def test_wild_speeds_go_without_a_line_and_good_ones_stay(interval, tmp_path):
     """The truth is the drive; the receiver's speeds wander by themselves for up to a minute."""
     for number, (track, pace) in enumerate(((winding(), "regional"), (streets(), "tram"))):
         run = paced(float(track.positions[-1]), PACES[pace], 3)

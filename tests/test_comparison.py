@@ -83,7 +83,7 @@ def lost(found: Comparison, name: str) -> dict[str, float]:
     return known.by_cause()
 
 
-def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
+def test_a_trip_beside_itself_loses_nothing_anywhere():
     day = pd.Timedelta("1D")
     later = altered(stopping(), lambda frame: frame.set_axis(frame.index + day))
     found = compare([stopping(), later], stopping())
@@ -97,14 +97,14 @@ def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
     assert again.energy.value == again.trip.sums["traction"][-1]
 
 
-def test_the_same_drive_given_twice_counts_once_and_is_stated() -> None:
+def test_the_same_drive_given_twice_counts_once_and_is_stated():
     copy = altered(stopping(), lambda frame: frame, trip="copy")
     found = compare([stopping(), copy])
     assert [each.name for each in found.directions[0].trips] == ["trip-03"]
     assert "trip 'copy' is the same drive as 'trip-03': counted once" in found.left_out
 
 
-def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell() -> None:
+def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell():
     late = delayed(stopping(), second_stand(stopping()), 30.0, "late")
     losses = compare([stopping(), late], stopping()).trip("late").lost.losses
     assert losses[["cause", "place"]].values.tolist() == [["dwell", "at Gossau SG"]]
@@ -116,7 +116,7 @@ def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell() -> None:
     assert early.total == pytest.approx(-30.0, abs=0.11)
 
 
-def test_losses_add_up_to_the_difference_and_to_the_sections() -> None:
+def test_losses_add_up_to_the_difference_and_to_the_sections():
     found = compare([stopping(), nonstop()])
     trip = found.trip("trip-03")
     difference = driven_trip(stopping()).duration - driven_trip(nonstop()).duration
@@ -132,7 +132,7 @@ def test_losses_add_up_to_the_difference_and_to_the_sections() -> None:
 
 
 @pytest.mark.parametrize("forward", [1, 2])
-def test_a_trip_is_not_compared_with_itself_beside_others(forward: int) -> None:
+def test_a_trip_is_not_compared_with_itself_beside_others(forward):
     back = altered(nonstop(), lambda frame: frame, direction="reverse", trip="back")
     trips = [back, *(stopping(), nonstop())[:forward]]
     if forward == 1:
@@ -144,7 +144,7 @@ def test_a_trip_is_not_compared_with_itself_beside_others(forward: int) -> None:
     assert len(compare(back).directions) == 1
 
 
-def test_a_gap_in_the_recording_is_stated_and_loses_no_time() -> None:
+def test_a_gap_in_the_recording_is_stated_and_loses_no_time():
     def gap(frame: pd.DataFrame) -> pd.DataFrame:
         within = (frame.index > frame.index[0] + pd.Timedelta("150s")) & (
             frame.index < frame.index[0] + pd.Timedelta("190s")
@@ -164,9 +164,7 @@ def test_a_gap_in_the_recording_is_stated_and_loses_no_time() -> None:
 
 
 @pytest.mark.parametrize(("first", "last"), [(1500, 1600), (1500, 1700), (1000, 3000)])
-def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(
-    first: int, last: int
-) -> None:
+def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(first, last):
     controls = stopping()["/train/controls"].copy()
     controls.iloc[first:last, controls.columns.get_loc("tractive_effort")] = np.nan
     controls.attrs = stopping()["/train/controls"].attrs
@@ -197,7 +195,7 @@ def moved(trip: Trip, by: Callable[[np.ndarray], np.ndarray], name: str) -> Trip
     return replace(found, metadata={**trip.metadata, "trip": name})
 
 
-def test_chainage_that_is_set_back_costs_no_time_and_is_stated() -> None:
+def test_chainage_that_is_set_back_costs_no_time_and_is_stated():
     back = moved(stopping(), lambda s: s - 12.0 * (s > 4_000.0), "back")
     found = compare([stopping(), back], stopping()).trip("back")
     # Twelve metres at 30 m/s, and as many in front of the stops.
@@ -212,7 +210,7 @@ def test_chainage_that_is_set_back_costs_no_time_and_is_stated() -> None:
     assert any("3 samples far off left out" in note for note in found.trip.notes)
 
 
-def test_a_counter_that_starts_anew_is_left_out_with_the_reason() -> None:
+def test_a_counter_that_starts_anew_is_left_out_with_the_reason():
     anew = moved(stopping(), lambda s: np.where(s > 14_476.0, s - 14_476.0, s), "anew")
     found = compare([stopping(), nonstop(), anew])
     assert len(found.directions[0].trips) == 2
@@ -237,7 +235,7 @@ def free() -> Trip:
     return simulate(scenario())
 
 
-def test_a_temporary_limit_costs_what_it_costs() -> None:
+def test_a_temporary_limit_costs_what_it_costs():
     limits = LINE.speed_limits
     lower = StepProfile(
         np.concatenate((limits.positions[limits.positions < 11_000.0], [11_000.0, 12_500.0])),
@@ -258,7 +256,7 @@ def test_a_temporary_limit_costs_what_it_costs() -> None:
     assert found.table["excess"].max() == 0.0
 
 
-def test_a_signal_at_stop_costs_the_stand_and_the_way_to_and_from_it() -> None:
+def test_a_signal_at_stop_costs_the_stand_and_the_way_to_and_from_it():
     ends = scenario().stops
     signal = Stop("signal", 11_500.0, 300.0, 330.0)
     held = simulate(replace(scenario(name="held"), stops=(ends[0], signal, ends[1])))
@@ -270,7 +268,7 @@ def test_a_signal_at_stop_costs_the_stand_and_the_way_to_and_from_it() -> None:
     assert found.table["dwell"].sum() == 0.0
 
 
-def test_poor_adhesion_costs_what_it_costs() -> None:
+def test_poor_adhesion_costs_what_it_costs():
     poor = StepProfile([0.0, 900.0], [0.06, 0.45])
     slipped = simulate(replace(scenario(name="slipped"), maximum_adhesion=poor))
     found = compare([free(), slipped], free()).trip("slipped")
@@ -281,7 +279,7 @@ def test_poor_adhesion_costs_what_it_costs() -> None:
     assert found.table["slips"].iloc[1:].sum() == 0
 
 
-def test_energies_of_unlike_loads_are_alike_at_one_load() -> None:
+def test_energies_of_unlike_loads_are_alike_at_one_load():
     """The same driver with another load and another driver's time; truth: drive it so."""
     heavy = replace(scenario(name="heavy"), mass=TRAIN.mass + 24_000.0)
     light = replace(scenario(name="light"), mass=TRAIN.mass + 1_000.0)
@@ -296,7 +294,7 @@ def test_energies_of_unlike_loads_are_alike_at_one_load() -> None:
     assert found.std < 0.03 * truth
 
 
-def test_energy_from_the_line_is_what_voltage_and_current_recorded() -> None:
+def test_energy_from_the_line_is_what_voltage_and_current_recorded():
     """A supply at 15 kV, whose current is drawn at 80 %, and one that fails for a while."""
     controls, state = stopping()["/train/controls"], stopping()["/train/state"]
     power = controls["tractive_effort"].to_numpy() * state["speed"].to_numpy() / 0.8
@@ -318,7 +316,7 @@ def test_energy_from_the_line_is_what_voltage_and_current_recorded() -> None:
     assert table["line"].isna().tolist() == [True, False, False, False]
 
 
-def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
+def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own():
     """Half a minute of acceleration, three of 20 m/s, half of braking: everything is known."""
     mass, metres = 150_000.0, 14_476.0
     nodes = np.array([0.0, 300.0, metres - 300.0, metres])
@@ -355,7 +353,7 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
     assert found.trip("trip-03").lost.total == pytest.approx(until - duration, abs=15.0)
 
 
-def test_without_efforts_the_energy_is_unknown() -> None:
+def test_without_efforts_the_energy_is_unknown():
     none = replace(
         stopping(), topics={k: v for k, v in stopping().topics.items() if k != "/train/controls"}
     )
@@ -392,7 +390,7 @@ def trip(name: str = "t", effort: float = 50_000.0, stop: bool = False, **metada
     )
 
 
-def test_work_is_effort_times_distance() -> None:
+def test_work_is_effort_times_distance():
     cost = trip_cost(trip())
     assert cost.distance == pytest.approx(12_000.0)
     assert cost.traction == pytest.approx(50_000.0 * 12_000.0, rel=1e-3)
@@ -402,7 +400,7 @@ def test_work_is_effort_times_distance() -> None:
     assert cost.mass == 132_000.0
 
 
-def test_a_trip_that_never_moves_is_refused() -> None:
+def test_a_trip_that_never_moves_is_refused():
     still = trip()
     state = still["/train/state"].assign(speed=0.0)
     state.attrs = still["/train/state"].attrs
@@ -410,7 +408,7 @@ def test_a_trip_that_never_moves_is_refused() -> None:
         trip_cost(still.with_topic(state))
 
 
-def test_savings_pair_the_same_configuration_only() -> None:
+def test_savings_pair_the_same_configuration_only():
     drivers = [trip("a", 50_000.0), trip("b", 60_000.0, stop=True)]
     followed = [
         trip("driven-a", 40_000.0, configuration="a"),
@@ -422,7 +420,7 @@ def test_savings_pair_the_same_configuration_only() -> None:
     assert pair.traction == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
 
 
-def test_slip_protection_that_is_not_recorded_is_not_zero() -> None:
+def test_slip_protection_that_is_not_recorded_is_not_zero():
     """A flag counts where there is one, else events; without both, how often is not known."""
     silent = followed("departure from A", "arrival at B", late=0.1)
     assert trip_cost(silent).slips is None
@@ -452,7 +450,7 @@ def followed(*messages: str, late: float) -> Trip:
     )
 
 
-def test_nothing_comparable_is_reported() -> None:
+def test_nothing_comparable_is_reported():
     backwards = replace(trip("a"), metadata={**trip("a").metadata, "direction": "reverse"})
     followed = [trip("driven-a", configuration="a"), trip("driven-c", configuration="c")]
     for drivers, nearest in (
@@ -469,7 +467,7 @@ def test_nothing_comparable_is_reported() -> None:
         compare_groups([backwards, trip("b", stop=True)], [*followed, stopping])
 
 
-def test_a_plan_for_the_nominal_train_is_compared_by_train_and_says_so() -> None:
+def test_a_plan_for_the_nominal_train_is_compared_by_train_and_says_so():
     drivers = [trip("a", 60_000.0, load="20000"), trip("b", stop=True)]
     found = compare_groups(drivers, [trip("driven", 40_000.0, configuration="nominal")])
     (pair,) = found.pairs
@@ -485,7 +483,7 @@ def test_a_plan_for_the_nominal_train_is_compared_by_train_and_says_so() -> None
         compare_groups([other], [trip("driven", configuration="nominal")])
 
 
-def test_a_trip_of_the_name_is_of_the_same_train_and_line() -> None:
+def test_a_trip_of_the_name_is_of_the_same_train_and_line():
     """Trips are called trip-01 on every line: only one of the train and the line compares."""
     driven = trip("driven-a", 40_000.0, configuration="a")
     attached = trip("a").attachments
@@ -502,7 +500,7 @@ def test_a_trip_of_the_name_is_of_the_same_train_and_line() -> None:
         compare_groups([trip("a"), trip("a", stop=True)], [driven])
 
 
-def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
+def test_trips_that_followed_nothing_are_named_with_their_file():
     path = sample("nonstop.mcap")
     words = "trip 'trip-01' did not follow a trajectory; give trips recorded by"
     with pytest.raises(LogError, match=words) as refused:
@@ -514,7 +512,7 @@ def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
         compare_groups([trip("a")], [])
 
 
-def test_groups_are_compared_by_their_mean_and_spread() -> None:
+def test_groups_are_compared_by_their_mean_and_spread():
     drivers = [trip("a", effort=60_000.0), trip("b", effort=50_000.0)]
     followed = [trip("c", 40_000.0, configuration="a"), trip("d", 40_000.0, configuration="b")]
     driver, own, saved = compare_groups(drivers, followed).tables()[0].words[-1][1:4]

@@ -6,7 +6,6 @@ import csv
 import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -47,7 +46,7 @@ def log(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
-def test_a_log_goes_to_tables_and_back_without_losing_a_byte(suffix: str, tmp_path: Path) -> None:
+def test_a_log_goes_to_tables_and_back_without_losing_a_byte(suffix, tmp_path):
     log = logged(tmp_path, [name for name in TOPICS if name != "/estimates/state"])
     folder = tmp_path / f"trip{suffix}"
     done = convert(log, folder)
@@ -59,7 +58,7 @@ def test_a_log_goes_to_tables_and_back_without_losing_a_byte(suffix: str, tmp_pa
     assert (tmp_path / "again.mcap").read_bytes() == log.read_bytes()
 
 
-def test_a_log_goes_to_mdf_and_back(log: Path, tmp_path: Path) -> None:
+def test_a_log_goes_to_mdf_and_back(log, tmp_path):
     library = pytest.importorskip("asammdf")
     done = convert(log, tmp_path / "trip.mf4")
     assert done.rows[TRAIN_STATE.name] == 200
@@ -75,7 +74,7 @@ def test_a_log_goes_to_mdf_and_back(log: Path, tmp_path: Path) -> None:
     assert span_of(tmp_path / "trip.mf4") == span_of(log)
 
 
-def test_a_measurement_file_that_is_none_or_of_others_is_refused(tmp_path: Path) -> None:
+def test_a_measurement_file_that_is_none_or_of_others_is_refused(tmp_path):
     library = pytest.importorskip("asammdf")
     (tmp_path / "cut.mf4").write_bytes(b"MDF     4.10")
     with pytest.raises(InputError, match="is not a readable measurement file"):
@@ -103,7 +102,7 @@ CELLS = st.fixed_dictionaries(
 
 @given(st.lists(CELLS, min_size=1, max_size=20), st.integers(0, 2**62))
 @settings(max_examples=12)
-def test_whatever_a_cell_holds_comes_back_from_csv(rows: list[dict[str, Any]], start: int) -> None:
+def test_whatever_a_cell_holds_comes_back_from_csv(rows, start):
     time = start + np.arange(len(rows))
     words = {name: [row[name] for row in rows] for name in ("level", "message")}
     trip = Trip(
@@ -133,7 +132,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("case", DAMAGE)
-def test_a_csv_file_that_was_damaged_is_named(case: str, log: Path, tmp_path: Path) -> None:
+def test_a_csv_file_that_was_damaged_is_named(case, log, tmp_path):
     convert(log, tmp_path / "trip.csv")
     file = tmp_path / "trip.csv" / "train_state.csv"
     old, new, problem = DAMAGE[case]
@@ -155,9 +154,7 @@ def damage(path: Path, chunks: slice) -> None:
 
 @pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
 @pytest.mark.parametrize("foreign", [False, True])
-def test_a_log_without_one_readable_message_is_refused(
-    suffix: str, foreign: bool, tmp_path: Path
-) -> None:
+def test_a_log_without_one_readable_message_is_refused(suffix, foreign, tmp_path):
     source = tmp_path / "log.mcap"
     if foreign:
         json_log(source, "/things", [{"x": 1}])
@@ -181,9 +178,7 @@ def test_a_log_without_one_readable_message_is_refused(
         ("trip.mcap", {}, InputError, "would be overwritten"),
     ],
 )
-def test_what_cannot_be_converted_leaves_nothing_behind(
-    target: str, part: dict[str, object], error: type[Exception], said: str, log: Path
-) -> None:
+def test_what_cannot_be_converted_leaves_nothing_behind(target, part, error, said, log):
     before = log.read_bytes()
     refused(error, said, convert, log, log.parent / target, **part)
     assert list(log.parent.iterdir()) == [log]
@@ -191,7 +186,7 @@ def test_what_cannot_be_converted_leaves_nothing_behind(
 
 
 @pytest.mark.skipif(not FOREIGN.exists(), reason="the files of other programs are not here")
-def test_logs_of_other_programs_become_parquet(tmp_path: Path) -> None:
+def test_logs_of_other_programs_become_parquet(tmp_path):
     source = FOREIGN / "rosbag2_py_test_resources_mcap_talker_talker.mcap"
     done = convert(source, tmp_path / "talker.parquet")
     talk = pd.read_parquet(tmp_path / "talker.parquet" / "topic.parquet")
@@ -222,12 +217,12 @@ FIRST, LAST = pd.Timestamp("2024-05-01T06:00:00Z"), pd.Timestamp("2024-05-01T07:
         ("1h", LAST),
     ],
 )
-def test_times_are_absolute_or_relative_to_the_log(word: str, meant: pd.Timestamp) -> None:
+def test_times_are_absolute_or_relative_to_the_log(word, meant):
     assert times(word, None, lambda: (FIRST, LAST)) == (meant, None)
     assert times(None, word, lambda: (FIRST, LAST)) == (None, meant)
 
 
-def test_words_that_are_no_time_are_refused() -> None:
+def test_words_that_are_no_time_are_refused():
     for word in ("soon", "10", "end+5s", "start-5s", "-5s", "5 parsec", ""):
         refused(InputError, "is not a time; write it as", times, word, None, lambda: (FIRST, LAST))
     for word in ("99999999999h", "end-3000000h"):
@@ -236,7 +231,7 @@ def test_words_that_are_no_time_are_refused() -> None:
     refused(InputError, "has no rows", times, "10s", None, lambda: None)
 
 
-def test_stretches_are_kilometres() -> None:
+def test_stretches_are_kilometres():
     assert stretch("3.2:7.5") == (3200.0, 7500.0)
     assert stretch("3:") == (3000.0, None)
     assert stretch(":7.5") == (None, 7500.0)
@@ -246,9 +241,7 @@ def test_stretches_are_kilometres() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".mcap", pytest.param(".parquet", marks=pytest.mark.long)])
-def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(
-    suffix: str, log: Path, tmp_path: Path
-) -> None:
+def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(suffix, log, tmp_path):
     """Also where it shows only on the way: the last chunk of several fails its checksum."""
     trip = read_log(log)
     minutes = {}
@@ -261,7 +254,7 @@ def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(
     damage(long, slice(-1, None))
     with pytest.warns(DamageWarning) as caught:
         convert(long, tmp_path / f"made{suffix}")
-    account = caught[0].message.account  # type: ignore[union-attr]
+    account = caught[0].message.account
     made = read_log(tmp_path / "made.mcap") if suffix == ".mcap" else read_parquet(
         tmp_path / "made.parquet"
     )  # fmt: skip

@@ -6,11 +6,9 @@ import csv
 import re
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from command import Shell
 from refusals import refused
 
 from analysis.reports.results import write_driver_advice
@@ -65,9 +63,7 @@ def sections(line: Line) -> tuple[Trajectory, ...]:
     return with_times(found, starts, "S1")
 
 
-def test_the_rows_are_a_timetable_in_the_clock_that_is_asked_for(
-    sections: tuple[Trajectory, ...], line: Line
-) -> None:
+def test_the_rows_are_a_timetable_in_the_clock_that_is_asked_for(sections, line):
     found = journey_advice(sections[::-1], line.reversed(), start=time_of_day("23:58"))
     assert [(row.event, row.station) for row in found.rows if row.event != "changes"] == [
         ("departs", "Wil"),
@@ -89,9 +85,7 @@ def test_the_rows_are_a_timetable_in_the_clock_that_is_asked_for(
         assert row.timetable is None or row.time <= row.timetable + 0.1
 
 
-def test_places_are_the_operators_and_named_in_the_direction_of_travel(
-    sections: tuple[Trajectory, ...], line: Line
-) -> None:
+def test_places_are_the_operators_and_named_in_the_direction_of_travel(sections, line):
     back = line.reversed()
     found = journey_advice(sections, back)
     stations = np.array([each.position for each in back.stations])
@@ -107,7 +101,7 @@ def test_places_are_the_operators_and_named_in_the_direction_of_travel(
         assert abs(ahead) / 1e3 == pytest.approx(float(before[1]), abs=0.051)
 
 
-def test_the_advice_is_what_the_plan_does(sections: tuple[Trajectory, ...], line: Line) -> None:
+def test_the_advice_is_what_the_plan_does(sections, line):
     found = journey_advice(sections, line.reversed())
     for section, departure in zip(sections, found.departures.tolist(), strict=True):
         row = section.latest
@@ -127,7 +121,7 @@ def test_the_advice_is_what_the_plan_does(sections: tuple[Trajectory, ...], line
         assert inside[-1].words == "brake to a stand"
 
 
-def test_a_coast_does_not_end_above_the_speed_that_it_allows() -> None:
+def test_a_coast_does_not_end_above_the_speed_that_it_allows():
     ends, allowed = 115.6 / 3.6, 115.0 / 3.6
     coast = Instruction(
         42_000.0, 44_798.0, 34.0, ends, Phase.COASTING, False, ends, ends, 34.0,
@@ -138,9 +132,7 @@ def test_a_coast_does_not_end_above_the_speed_that_it_allows() -> None:
     assert "falls to 116 km/h" in replace(coast, caps=()).words()
 
 
-def test_page_and_table_state_the_same(
-    sections: tuple[Trajectory, ...], tmp_path: Path, shell: Shell
-) -> None:
+def test_page_and_table_state_the_same(sections, tmp_path, shell):
     files = [tmp_path / f"plan-{number}.json" for number in (1, 2)]
     for section, file in zip(sections, files, strict=True):
         write_trajectory(section, file)
@@ -173,9 +165,7 @@ def test_page_and_table_state_the_same(
     assert output.read_bytes() == first
 
 
-def test_sections_that_do_not_follow_each_other_are_refused(
-    sections: tuple[Trajectory, ...], line: Line, tmp_path: Path
-) -> None:
+def test_sections_that_do_not_follow_each_other_are_refused(sections, line, tmp_path):
     back = line.reversed()
     refused(InputError, "the next begins at km", journey_advice, [sections[0], sections[0]], back)
     other = replace(sections[1], train="another")
@@ -190,9 +180,7 @@ def test_sections_that_do_not_follow_each_other_are_refused(
     assert [each.name for each in tmp_path.iterdir()] == ["plan.json"]
 
 
-def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
-    sections: tuple[Trajectory, ...], line: Line, tmp_path: Path
-) -> None:
+def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(sections, line, tmp_path):
     unaware = [replace(each, provenance={}) for each in sections]
     found = journey_advice(unaware, line.reversed(), dwell=60.0)
     assert found.departures[1] == pytest.approx(sections[0].running_time + 60.0)
@@ -204,8 +192,8 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
 
 
 def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file(
-    sections: tuple[Trajectory, ...], line: Line, tmp_path: Path, shell: Shell
-) -> None:
+    sections, line, tmp_path, shell
+):
     """Of a line that is not among the samples."""
     named = replace(line.reversed(), name="elsewhere")
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
@@ -225,9 +213,7 @@ def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file
     assert all(row["permitted_kmh"] for row in rows if row["event"] == "changes")
 
 
-def test_the_table_of_another_command_is_not_overwritten(
-    sections: tuple[Trajectory, ...], tmp_path: Path
-) -> None:
+def test_the_table_of_another_command_is_not_overwritten(sections, tmp_path):
     plan, table = tmp_path / "plan.json", tmp_path / "plan.csv"
     write_trajectory(sections[0], plan)
     table.write_text("km,speed\n0.0,0.0\n")

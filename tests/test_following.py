@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,7 +135,7 @@ def driven(
     return found, scenario
 
 
-def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time() -> None:
+def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time():
     """Friction brake alone, 2 s of dead time and 1.5 s of lag."""
     found, _ = driven("friction")
     assert abs(found["position"][-1] - hilly_line().length) < 0.3
@@ -145,7 +144,7 @@ def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time() -> None:
     assert abs(found["late"]) < 3.0
 
 
-def test_efforts_do_not_alternate_where_a_late_train_pulls_at_its_ceiling() -> None:
+def test_efforts_do_not_alternate_where_a_late_train_pulls_at_its_ceiling():
     """On little adhesion, by its own instruments: only places with a reason reverse the effort."""
     found, _ = driven(
         rail=steps((0.0, 0.07)), locates=Odometry, margin=MARGIN, departure=DEPARTURE + 60.0
@@ -155,7 +154,7 @@ def test_efforts_do_not_alternate_where_a_late_train_pulls_at_its_ceiling() -> N
     assert found["protected_axles"].max() == 0.0
 
 
-def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None:
+def test_the_log_has_the_reference_and_the_configuration(tmp_path):
     train, trajectory = plan()
     (scenario,) = trajectory_scenarios(
         trajectory, hilly_line(), train, [LIGHT],
@@ -181,7 +180,7 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None
     refused(LogError, "no trip to draw", following_charts, [])
 
 
-def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> None:
+def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival():
     train, trajectory = plan()
     driver = Follower(trajectory, hilly_line(), train)
     assert driver.demand(Observation(0.0, 0.0, 0.0, 0.0)).braking_effort > 0.0
@@ -197,7 +196,7 @@ def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> N
 # ---- by its own instruments -----------------------------------------------------------------
 
 
-def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure() -> None:
+def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure():
     observed: list[Observation] = []
 
     def locates(sensors: Sensors, start: float) -> Locator:
@@ -231,7 +230,7 @@ def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure() -> None:
         assert np.quantile(std[moving], 0.99) < 0.5 * getattr(MARGIN, quantity)
 
 
-def test_a_wrong_wheel_is_found_out_by_satellites_and_balises() -> None:
+def test_a_wrong_wheel_is_found_out_by_satellites_and_balises():
     line = replace(hilly_line(), tunnels=())
     instruments = Instruments(line, Sensors(outages=0.0), 0.0, 1.01, np.random.default_rng(5))
     odometry = Odometry(Sensors(), 0.0)
@@ -261,8 +260,8 @@ def test_a_wrong_wheel_is_found_out_by_satellites_and_balises() -> None:
     braking=st.booleans(),
 )
 def test_the_linearisation_is_the_derivative_of_the_prediction(
-    name: str, position: float, speed: float, column: int, braking: bool
-) -> None:
+    name, position, speed, column, braking
+):
     can, road = known(name)
     past = np.full(20 if name == "friction" else 6, 0.1)
     efforts = np.full(8, -0.3 if braking else 0.2)
@@ -278,7 +277,7 @@ def test_the_linearisation_is_the_derivative_of_the_prediction(
     np.testing.assert_allclose(response[:, :, column], slope, atol=2e-2, rtol=1e-2)
 
 
-def test_a_level_prediction_is_known_in_closed_form() -> None:
+def test_a_level_prediction_is_known_in_closed_form():
     """No resistance, level: friction asked for now acts after its dead time, with its lag."""
     can, road = known("friction")
     still = can._replace(constant=0.0, linear=0.0, quadratic=0.0, mass=0.0)
@@ -295,7 +294,7 @@ def test_a_level_prediction_is_known_in_closed_form() -> None:
 # ---- ceiling, pace, guard -------------------------------------------------------------------
 
 
-def test_every_train_of_the_set_can_brake_below_the_ceiling() -> None:
+def test_every_train_of_the_set_can_brake_below_the_ceiling():
     """Run backwards from any place: full braking never fails to keep what lies ahead."""
     can, road = known()
     for start in (900.0, 2_600.0, 4_900.0, 9_600.0, 10_700.0):
@@ -317,9 +316,7 @@ def test_every_train_of_the_set_can_brake_below_the_ceiling() -> None:
     effort=st.floats(-2.0, 2.0),
     name=st.sampled_from(["flirt", "friction"]),
 )
-def test_the_guard_keeps_every_train_of_the_set_within_bounds(
-    position: float, share: float, effort: float, name: str
-) -> None:
+def test_the_guard_keeps_every_train_of_the_set_within_bounds(position, share, effort, name):
     can, road = known(name)
     speed = share * float(np.sqrt(ceiling_square(position, road)))
     past = np.zeros(20 if name == "friction" else 6)
@@ -335,7 +332,7 @@ def test_the_guard_keeps_every_train_of_the_set_within_bounds(
     assert excess <= least + 2e-9
 
 
-def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time() -> None:
+def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time():
     can, road = known()
     rows = np.zeros((400, 4))
     times = [rollout(f, 3_000.0, 20.0, rows, NEUTRAL, road, can)[0] for f in (0.8, 0.9, 1.0, 1.1)]
@@ -356,7 +353,7 @@ def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time() -> None:
 # ---- what the train is ----------------------------------------------------------------------
 
 
-def test_the_train_is_found_while_it_runs() -> None:
+def test_the_train_is_found_while_it_runs():
     can, _ = known()
     observer = Observer(can)
     rng = np.random.default_rng(2)
@@ -371,7 +368,7 @@ def test_the_train_is_found_while_it_runs() -> None:
 # ---- bad input ------------------------------------------------------------------------------
 
 
-def test_a_train_with_curves_follows_within_them() -> None:
+def test_a_train_with_curves_follows_within_them():
     """In traction; its dynamic brake fades at both ends, and the friction brake takes over."""
     pull = EffortCurve(np.array([0.0, 12.0, 20.0, 45.0]), np.array([200e3, 185e3, 105e3, 35e3]))
     fading = EffortCurve(np.array([0.0, 3.0, 15.0, 45.0]), np.array([0.0, 60e3, 120e3, 40e3]))
@@ -399,7 +396,7 @@ def test_a_train_with_curves_follows_within_them() -> None:
         assert abs(trip["/reference"]["lateness"].iloc[-1]) < 2.0
 
 
-def test_one_function_drives_the_trips_of_the_command() -> None:
+def test_one_function_drives_the_trips_of_the_command():
     train, line = flirt(), level_line(2_500.0, limit=22.0)
     problem = TrajectoryProblem(line, train, plan()[1].configurations, reserve=0.12)
     trajectory = optimise(problem, OptimiserOptions(cells=60))
@@ -429,7 +426,7 @@ def test_one_function_drives_the_trips_of_the_command() -> None:
         ({"margin": -0.1}, r"speed: -0\.1 is negative"),
     ],
 )
-def test_what_cannot_be_followed_is_refused(changes: dict[str, Any], words: str) -> None:
+def test_what_cannot_be_followed_is_refused(changes, words):
     train, trajectory = plan()
     passing = replace(trajectory, speeds=trajectory.speeds + changes.get("speeds", 0.0))
     known = replace(map_of(slippery()), line=changes.get("condition", "hilly"))

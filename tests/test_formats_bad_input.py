@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -96,7 +95,7 @@ def setting(path: str, value: Any) -> Callable[[Any], None]:
 
 
 @pytest.mark.parametrize("kind", GOOD)
-def test_another_format_a_newer_version_and_an_unknown_key_are_reported(kind: str) -> None:
+def test_another_format_a_newer_version_and_an_unknown_key_are_reported(kind):
     known = 2 if kind == "line" else 1
     for change, said in (
         (setting("format", "trainlog/other"), ", format: is a file of format 'trainlog/other'"),
@@ -113,7 +112,7 @@ def test_another_format_a_newer_version_and_an_unknown_key_are_reported(kind: st
 
 
 @pytest.mark.parametrize("kind", GOOD)
-def test_no_wrong_value_anywhere_makes_a_traceback(kind: str) -> None:
+def test_no_wrong_value_anywhere_makes_a_traceback(kind):
     """Every value of a good file in turn is replaced by nonsense of another type."""
     data, read = GOOD[kind]
 
@@ -212,12 +211,12 @@ CONSIST_CASES = [
         *OTHER_CASES,
     ],
 )
-def test_nonsense_is_refused_at_its_place(kind: str, path: str, value: Any, message: str) -> None:
+def test_nonsense_is_refused_at_its_place(kind, path, value, message):
     complaint = refused(kind, setting(path, value))
     assert complaint.startswith(message), complaint
 
 
-def test_numbers_that_json_has_not_are_refused() -> None:
+def test_numbers_that_json_has_not_are_refused():
     data = GOOD["train"][0].replace(b"122", b"NaN")
     with pytest.raises(InputError, match=r"^f\.json, line 6, column 21: NaN is not"):
         train_from_bytes(data, file="f.json")
@@ -226,13 +225,13 @@ def test_numbers_that_json_has_not_are_refused() -> None:
         train_from_bytes(data, file="f.json")
 
 
-def test_unknown_braking_parameters_are_not_dropped_when_written() -> None:
+def test_unknown_braking_parameters_are_not_dropped_when_written():
     train = replace(simple_train(), braking_curves=BrakingCurves(parameters={"T_new": 1.0}))
     with pytest.raises(InputError, match="parameter 'T_new' is not known, so its unit is not"):
         train_to_bytes(train)
 
 
-def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path: Path) -> None:
+def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path):
     """Keys, types, units, the order of rows, and values that cannot be meant."""
     content = json.loads(GOOD["line"][0])
     content["colour"] = "red"
@@ -308,9 +307,7 @@ def whole(kind: str) -> Any:
         ),
     ],
 )
-def test_what_cannot_be_meant_is_refused(
-    kind: str, changes: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_meant_is_refused(kind, changes, message, tmp_path):
     content = whole(kind)
     for path, value in changes.items():
         setting(path, value)(content)
@@ -324,7 +321,7 @@ def test_what_cannot_be_meant_is_refused(
 
 
 @pytest.mark.parametrize("factor", [0.1, 0.3, 3.0, 10.0])
-def test_trains_of_other_sizes_are_plausible(tmp_path: Path, factor: float) -> None:
+def test_trains_of_other_sizes_are_plausible(tmp_path, factor):
     """A railcar of 12 t and a freight train of 1,200 t, all figures in proportion."""
     content = whole("train")
     scaled = [content[name] for name in content if name.startswith("max_")]
@@ -339,7 +336,7 @@ def test_trains_of_other_sizes_are_plausible(tmp_path: Path, factor: float) -> N
     assert read_train(path).mass == pytest.approx(122e3 * factor)
 
 
-def test_logs_are_not_judged() -> None:
+def test_logs_are_not_judged():
     """What a log was recorded with can be read, whatever it states."""
     train = replace(simple_train(), mass=122.0)
     assert train_from_bytes(train_to_bytes(train)).mass == 122.0

@@ -45,7 +45,7 @@ SECTIONS: list[tuple[str, tuple[type, ...]]] = [
 
 
 @pytest.mark.parametrize(("title", "models"), SECTIONS, ids=[title for title, _ in SECTIONS])
-def test_every_key_is_described(title: str, models: tuple[type, ...]) -> None:
+def test_every_key_is_described(title, models):
     section = TEXT.split(f"{title}\n")[1].split("\n## ")[0]
     for model in models:
         for entry in entries(model):
@@ -56,14 +56,14 @@ def test_every_key_is_described(title: str, models: tuple[type, ...]) -> None:
         assert all(f"`{name}`" in section for name in BRAKING_PARAMETERS)
 
 
-def test_every_format_is_in_the_list() -> None:
+def test_every_format_is_in_the_list():
     for _, (model, *_others) in SECTIONS:
         assert issubclass(model, Declared)
         assert f"`{model.FORMAT}`" in TEXT
         assert (2 if model.FORMAT in ("trainlog/line", "trainlog/network") else 1) == model.VERSION
 
 
-def test_every_table_and_column_of_a_map_is_described() -> None:
+def test_every_table_and_column_of_a_map_is_described():
     section = TEXT.split("## Track-condition map\n")[1].split("\n## ")[0]
     database = sqlite3.connect(sample("CH_StGallen_Wil.map"))
     tables = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()

@@ -30,7 +30,7 @@ def write_half(target: Path, failure: BaseException) -> None:
         raise failure
 
 
-def test_a_written_file_replaces_the_old_one_and_leaves_nothing_else(tmp_path: Path) -> None:
+def test_a_written_file_replaces_the_old_one_and_leaves_nothing_else(tmp_path):
     target = tmp_path / "a.json"
     target.write_bytes(b"old")
     with atomic_write(target) as temporary:
@@ -43,9 +43,7 @@ def test_a_written_file_replaces_the_old_one_and_leaves_nothing_else(tmp_path: P
 
 
 @pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt, SystemExit])
-def test_a_failure_leaves_the_old_file_and_no_other(
-    tmp_path: Path, failure: type[BaseException]
-) -> None:
+def test_a_failure_leaves_the_old_file_and_no_other(tmp_path, failure):
     target = tmp_path / "a.json"
     target.write_bytes(b"old")
     with pytest.raises(failure):
@@ -54,13 +52,13 @@ def test_a_failure_leaves_the_old_file_and_no_other(
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_new_files_get_the_usual_permissions(tmp_path: Path) -> None:
+def test_new_files_get_the_usual_permissions(tmp_path):
     (tmp_path / "plain").touch()
     write_bytes(tmp_path / "written", b"x")
     assert (tmp_path / "written").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
-def test_a_link_keeps_pointing_where_it_did(tmp_path: Path) -> None:
+def test_a_link_keeps_pointing_where_it_did(tmp_path):
     (tmp_path / "real.json").write_bytes(b"old")
     link = tmp_path / "link.json"
     try:
@@ -72,12 +70,12 @@ def test_a_link_keeps_pointing_where_it_did(tmp_path: Path) -> None:
     assert (tmp_path / "real.json").read_bytes() == b"new"
 
 
-def test_a_missing_folder_is_named_with_its_remedy(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named_with_its_remedy(tmp_path):
     with pytest.raises(InputError, match="its folder does not exist; create its folder first"):
         write_bytes(tmp_path / "no" / "a.json", b"x")
 
 
-def test_a_folder_or_device_is_not_written_over(tmp_path: Path) -> None:
+def test_a_folder_or_device_is_not_written_over(tmp_path):
     with pytest.raises(InputError, match="exists and is not a file; choose another name"):
         write_bytes(tmp_path, b"x")
     refused(InputError, "exists and is not a file", write_bytes, os.devnull, b"x")
@@ -90,28 +88,26 @@ def test_a_folder_or_device_is_not_written_over(tmp_path: Path) -> None:
         (errno.EROFS, "cannot be written: read-only file system; choose a folder you may write"),
     ],
 )
-def test_a_full_disk_is_reported_and_leaves_nothing(
-    tmp_path: Path, number: int, message: str
-) -> None:
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, number, message):
     with pytest.raises(InputError, match=message):
         write_half(tmp_path / "a.json", OSError(number, os.strerror(number)))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_error_about_another_file_is_not_taken_for_one_about_the_target(tmp_path: Path) -> None:
+def test_an_error_about_another_file_is_not_taken_for_one_about_the_target(tmp_path):
     with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "a.json"):
         (tmp_path / "input.csv").read_bytes()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_sha256_of_a_known_text(tmp_path: Path) -> None:
+def test_sha256_of_a_known_text(tmp_path):
     known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert sha256(b"abc") == known
     (tmp_path / "abc").write_bytes(b"abc")
     assert sha256_of(tmp_path / "abc") == known
 
 
-def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_are_named(tmp_path):
     for read in (read_bytes, read_json, sha256_of):
         with pytest.raises(InputError, match=r"gone\.json: does not exist; check the path"):
             read(tmp_path / "gone.json")
@@ -140,13 +136,13 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         (b'{"mass": ' + b"9" * 6_000 + b"}", "a.json: holds a number of thousands of digits"),
     ],
 )
-def test_text_that_is_not_json_is_refused_with_its_place(data: bytes, message: str) -> None:
+def test_text_that_is_not_json_is_refused_with_its_place(data, message):
     caught = refused(InputError, "", parse_json, data, file="a.json")
     assert str(caught).startswith(message)
     assert "\n" not in str(caught)
 
 
-def test_a_folder_for_results_is_made_only_for_results(tmp_path: Path) -> None:
+def test_a_folder_for_results_is_made_only_for_results(tmp_path):
     with output_folder(tmp_path / "a" / "b"):
         pass
     assert list(tmp_path.iterdir()) == []
@@ -162,7 +158,7 @@ def test_a_folder_for_results_is_made_only_for_results(tmp_path: Path) -> None:
     assert (tmp_path / "empty").is_dir(), "it was there before"
 
 
-def test_a_folder_for_results_has_not_the_name_of_a_file(tmp_path: Path) -> None:
+def test_a_folder_for_results_has_not_the_name_of_a_file(tmp_path):
     with (
         pytest.raises(InputError, match=r"trip\.mcap: is the name of a \.mcap file.*name a folder"),
         output_folder(tmp_path / "trip.mcap"),
@@ -174,7 +170,7 @@ def test_a_folder_for_results_has_not_the_name_of_a_file(tmp_path: Path) -> None
         assert folder.is_dir()
 
 
-def test_a_byte_order_mark_is_no_mistake() -> None:
+def test_a_byte_order_mark_is_no_mistake():
     assert parse_json(b'\xef\xbb\xbf{"a": 1}', file="a.json") == {"a": 1}
 
 
@@ -186,7 +182,7 @@ WRITERS = {f"write_{kind.lower()}": kind for kind in ALIKE} | {
 
 
 @pytest.mark.parametrize(("name", "kind"), WRITERS.items())
-def test_what_a_file_cannot_hold_is_named(name: str, kind: str, tmp_path: Path) -> None:
+def test_what_a_file_cannot_hold_is_named(name, kind, tmp_path):
     write, path = getattr(trainlog, name), tmp_path / "file"
     remedy = f"was given where a {kind} is expected; give the {kind} first, then the path"
     refused(InputError, rf"3 \(int\) {remedy}", write, 3, path)
@@ -202,5 +198,5 @@ def test_what_a_file_cannot_hold_is_named(name: str, kind: str, tmp_path: Path) 
         (b"x = " + b"9" * 6_000, "a.toml: holds a number of thousands of digits; expected TOML"),
     ],
 )
-def test_toml_that_its_parser_gives_up_is_refused(data: bytes, message: str) -> None:
+def test_toml_that_its_parser_gives_up_is_refused(data, message):
     assert str(refused(InputError, "", parse_toml, data, file="a.toml")).startswith(message)

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,6 @@ from trainlog.railway import (
     RunningResistance,
     Station,
     StepProfile,
-    TrackConditionMap,
     Train,
     Trajectory,
 )
@@ -80,9 +78,7 @@ TOML: dict[str, Callable[..., Any]] = {"line": write_line, "train": write_train}
 @pytest.mark.parametrize("kind", SURVIVING)
 @quick
 @given(data=st.data())
-def test_what_is_written_survives_and_results_to_the_last_bit(
-    kind: str, data: st.DataObject, tmp_path: Path
-) -> None:
+def test_what_is_written_survives_and_results_to_the_last_bit(kind, data, tmp_path):
     drawn, write, read = SURVIVING[kind]
     thing = data.draw(drawn)
     written = write(thing)
@@ -98,7 +94,7 @@ def test_what_is_written_survives_and_results_to_the_last_bit(
 
 @quick
 @given(maps())
-def test_the_evidence_of_maps_survives_to_the_last_bit(condition: TrackConditionMap) -> None:
+def test_the_evidence_of_maps_survives_to_the_last_bit(condition):
     """Any numbers at all: the estimate is not made of them."""
     data = whole_file(condition)
     with opened(data) as file:
@@ -115,7 +111,7 @@ def test_the_evidence_of_maps_survives_to_the_last_bit(condition: TrackCondition
     assert whole_file(replace(empty, layers=again, trips=entries)) == data
 
 
-def test_an_estimate_that_the_evidence_does_not_give_is_not_written(tmp_path: Path) -> None:
+def test_an_estimate_that_the_evidence_does_not_give_is_not_written(tmp_path):
     track = read_map(sample("CH_StGallen_Wil.map"))
     layer = track.layer("wet")
     other = replace(layer, log_mean=layer.log_mean - 0.01)
@@ -138,7 +134,7 @@ def simple_train() -> Train:
     return Train("T", 122e3, 0.1, RunningResistance(2378.88, 61.1, 12.08), 200e3, 2.6e6)
 
 
-def test_numbers_stand_in_the_file_as_railway_people_write_them(tmp_path: Path) -> None:
+def test_numbers_stand_in_the_file_as_railway_people_write_them(tmp_path):
     write_line(simple_line(), tmp_path / "line.json")
     content = read_json(tmp_path / "line.json")
     assert content["speed_limits"] == {
@@ -160,7 +156,7 @@ def test_numbers_stand_in_the_file_as_railway_people_write_them(tmp_path: Path) 
         ("[0, 11.9]", "[0, 1.19]"),
     ],
 )
-def test_any_unit_of_the_right_dimension_is_read(written: str, declared: str) -> None:
+def test_any_unit_of_the_right_dimension_is_read(written, declared):
     text = line_to_bytes(simple_line()).decode()
     assert written in text
     changed = text.replace(written, declared)
@@ -171,14 +167,14 @@ def test_any_unit_of_the_right_dimension_is_read(written: str, declared: str) ->
     assert_same(line_from_bytes(changed.encode()), simple_line(), 1e-15)
 
 
-def test_what_json_cannot_say_is_refused_when_written() -> None:
+def test_what_json_cannot_say_is_refused_when_written():
     with pytest.raises(InputError, match=r"provenance\.gap: inf cannot be written"):
         thing_to_bytes(ParameterSet("T", (), provenance={"gap": np.inf}))
     with pytest.raises(InputError, match=r"details\[0\]\.a: a object cannot be written"):
         thing_to_bytes(ParameterSet("T", (), details=[{"a": object()}]))
 
 
-def test_numpy_numbers_in_details_are_written_as_numbers() -> None:
+def test_numpy_numbers_in_details_are_written_as_numbers():
     details = [{"a": np.float64(0.1), "b": np.int64(3), "c": np.array([[1.5]]), "d": (True, None)}]
     found = thing_from_bytes(ParameterSet, thing_to_bytes(ParameterSet("T", (), details=details)))
     assert found.details == [{"a": 0.1, "b": 3, "c": [[1.5]], "d": [True, None]}]
@@ -192,14 +188,14 @@ def trip(**metadata: str) -> Trip:
     return Trip({}, {"trip": "t1", **metadata}, attachments=attachments)
 
 
-def test_a_trip_gives_its_line_in_the_direction_of_travel() -> None:
+def test_a_trip_gives_its_line_in_the_direction_of_travel():
     assert line_of(trip()) == simple_line()
     assert line_of(trip(direction="forward")) == simple_line()
     assert line_of(trip(direction="reverse")) == simple_line().reversed()
     assert train_of(trip()) == simple_train()
 
 
-def test_a_trip_without_line_or_with_a_damaged_one_is_refused() -> None:
+def test_a_trip_without_line_or_with_a_damaged_one_is_refused():
     with pytest.raises(LogError, match=r"trip 't1' has no line\.json; attachments present: none"):
         line_of(Trip({}, {"trip": "t1"}))
     refused(LogError, "direction is 'backwards'", line_of, trip(direction="backwards"))
@@ -207,7 +203,7 @@ def test_a_trip_without_line_or_with_a_damaged_one_is_refused() -> None:
     refused(InputError, r"^train\.json of trip 't1', line 1, column 12: ", train_of, damaged)
 
 
-def test_limits_of_two_directions_raise_the_version_of_lines_and_networks(tmp_path: Path) -> None:
+def test_limits_of_two_directions_raise_the_version_of_lines_and_networks(tmp_path):
     """A trainlog that does not know them states that it is too old, not that a key is misspelt."""
     line = simple_line()
     both = replace(line, speed_limits_reverse=StepProfile([0.0], [20.0]))

@@ -19,8 +19,7 @@ from trainlog.formats import ttobench
 from trainlog.formats.imports import import_file
 from trainlog.formats.railway import read_journey, read_line, read_train
 from trainlog.formats.ttobench import JourneyLayout, TrackLayout, TrainLayout
-from trainlog.railway import BrakingCurves, Line, Station, Train
-from trainlog.railway.trajectory import Journey
+from trainlog.railway import BrakingCurves, Station
 
 LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 FILES = sorted(LIBRARY.glob("*/*.json"))
@@ -63,9 +62,7 @@ def written(tmp_path: Path, content: Any) -> Path:
 
 @needs_library
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_every_file_is_read_written_back_unchanged_and_converted(
-    file: Path, tmp_path: Path
-) -> None:
+def test_every_file_is_read_written_back_unchanged_and_converted(file, tmp_path):
     kind = ttobench.detect(file)
     assert file.parent.name == f"{kind}s"
     found = ttobench.import_file(file)
@@ -80,7 +77,7 @@ def test_every_file_is_read_written_back_unchanged_and_converted(
     assert reader(target) == found
 
 
-def test_declared_units_are_honoured(tmp_path: Path) -> None:
+def test_declared_units_are_honoured(tmp_path):
     line = ttobench.read_track(written(tmp_path, TRACK))
     assert line.length == 4000.0
     assert [station.name for station in line.stations] == ["km 0.000", "km 1.500", "km 4.000"]
@@ -133,16 +130,14 @@ def changed(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ),
     ],
 )
-def test_nonsense_is_refused_at_its_place(
-    content: dict[str, Any], path: str, value: Any, message: str, tmp_path: Path
-) -> None:
+def test_nonsense_is_refused_at_its_place(content, path, value, message, tmp_path):
     file = written(tmp_path, changed(content, path, value))
     caught = refused(InputError, "", ttobench.import_file, file)
     assert str(caught).startswith(f"{file}{message}")
     assert "\n" not in str(caught)
 
 
-def test_files_of_no_kind_or_of_another_kind_are_reported(tmp_path: Path) -> None:
+def test_files_of_no_kind_or_of_another_kind_are_reported(tmp_path):
     journey = {"metadata": {"id": "J", "library version": "1"}, "timing points": {}}
     for read, content, said in (
         (ttobench.detect, {"a": 1}, "is neither a track nor a train nor a journey"),
@@ -156,7 +151,7 @@ def test_files_of_no_kind_or_of_another_kind_are_reported(tmp_path: Path) -> Non
 
 @quick
 @given(lines())
-def test_lines_survive_but_for_names_and_coordinates(line: Line) -> None:
+def test_lines_survive_but_for_names_and_coordinates(line):
     ends = (Station("km 0.000", 0.0), Station(f"km {line.length / 1e3:.3f}", line.length))
     lost = dict.fromkeys(("geometry", "survey", "reference", "speed_limits_reverse"))
     plain = replace(line, stations=ends, source="", **lost)
@@ -165,7 +160,7 @@ def test_lines_survive_but_for_names_and_coordinates(line: Line) -> None:
 
 @quick
 @given(TRAINS)
-def test_trains_survive_but_for_what_the_layout_has_not(train: Train) -> None:
+def test_trains_survive_but_for_what_the_layout_has_not(train):
     # The layout takes a rotating mass of the whole train's for a factor of the wrong kind.
     assume(train.rotating_mass_factor < 1.0)
     unknown = ("max_load", "axles", "brake")
@@ -178,12 +173,12 @@ def test_trains_survive_but_for_what_the_layout_has_not(train: Train) -> None:
 
 @quick
 @given(journeys())
-def test_journeys_survive(journey: Journey) -> None:
+def test_journeys_survive(journey):
     plain = replace(journey, source="")
     assert_same(JourneyLayout.of(plain).thing(), plain, 5e-14)
 
 
-def test_what_the_layout_cannot_say_is_refused(tmp_path: Path) -> None:
+def test_what_the_layout_cannot_say_is_refused(tmp_path):
     line = ttobench.read_track(written(tmp_path, TRACK))
     short, copy = replace(line, stations=line.stations[:-1]), tmp_path / "copy.json"
     refused(InputError, "not begin and end at a station", ttobench.write_track, short, copy)
@@ -193,7 +188,7 @@ def test_what_the_layout_cannot_say_is_refused(tmp_path: Path) -> None:
     assert not copy.exists()
 
 
-def test_what_an_export_leaves_out_is_listed(tmp_path: Path) -> None:
+def test_what_an_export_leaves_out_is_listed(tmp_path):
     """Another curve resistance or another mass model changes energies by per cents."""
     line = ttobench.read_track(written(tmp_path, TRACK))
     assert ttobench.write_track(line, tmp_path / "copy.json") == []

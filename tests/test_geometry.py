@@ -39,7 +39,7 @@ def line(curvatures: CurvatureProfile | None, length: float) -> Line:
         max_size=8,
     )
 )
-def test_any_curve_is_exact_to_a_millimetre(elements: list[tuple[float, float, float]]) -> None:
+def test_any_curve_is_exact_to_a_millimetre(elements):
     widths = np.array([element[0] for element in elements])
     starts = np.concatenate(([0.0], np.cumsum(widths)[:-1]))
     length = float(widths.sum())
@@ -67,7 +67,7 @@ def test_any_curve_is_exact_to_a_millimetre(elements: list[tuple[float, float, f
         assert abs(end - complex(state[0], state[1])) < 1e-3
 
 
-def test_the_plane_and_the_earth_are_inverse() -> None:
+def test_the_plane_and_the_earth_are_inverse():
     origin = (47.4, 9.2)
     east, north = np.meshgrid(np.linspace(-3e4, 3e4, 7), np.linspace(-3e4, 3e4, 7))
     points = (east + 1j * north).ravel()
@@ -75,7 +75,7 @@ def test_the_plane_and_the_earth_are_inverse() -> None:
     assert to_plane(latitudes, longitudes, origin) == pytest.approx(points, abs=1e-4)
 
 
-def test_a_minute_of_arc_has_its_published_length() -> None:
+def test_a_minute_of_arc_has_its_published_length():
     """At 45 degrees on WGS 84 a degree is 111.132 km of latitude and 78.847 km of longitude."""
     half, origin = 1.0 / 120.0, (45.0, 9.0)
     north = to_plane(45.0 + half, 9.0, origin) - to_plane(45.0 - half, 9.0, origin)
@@ -84,7 +84,7 @@ def test_a_minute_of_arc_has_its_published_length() -> None:
     assert complex(east) == pytest.approx(78_847.0 / 60.0, abs=0.02)
 
 
-def test_a_placed_line_meets_anchors_that_agree_with_it() -> None:
+def test_a_placed_line_meets_anchors_that_agree_with_it():
     bends = profile((0.0, 0.0, 0.0), (3000.0, 0.0, 0.001), (3200.0, 0.001, 0.001))
     length, origin = 6000.0, (47.4, 9.2)
     positions, points = plane_curve(bends, length)
@@ -103,7 +103,7 @@ def test_a_placed_line_meets_anchors_that_agree_with_it() -> None:
     assert np.abs(to_plane(*at, origin) - turned).max() < 0.02
 
 
-def test_a_line_without_curvature_or_anchors_cannot_be_placed() -> None:
+def test_a_line_without_curvature_or_anchors_cannot_be_placed():
     anchors = (Anchor(0.0, 47.4, 9.2), Anchor(100.0, 47.4, 9.3))
     with pytest.raises(InputError, match="placing it needs curvatures and two anchors"):
         place(line(None, 100.0), anchors)
@@ -120,7 +120,7 @@ ANCHORS = (
 
 
 @needs_track
-def test_positive_radii_bend_to_the_right() -> None:
+def test_positive_radii_bend_to_the_right():
     """The library's convention, confirmed: with the other sign the stations lie far off."""
     track = read_track(TRACK)
     curves = track.curvatures

@@ -104,7 +104,7 @@ def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
 class TestIdentity:
-    def test_a_drive_is_recognised_in_every_form(self, versions: dict[str, Path]) -> None:
+    def test_a_drive_is_recognised_in_every_form(self, versions):
         whole = identity_of(WHOLE)
         assert whole is not None
         for name, path in versions.items():
@@ -119,7 +119,7 @@ class TestIdentity:
             assert lost <= 2, name
             assert whole.shared(found) > 0.8
 
-    def test_a_table_in_other_units_is_the_same_drive(self, tmp_path: Path) -> None:
+    def test_a_table_in_other_units_is_the_same_drive(self, tmp_path):
         """As CSV in km/h, in local time, with the load and the line not known."""
         state = WHOLE["/train/state"]
         times = pd.DatetimeIndex(state.index).tz_convert("Europe/Zurich")
@@ -133,14 +133,14 @@ class TestIdentity:
         np.testing.assert_array_equal(found.blocks, whole.blocks)
         assert same_drives([Known("table", found), Known("log", whole)])
 
-    def test_what_recorded_neither_speed_nor_place_has_none(self) -> None:
+    def test_what_recorded_neither_speed_nor_place_has_none(self):
         assert identity_of(replace(WHOLE, topics={"/events": WHOLE["/events"]})) is None
         assert identity_from_text("") is None
         refused(InputError, "is not the identity of a trip", identity_from_text, "2024-10-07 1 x")
 
 
 @pytest.mark.skipif(not AALTO.is_dir(), reason="the Aalto data are not beside the checkout")
-def test_rides_that_were_recorded_are_all_different(tmp_path: Path) -> None:
+def test_rides_that_were_recorded_are_all_different(tmp_path):
     """Rides of a few phones, a fix every 11 s: none is another; each is known by its half."""
     rides = list(ingest_each(AALTO / "device_data.csv"))
     identities = [identity_of(ride) for ride in rides]
@@ -166,7 +166,7 @@ def drive(minutes: range, samples: int = 600) -> TripIdentity:
 class TestSameDrives:
     @settings(max_examples=50)
     @given(order=st.permutations(range(6)))
-    def test_what_is_left_out_does_not_depend_on_the_order(self, order: list[int]) -> None:
+    def test_what_is_left_out_does_not_depend_on_the_order(self, order):
         trips = [
             Known("whole", drive(range(100)), ("b",)),
             Known("copy", drive(range(100)), ("a",)),
@@ -179,13 +179,13 @@ class TestSameDrives:
         left_out = {each.trip: each.of for each in found}
         assert left_out == {"whole": "copy", "first": "copy", "other": "fuller"}
 
-    def test_parts_that_hardly_overlap_are_both_used(self) -> None:
+    def test_parts_that_hardly_overlap_are_both_used(self):
         """Recorders that begin a new file each hour repeat the last minute or two."""
         hours = [range(0, 62), range(60, 122), range(120, 180)]
         assert all(len(set(a) & set(b)) <= SHARED * 60 for a, b in pairwise(hours))
         assert same_drives([Known(str(hour), drive(hour)) for hour in hours]) == []
 
-    def test_the_recorded_file_decides_where_rules_have_moved_the_times(self) -> None:
+    def test_the_recorded_file_decides_where_rules_have_moved_the_times(self):
         """A leap second found: no minute is as it was, but the file is the same."""
         one = replace(drive(range(60)), source="a")
         delay = pd.Timedelta(18, "s")
@@ -199,7 +199,7 @@ class TestSameDrives:
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
-def test_a_fit_uses_a_drive_once_in_whatever_form(versions: dict[str, Path]) -> None:
+def test_a_fit_uses_a_drive_once_in_whatever_form(versions):
     """Which of two loads is right the samples do not say; that they differ is stated."""
     alone = fit([LOG])
     every = fit([LOG, *(path for name, path in versions.items() if name != "reloaded")])
@@ -220,7 +220,7 @@ def test_a_fit_uses_a_drive_once_in_whatever_form(versions: dict[str, Path]) -> 
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
-def test_a_map_uses_a_drive_once_in_whatever_form(versions: dict[str, Path]) -> None:
+def test_a_map_uses_a_drive_once_in_whatever_form(versions):
     alone = adhesion_map([LOG]).track
     paths = [LOG, *(versions[name] for name in ("estimated", "converted", "recovered"))]
     every = adhesion_map(paths)
@@ -246,7 +246,7 @@ def test_a_map_uses_a_drive_once_in_whatever_form(versions: dict[str, Path]) -> 
     refused(InputError, "the sums of several maps hold one drive", merged, twice)
 
 
-def test_a_line_rests_on_each_drive_once(versions: dict[str, Path]) -> None:
+def test_a_line_rests_on_each_drive_once(versions):
     """Read twice, a ride would halve the variance of the centre line and of its gradients."""
     alone = geometry_of([WHOLE])
     again = replace(WHOLE, metadata={**WHOLE.metadata, "trip": "again"})
@@ -257,7 +257,7 @@ def test_a_line_rests_on_each_drive_once(versions: dict[str, Path]) -> None:
     np.testing.assert_array_equal(found.std, alone.std)
 
 
-def test_coast_down_uses_a_drive_once(versions: dict[str, Path]) -> None:
+def test_coast_down_uses_a_drive_once(versions):
     alone = coast_down([LOG])
     found = coast_down([LOG, versions["converted"], versions["first_half"]])
     assert len(found.trips) == 1

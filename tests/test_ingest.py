@@ -41,7 +41,7 @@ def both(driven: Trip, read: Trip, topic: str) -> tuple[pd.DataFrame, pd.DataFra
     return old.loc[new.index], new
 
 
-def test_the_vehicle_recorders_file_comes_back(tmp_path: Path, driven: Trip) -> None:
+def test_the_vehicle_recorders_file_comes_back(tmp_path, driven):
     """Within the file's own quantisation, and every defect counted."""
     path = tmp_path / "recorder.csv"
     defects = write_recorder_csv(driven, path)
@@ -75,7 +75,7 @@ def test_the_vehicle_recorders_file_comes_back(tmp_path: Path, driven: Trip) -> 
             assert error.max() <= bound * (1.0 + 1e-9), f"{topic}.{column}"
 
 
-def test_the_ublox_file_comes_back(tmp_path: Path, driven: Trip) -> None:
+def test_the_ublox_file_comes_back(tmp_path, driven):
     """Times to the nanosecond although the file has whole seconds; values to the last digit."""
     path = tmp_path / "gnss.csv"
     defects = write_ublox_csv(driven, path)
@@ -94,7 +94,7 @@ def test_the_ublox_file_comes_back(tmp_path: Path, driven: Trip) -> None:
             np.testing.assert_allclose(new[column][known], old[column][known], rtol=0, atol=5e-9)
 
 
-def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path: Path, driven: Trip) -> None:
+def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path, driven):
     path = tmp_path / "recorder.csv"
     write_recorder_csv(driven, path)
     stated = {"operator": "SOB", "weather": "wet"}
@@ -123,7 +123,7 @@ def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path: Path, dr
     assert {name: step["inputs"][name] for name in files} == found
 
 
-def test_a_line_that_the_train_runs_out_of_is_refused() -> None:
+def test_a_line_that_the_train_runs_out_of_is_refused():
     short = replace(level_line(5_000.0, limit=30.0), name="short")
     with pytest.raises(InputError, match=r"recorder\.csv: positions reach km 29\..*line 'short'"):
         ingest(sample("recorder.csv"), profile=PROFILE, line=short)

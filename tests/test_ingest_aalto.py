@@ -48,7 +48,7 @@ def account(trip: Trip) -> pd.DataFrame:
     return pd.read_csv(io.BytesIO(trip.attachments["rides.csv"]), keep_default_na=False)
 
 
-def test_rides_by_rail_become_trips(tmp_path: Path) -> None:
+def test_rides_by_rail_become_trips(tmp_path):
     rows = [
         *fixes(1, "09:00:00", "10:00:00"),
         *fixes(2, "09:00:00", "10:00:00", moves=False),
@@ -97,7 +97,7 @@ def test_rides_by_rail_become_trips(tmp_path: Path) -> None:
     assert [t.name for t in again] == [t.name for t in trips]
 
 
-def test_files_that_cannot_be_used(tmp_path: Path) -> None:
+def test_files_that_cannot_be_used(tmp_path):
     path = both(tmp_path, fixes(1, "09:00:00", "09:01:00"), [ride(1, "BUS", "1", "09:00:00", "")])
     refused(InputError, "none of 0 rides by rail", list, ingest_each(path))
     (tmp_path / "manual_log.csv").write_text("device_id,line_type\n1,TRAM\n", "utf-8")
@@ -108,7 +108,7 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the Aalto data are not beside the checkout")
-def test_the_published_rides() -> None:
+def test_the_published_rides():
     path = PUBLISHED / "device_data.csv"
     refused(InputError, r"holds 73 recordings: ride-002-subway-v, .*; take them", ingest, path)
     trips = list(ingest_each(path))

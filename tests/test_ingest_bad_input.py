@@ -73,7 +73,7 @@ def refused(path: Path, message: str, **options: object) -> str:
         (b'"t","v","s"\n"a,b,c\nd,e,f\n', "cells|time|number"),
     ],
 )
-def test_each_unusable_file_gives_one_line(tmp_path: Path, data: bytes, message: str) -> None:
+def test_each_unusable_file_gives_one_line(tmp_path, data, message):
     path = tmp_path / "run.csv"
     path.write_bytes(data)
     refused(path, message)
@@ -107,9 +107,7 @@ LOG = sample("stopping.mcap").read_bytes()
         ("3", {}, r"row \d+: /train/state.speed: \d+ of 200 values are impossible.*check the unit"),
     ],
 )
-def test_calls_that_do_not_fit_a_file_give_one_line(
-    tmp_path: Path, data: bytes | str | None, options: dict[str, object], message: str
-) -> None:
+def test_calls_that_do_not_fit_a_file_give_one_line(tmp_path, data, options, message):
     """A file of these bytes, or a good one whose speeds begin with a digit more; None: no file."""
     path = tmp_path / "run.csv"
     if isinstance(data, str):
@@ -119,14 +117,14 @@ def test_calls_that_do_not_fit_a_file_give_one_line(
     refused(path, message, **options)
 
 
-def test_folders_and_formats_that_are_not_there(tmp_path: Path) -> None:
+def test_folders_and_formats_that_are_not_there(tmp_path):
     for options in ({}, *({"format": each} for each in ("csv", "parquet", "ublox"))):
         refused(tmp_path, "is a folder; name a file in it", **options)
     with pytest.raises(InputError, match="no format 'parket'; did you mean 'parquet'"):
         ingest(write(tmp_path / "run.csv", plain_rows()), format="parket")
 
 
-def test_rows_that_run_backwards_in_time(tmp_path: Path) -> None:
+def test_rows_that_run_backwards_in_time(tmp_path):
     """They are turned round and counted; the trip is that of the rows in order."""
     rows = plain_rows(3000)
     sound = ingest(write(tmp_path / "sound.csv", rows), profile=plain_profile())
@@ -141,7 +139,7 @@ def test_rows_that_run_backwards_in_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_all_columns_that_are_missing_are_named_at_once(tmp_path: Path, suffix: str) -> None:
+def test_all_columns_that_are_missing_are_named_at_once(tmp_path, suffix):
     path = tmp_path / f"run{suffix}"
     run = clean_run(5, 1.0)
     if suffix == ".csv":
@@ -155,7 +153,7 @@ def test_all_columns_that_are_missing_are_named_at_once(tmp_path: Path, suffix: 
     refused(path, r"2 problems: \(1\) .*no column 'v'; .*t, speed, way; \(2\) .*no column 's'; ")
 
 
-def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path: Path) -> None:
+def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path):
     """At most the row in which the recorder lost power is lost or shortened."""
     whole = plain_text(plain_rows(30)).encode()
     path = tmp_path / "run.csv"
@@ -221,7 +219,7 @@ def damaged(draw: random.Random, data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["gpx", "nmea", "hexlines", "mtk", "aalto", *PROFILES, "ublox"])
-def test_damage_gives_trips_or_our_error(tmp_path: Path, kind: str) -> None:
+def test_damage_gives_trips_or_our_error(tmp_path, kind):
     path, data = whole(kind, tmp_path)
     draw = random.Random(kind)
     for _ in range(6 if kind == "mdf" else 14):

@@ -70,9 +70,7 @@ def error_of(trip: Trip, truth: Trip) -> pd.Series:
     [("forward", 7_000.0), ("reverse", -7_000.0), ("forward", 150.0)],
     indirect=["driven"],
 )
-def test_a_constant_offset_of_the_odometer_is_put_back(
-    driven: Trip, tmp_path: Path, offset: float
-) -> None:
+def test_a_constant_offset_of_the_odometer_is_put_back(driven, tmp_path, offset):
     """At +7 km the positions would run beyond the line's end; at -7 km they would be negative."""
     path = recorded(driven, tmp_path, lambda position: position + offset)
     trip = ingest(path, profile(), line=LINE, train=TRAIN)
@@ -87,14 +85,12 @@ def test_a_constant_offset_of_the_odometer_is_put_back(
     assert np.allclose(raw["raw_value"] - raw["new_value"], offset, atol=20.0)
 
 
-def test_drift_of_an_odometer_is_left(driven: Trip, tmp_path: Path) -> None:
+def test_drift_of_an_odometer_is_left(driven, tmp_path):
     path = recorded(driven, tmp_path, lambda position: 1.004 * position)
     assert report_of(ingest(path, profile(), line=LINE)).count("position_offset") == 0
 
 
-def test_positions_that_contradict_by_no_constant_offset_are_absent(
-    driven: Trip, tmp_path: Path
-) -> None:
+def test_positions_that_contradict_by_no_constant_offset_are_absent(driven, tmp_path):
     def leaping(share: float) -> Callable[[np.ndarray], np.ndarray]:
         return lambda s: s + np.where(np.arange(s.size) >= share * s.size, 3_000.0, 0.0)
 
@@ -110,7 +106,7 @@ def test_positions_that_contradict_by_no_constant_offset_are_absent(
     assert "none of it is used" in " ".join(report_of(most).lines())
 
 
-def test_fixes_give_the_direction_that_nothing_states(driven: Trip, tmp_path: Path) -> None:
+def test_fixes_give_the_direction_that_nothing_states(driven, tmp_path):
     path, truth = recorded(driven, tmp_path), driven.metadata["direction"]
     trip = ingest(path, profile(), line=LINE)
     assert trip.metadata["direction"] == truth
@@ -120,9 +116,7 @@ def test_fixes_give_the_direction_that_nothing_states(driven: Trip, tmp_path: Pa
         assert trip.metadata["repair.direction.note"].startswith("'reverse': the fixes run so")
 
 
-def test_a_stated_direction_that_the_fixes_contradict_is_refused(
-    driven: Trip, tmp_path: Path
-) -> None:
+def test_a_stated_direction_that_the_fixes_contradict_is_refused(driven, tmp_path):
     path = recorded(driven, tmp_path)
     other = "forward" if driven.metadata["direction"] == "reverse" else "reverse"
     for options, given in (({}, other), ({"trip": {"direction": other}}, None)):
@@ -133,7 +127,7 @@ def test_a_stated_direction_that_the_fixes_contradict_is_refused(
             ingest(path, profile(repair={"direction": False}), line=LINE)
 
 
-def test_a_load_may_be_given_in_tonnes() -> None:
+def test_a_load_may_be_given_in_tonnes():
     stated = pairs(["load=11.7t"])
     assert stated == pairs(["load=11700kg"]) == {"load": "11700"}
     assert pairs(["load=0"]) == {"load": "0"}
@@ -145,7 +139,7 @@ def test_a_load_may_be_given_in_tonnes() -> None:
 
 
 @pytest.mark.parametrize("driven", ["forward"], indirect=True)
-def test_an_assumed_time_zone_stays_with_the_trip(driven: Trip, tmp_path: Path) -> None:
+def test_an_assumed_time_zone_stays_with_the_trip(driven, tmp_path):
     proposal = propose_profile("sample_logs/recorder.csv")
     trip = ingest("sample_logs/recorder.csv", proposal.profile)
     assert trip.metadata["clock"] == "UTC assumed: the file does not state a zone"
@@ -153,7 +147,7 @@ def test_an_assumed_time_zone_stays_with_the_trip(driven: Trip, tmp_path: Path) 
     assert zoned.profile.clock is None
 
 
-def test_a_table_without_time_is_passed_over_in_a_folder_alone(tmp_path: Path) -> None:
+def test_a_table_without_time_is_passed_over_in_a_folder_alone(tmp_path):
     folder = tmp_path / "recorded"
     folder.mkdir()
     table = folder / "devices.csv"
@@ -196,7 +190,7 @@ def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, rows: slice | np.
     return ingest(tmp_path / "run.csv", profile)
 
 
-def test_what_no_train_does_is_stated(tmp_path: Path) -> None:
+def test_what_no_train_does_is_stated(tmp_path):
     second = np.arange(900.0)
     for way, speed, said in (
         (0.0 * second, 0.1 + 0.0 * second, "the train never moves"),
@@ -207,9 +201,7 @@ def test_what_no_train_does_is_stated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("speed", "legs"), [(1.4, (15.0, 60.0)), (9.0, (8.0, 25.0))])
-def test_a_walk_and_a_car_in_a_town_are_no_trains_motion(
-    tmp_path: Path, speed: float, legs: tuple[float, float]
-) -> None:
+def test_a_walk_and_a_car_in_a_town_are_no_trains_motion(tmp_path, speed, legs):
     """Straight streets of some seconds each, and corners of 90° between them; no wrong unit."""
     generator = np.random.default_rng(5)
     corners = np.cumsum(generator.uniform(*legs, 300))
@@ -223,7 +215,7 @@ def test_a_walk_and_a_car_in_a_town_are_no_trains_motion(
 
 
 @pytest.mark.parametrize("radius", [20.0, 80.0, 300.0])
-def test_tight_curves_and_turning_loops_are_a_trains_motion(tmp_path: Path, radius: float) -> None:
+def test_tight_curves_and_turning_loops_are_a_trains_motion(tmp_path, radius):
     """Trams turn on 20 m; a train runs through a loop and back, and stands between."""
     second = np.arange(1_200.0)
     speed = np.clip(np.minimum(0.5 * second, 0.5 * (1_199.0 - second)), 0.0, 0.3 * radius**0.5 * 4)
@@ -251,9 +243,7 @@ def of_the_fixes(trip: Trip) -> list[tuple[str, int, str]]:
 
 
 @pytest.mark.parametrize("age", [0.0, 5.0])
-def test_fixes_that_are_late_throughout_are_stated_without_a_line(
-    tmp_path: Path, age: float
-) -> None:
+def test_fixes_that_are_late_throughout_are_stated_without_a_line(tmp_path, age):
     trip = shown(tmp_path, np.full(1_200, age))
     found = of_the_fixes(trip)
     assert trip["/gnss/fix"]["latitude"].count() == 1_200
@@ -267,7 +257,7 @@ def test_fixes_that_are_late_throughout_are_stated_without_a_line(
 
 
 @pytest.mark.parametrize("fast", [0.0, 0.5])
-def test_replayed_fixes_are_stated_without_a_line(tmp_path: Path, fast: float) -> None:
+def test_replayed_fixes_are_stated_without_a_line(tmp_path, fast):
     """After a tunnel of 40 s the fixes of its begin, for two minutes or until caught up."""
     second = np.arange(1_200.0)
     age = np.where(second < 720.0, np.maximum(40.0 - fast * (second - 600.0), 0.0), 0.0)

@@ -71,9 +71,7 @@ def assert_grows(trip: Trip, distance: np.ndarray, within: float) -> None:
     with_speed=st.booleans(),
     seed=st.integers(0, 99),
 )
-def test_counters_that_wrap_go_on(
-    tmp_path: Path, modulus: float, begin: float, rate: float, with_speed: bool, seed: int
-) -> None:
+def test_counters_that_wrap_go_on(tmp_path, modulus, begin, rate, with_speed, seed):
     """At known and at random moduli: how far it went meanwhile is exact, or as the speed says."""
     seconds, speed, distance = motion(700.0, rate, seed)
     start = modulus - begin * min(modulus, 0.9 * distance[-1])
@@ -98,9 +96,7 @@ def test_counters_that_wrap_go_on(
     with_speed=st.booleans(),
     seed=st.integers(0, 99),
 )
-def test_counters_that_start_anew_go_on(
-    tmp_path: Path, share: float, at_rest: bool, rate: float, with_speed: bool, seed: int
-) -> None:
+def test_counters_that_start_anew_go_on(tmp_path, share, at_rest, rate, with_speed, seed):
     seconds, speed, distance = motion(700.0, rate, seed)
     resting = stops(speed)
     place = int(share * seconds.size)
@@ -126,9 +122,7 @@ def test_counters_that_start_anew_go_on(
 @pytest.mark.parametrize(
     ("rate", "first", "seed"), [(1.0, True, 0), (10.0, False, 1), (10.0, True, 2), (1.0, False, 2)]
 )
-def test_counters_that_count_down_after_the_train_turned(
-    tmp_path: Path, rate: float, with_speed: bool, first: bool, seed: int
-) -> None:
+def test_counters_that_count_down_after_the_train_turned(tmp_path, rate, with_speed, first, seed):
     seconds, speed, distance = motion(900.0, rate, seed)
     resting = stops(speed)
     turn = int(resting[np.argmin(np.abs(distance[resting] - 0.5 * distance[-1]))])
@@ -143,7 +137,7 @@ def test_counters_that_count_down_after_the_train_turned(
     assert "counted down" in "".join(report_of(trip).lines())
 
 
-def test_a_wrong_unit_is_not_taken_for_a_counter(tmp_path: Path) -> None:
+def test_a_wrong_unit_is_not_taken_for_a_counter(tmp_path):
     """A counter that wraps beside a speed in km/h that is called m/s."""
     seconds, speed, distance = motion(700.0)
     wrapped = (distance + 9_000.0) % 10_000.0
@@ -156,7 +150,7 @@ def test_a_wrong_unit_is_not_taken_for_a_counter(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [+2_500.0, -2_500.0, +300.0])
-def test_steps_of_unknown_cause_stay_and_are_reported(tmp_path: Path, size: float) -> None:
+def test_steps_of_unknown_cause_stay_and_are_reported(tmp_path, size):
     seconds, speed, distance = motion(700.0)
     position = 30_000.0 + distance
     position[3_000:] += size
@@ -169,7 +163,7 @@ def test_steps_of_unknown_cause_stay_and_are_reported(tmp_path: Path, size: floa
 
 
 @pytest.mark.parametrize("length", [1, 2, 5, 30])
-def test_a_counter_that_shows_0_for_a_moment_is_a_spike(tmp_path: Path, length: int) -> None:
+def test_a_counter_that_shows_0_for_a_moment_is_a_spike(tmp_path, length):
     seconds, speed, distance = motion(700.0)
     position = 30_000.0 + distance
     position[3_000 : 3_000 + length] = 0.0

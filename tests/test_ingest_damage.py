@@ -36,7 +36,7 @@ def shifted(run: Run, rows: slice, seconds: float) -> list[str]:
 
 @FILES
 @given(st.data())
-def test_a_clock_that_was_set_costs_nothing(tmp_path: Path, data: st.DataObject) -> None:
+def test_a_clock_that_was_set_costs_nothing(tmp_path, data):
     """Every row comes back at its instant, and is reported as moved, whatever part was off.
 
     Zones and weeks are those of most rows; a clock that was set by seconds is right from then on.
@@ -84,7 +84,7 @@ def test_a_clock_that_was_set_costs_nothing(tmp_path: Path, data: st.DataObject)
 
 @FILES
 @given(st.data())
-def test_blocks_written_late_or_twice_are_no_steps(tmp_path: Path, data: st.DataObject) -> None:
+def test_blocks_written_late_or_twice_are_no_steps(tmp_path, data):
     """What looks like a leap second, but gives its times once, or twice with the same values."""
     run = clean_run(200, 1.0, data.draw(st.floats(0.0, 3.0)))
     rows = run.rows()
@@ -105,7 +105,7 @@ def test_blocks_written_late_or_twice_are_no_steps(tmp_path: Path, data: st.Data
     np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
 
 
-def test_an_hours_pause_is_a_gap_and_stays_one(tmp_path: Path) -> None:
+def test_an_hours_pause_is_a_gap_and_stays_one(tmp_path):
     run = clean_run(200, 1.0)
     trip = read(tmp_path, shifted(run, slice(100, None), 3600))
     # The train goes on where it was, as fast: whether the clock was set is asked, not answered.
@@ -118,7 +118,7 @@ UNITS = {"m/s": 1.0, "km/h": 3.6, "mph": 2.236936, "knot": 1.943844}
 
 @FILES
 @given(st.data())
-def test_wrong_units_are_refused_or_reported(tmp_path: Path, data: st.DataObject) -> None:
+def test_wrong_units_are_refused_or_reported(tmp_path, data):
     """Beyond a factor of 2 refused, beyond 1.15 reported with the factor, within it nothing."""
     written = data.draw(st.sampled_from(list(UNITS)))
     taken = data.draw(st.sampled_from(list(UNITS)))
@@ -153,9 +153,7 @@ def driven(count: int, seed: int) -> pd.DataFrame:
 
 @FILES
 @given(st.integers(0, 10_000), st.sampled_from([1, -1]), st.sampled_from(["F", "lever"]))
-def test_wrong_signs_of_effort_and_lever_are_refused(
-    tmp_path: Path, seed: int, sign: int, column: str
-) -> None:
+def test_wrong_signs_of_effort_and_lever_are_refused(tmp_path, seed, sign, column):
     table = driven(600, seed)
     run = clean_run(600, 1.0)
     stamps = pd.DatetimeIndex(run.time, tz="UTC").strftime("%Y-%m-%dT%H:%M:%S.%fZ")
@@ -183,9 +181,7 @@ def test_wrong_signs_of_effort_and_lever_are_refused(
 @given(
     st.integers(0, 10_000), st.sampled_from(["N", "kN", "MN"]), st.sampled_from([0.0, 60e3, 600e3])
 )
-def test_efforts_that_are_not_in_the_declared_unit_are_stated(
-    tmp_path: Path, seed: int, unit: str, mass: float
-) -> None:
+def test_efforts_that_are_not_in_the_declared_unit_are_stated(tmp_path, seed, unit, mass):
     """They are written in kN; 1000 times less or more moves no such train, whether it is known."""
     table = driven(600, seed)
     stamps = pd.DatetimeIndex(clean_run(600, 1.0).time, tz="UTC").strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -213,9 +209,7 @@ def test_efforts_that_are_not_in_the_declared_unit_are_stated(
 
 @FILES
 @given(st.floats(0.0, 3.0), st.sampled_from([3.6, 2.237, 1.944, 1.0]))
-def test_a_satellite_speed_that_the_fixes_contradict(
-    tmp_path: Path, phase: float, factor: float
-) -> None:
+def test_a_satellite_speed_that_the_fixes_contradict(tmp_path, phase, factor):
     ticks = np.arange(600)
     lines = ublox(ticks // 5, ticks / 5 + phase).splitlines()
     for row in range(1, len(lines)):
@@ -233,9 +227,7 @@ def test_a_satellite_speed_that_the_fixes_contradict(
 
 @FILES
 @given(st.floats(0.0, 3.0), st.sampled_from([0.5, 1.0, 1.0 / 3.6]))
-def test_quantised_columns_are_reported_with_their_step(
-    tmp_path: Path, phase: float, step: float
-) -> None:
+def test_quantised_columns_are_reported_with_their_step(tmp_path, phase, step):
     """The values stay as they are, and lie within half of the step that is reported."""
     run = clean_run(1200, 0.1, phase)
     coarse = np.round(run.speed / step) * step

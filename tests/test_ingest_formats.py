@@ -33,7 +33,7 @@ def _fresh_registry() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("typed", [True, False])
-def test_parquet_gives_what_csv_gives(tmp_path: Path, typed: bool) -> None:
+def test_parquet_gives_what_csv_gives(tmp_path, typed):
     run = clean_run(200, 0.1)
     text = ingest(write(tmp_path / "run.csv", run.rows()), profile=plain_profile())
     stamps = pd.DatetimeIndex(run.time, tz="UTC")
@@ -50,7 +50,7 @@ def test_parquet_gives_what_csv_gives(tmp_path: Path, typed: bool) -> None:
     pd.testing.assert_frame_equal(trip["/train/state"], text["/train/state"])
 
 
-def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+def test_parquet_that_does_not_fit_is_refused(tmp_path):
     path = tmp_path / "run.parquet"
     pa.parquet.write_table(pa.table({"t": [1.0, 2.0], "v": [1.0, 2.0], "s": [1.0, 2.0]}), path)
     given = {"profile": plain_profile()}
@@ -80,7 +80,7 @@ LAYOUTS = [
 
 
 @pytest.mark.parametrize(("layout", "place"), [(n, n % 4 + k) for n in range(6) for k in (0, 2)])
-def test_layouts_of_text(tmp_path: Path, layout: int, place: int) -> None:
+def test_layouts_of_text(tmp_path, layout, place):
     """Each layout with two of the endings of lines, each with its encoding."""
     (head, tail, options), (ending, encoding) = LAYOUTS[layout], ENDINGS[place % 4]
     run = clean_run(10, 1.0)
@@ -94,9 +94,7 @@ def test_layouts_of_text(tmp_path: Path, layout: int, place: int) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "ascii"])
-def test_the_mark_of_utf_8_decides_over_the_encoding_of_the_profile(
-    tmp_path: Path, encoding: str
-) -> None:
+def test_the_mark_of_utf_8_decides_over_the_encoding_of_the_profile(tmp_path, encoding):
     run = clean_run(10, 1.0)
     path = tmp_path / "run.csv"
     path.write_text("t,v,s,Länge\n" + "".join(f"{row},ä\n" for row in run.rows()), "utf-8-sig")
@@ -104,7 +102,7 @@ def test_the_mark_of_utf_8_decides_over_the_encoding_of_the_profile(
     np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
 
 
-def test_rows_are_counted_as_an_editor_counts_them(tmp_path: Path) -> None:
+def test_rows_are_counted_as_an_editor_counts_them(tmp_path):
     rows = clean_run(20, 1.0).rows()
     rows[4] = rows[4].replace(",", ",x", 1)
     lines = ["# a", "", "t,v,s", *rows[:3], "# pause", "", *rows[3:8], rows[8].split(",")[0]]
@@ -116,7 +114,7 @@ def test_rows_are_counted_as_an_editor_counts_them(tmp_path: Path) -> None:
     assert lines_of_file[found["truncated_rows"][0] - 1] == rows[8].split(",")[0]
 
 
-def test_a_stray_quotation_mark_costs_its_cell_only(tmp_path: Path) -> None:
+def test_a_stray_quotation_mark_costs_its_cell_only(tmp_path):
     rows = clean_run(40, 1.0).rows()
     rows[10] = rows[10].replace(",", ',"', 1)
     report = report_of(ingest(write(tmp_path / "run.csv", rows), profile=plain_profile()))
@@ -149,7 +147,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_pages_own_format_is_found_and_repaired(installed: Path) -> None:
+def test_the_pages_own_format_is_found_and_repaired(installed):
     seconds = np.arange(1_714_543_200, 1_714_543_300, dtype="<i8")
     speed = (3.6 * (20.0 + np.sin(seconds / 20.0))).astype("<f4")
     speed[50] = 400.0
@@ -164,7 +162,7 @@ def test_the_pages_own_format_is_found_and_repaired(installed: Path) -> None:
     np.testing.assert_allclose(trip["/train/state"]["speed"].iloc[:50], speed[:50] / 3.6, rtol=1e-6)
 
 
-def test_a_format_that_cannot_be_loaded_is_named(installed: Path) -> None:
+def test_a_format_that_cannot_be_loaded_is_named(installed):
     (installed / "wayside_log.py").write_text("import nothing_of_that_name\n", "utf-8")
     import sys
 
@@ -192,9 +190,7 @@ column = "t"
 
 
 @pytest.mark.parametrize("name", ["v", "Velocity"])
-def test_a_profile_of_the_users_folder_is_used_as_if_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_profile_of_the_users_folder_is_used_as_if_given(tmp_path, monkeypatch, name):
     folder = tmp_path / "recorders"
     folder.mkdir()
     (folder / "mine.toml").write_text(MINE, "utf-8")
@@ -224,13 +220,13 @@ def test_a_profile_of_the_users_folder_is_used_as_if_given(
     refused(InputError, r"absent: is not a folder; set TRAINLOG_PROFILES to", ingest, path)
 
 
-def test_a_profile_needs_a_general_format() -> None:
+def test_a_profile_needs_a_general_format():
     content = {**PLAIN, "file": {"format": "ublox"}}
     with pytest.raises(InputError, match="'plain': no general format 'ublox'; formats: gpx"):
         format_by_profile("mine", profile_of(content))
 
 
-def test_an_entry_point_may_name_a_profile(installed: Path) -> None:
+def test_an_entry_point_may_name_a_profile(installed):
     mine = MINE + "[trip]\nweather = 'wet'\n[repair]\nspikes = false\n"
     (installed / "wayside_log.py").write_text(
         "from trainlog.ingest.profile import parse_profile\n"
@@ -274,7 +270,7 @@ kinds = { S = { type = ">u2", count = 2 }, X = { type = "nmea" } }
 """
 
 
-def test_lines_of_a_recorder_of_ones_own(tmp_path: Path) -> None:
+def test_lines_of_a_recorder_of_ones_own(tmp_path):
     from trainlog.ingest.profile import parse_profile
 
     profile = parse_profile(TAGGED.encode(), file="mine.toml")
@@ -296,7 +292,7 @@ def test_lines_of_a_recorder_of_ones_own(tmp_path: Path) -> None:
         parse_profile(TAGGED.replace(">u2", ">x2").encode(), file="mine.toml")
 
 
-def test_every_rule_has_its_row_in_the_page() -> None:
+def test_every_rule_has_its_row_in_the_page():
     page = (DOCS / "ingest-rules.md").read_text("utf-8")
     stated = re.findall(r"^\| `(\w+)` \| .* \| (keeps|refuses) \|$", page, re.M)
     expected = [(rule.name, "keeps" if rule.off == "keep" else "refuses") for rule in RULES]
@@ -304,7 +300,7 @@ def test_every_rule_has_its_row_in_the_page() -> None:
 
 
 @pytest.mark.parametrize("options", [FileOptions, TimeOptions, Column, Detection])
-def test_every_key_is_in_the_page(options: type) -> None:
+def test_every_key_is_in_the_page(options):
     for key in options.model_fields:
         assert f"`{key}`" in PAGE
 
@@ -317,7 +313,7 @@ def read(tmp_path: Path, rows: list[str], header: str, profile: Profile | None =
 
 @settings(max_examples=25)
 @given(st.data())
-def test_empty_cells_at_the_end_make_no_difference(tmp_path: Path, data: st.DataObject) -> None:
+def test_empty_cells_at_the_end_make_no_difference(tmp_path, data):
     """The header's and every row's number of empty cells is drawn; blanks may stand in them."""
     mark = data.draw(st.sampled_from([",", ";", "\t"]))
     empty = st.lists(st.sampled_from(["", "", " "]), max_size=6)
@@ -335,7 +331,7 @@ def test_empty_cells_at_the_end_make_no_difference(tmp_path: Path, data: st.Data
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
 
 
-def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path: Path) -> None:
+def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path):
     """All rows end in empty cells: one that does not was cut off, and its last value with it."""
     rows = [f"{row},,," for row in plain_rows(100)]
     whole = rows[40]
@@ -348,7 +344,7 @@ def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path: Path) ->
     assert repairs_of(trip)["raw_text"].iloc[0] == rows[40]
 
 
-def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:
+def test_columns_without_a_name_are_not_used(tmp_path):
     """Where the header has empty cells for them, they may hold values."""
     run = clean_run(60, 1.0)
     rows = [f"{row},7,8" + "," * (i % 4) for i, row in enumerate(run.rows())]
@@ -357,7 +353,7 @@ def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
 
 
-def test_rows_that_end_at_their_last_value_are_whole(tmp_path: Path) -> None:
+def test_rows_that_end_at_their_last_value_are_whole(tmp_path):
     """A writer that leaves out the empty cells at the end of a row, as every other row has some."""
     rows = [
         f"{row},{60 + 0.1 * (row.second % 7)},{300 + row.second}" if n % 2 else f"{row},{60.5}"
@@ -405,9 +401,7 @@ def test_rows_that_end_at_their_last_value_are_whole(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_the_message_names_the_cause(
-    tmp_path: Path, header: str, row: str, problem: str, remedy: str
-) -> None:
+def test_the_message_names_the_cause(tmp_path, header, row, problem, remedy):
     rows = [row.format(row=text) for text in plain_rows(60)]
     if "comma" in remedy:
         rows = [text.partition(",")[0] + ",12,5,1000,25" for text in plain_rows(60)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -76,7 +75,7 @@ def variants(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 @pytest.mark.parametrize("log", ["nonstop", "stopping"])
-def test_sound_trips_hold_nothing_frozen(log: str) -> None:
+def test_sound_trips_hold_nothing_frozen(log):
     for name, frame in variants(sampled(log)).items():
         assert judged(frame)[1] == [], name
 
@@ -104,7 +103,7 @@ def exact_trip(cruising: float, *, position: bool = True, step: float = 0.0) -> 
 @pytest.mark.parametrize(
     ("cruising", "step"), [(20.0, 0.0), (600.0, 0.1), (600.0, 1 / 3.6), (20.0, 5 / 3.6)]
 )
-def test_a_constant_speed_is_not_frozen(cruising: float, step: float, position: bool) -> None:
+def test_a_constant_speed_is_not_frozen(cruising, step, position):
     """Nor are a train at rest, the weather, the lever and a constant effort."""
     assert judged(exact_trip(cruising, position=position, step=step))[1] == []
 
@@ -158,14 +157,14 @@ def found_frozen(frame: pd.DataFrame, column: str, length: float, rng: np.random
         ("stopping", "/train/controls.tractive_effort", 3),
     ],
 )
-def test_frozen_values_are_found(log: str, column: str, least: int) -> None:
+def test_frozen_values_are_found(log, column, least):
     rng = np.random.default_rng(4)
     frame = sampled(log)
     lengths = (20.0, 45.0, 120.0, 300.0)
     assert sum(found_frozen(frame, column, each, rng) for each in lengths) >= least
 
 
-def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path: Path) -> None:
+def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path):
     """An odometer that stays at 0 while the counter of the distance goes on."""
     seconds = np.arange(600)
     speed = np.clip(0.4 * (seconds - 60.0), 0.0, 20.0)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import Shell
 from killed import PATIENCE
 from recorder_files import drive, gpx, gpx_text
 
@@ -47,9 +46,7 @@ def campaign(tmp_path: Path) -> Path:
     return folder
 
 
-def test_every_file_of_a_folder_is_tried_and_a_log_made_once(
-    campaign: Path, tmp_path: Path
-) -> None:
+def test_every_file_of_a_folder_is_tried_and_a_log_made_once(campaign, tmp_path):
     result = ingest_all(campaign, tmp_path / "logs")
     found = {each.file.relative_to(campaign).as_posix(): each.state for each in result.outcomes}
     assert found == {
@@ -89,9 +86,7 @@ def test_every_file_of_a_folder_is_tried_and_a_log_made_once(
 
 
 @pytest.mark.parametrize("what", ["facts", "direction", "content", "profile", "code", "log"])
-def test_what_would_come_out_otherwise_is_made_again(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_would_come_out_otherwise_is_made_again(what, tmp_path, monkeypatch):
     recording, profile = tmp_path / "recorder.csv", tmp_path / "recorder.profile.toml"
     rows = sample("recorder.csv").read_bytes().splitlines(keepends=True)[:3_000]
     recording.write_bytes(b"".join(rows))
@@ -113,7 +108,7 @@ def test_what_would_come_out_otherwise_is_made_again(
     else:
         (log,) = logs.iterdir()
         log.write_bytes(log.read_bytes()[:-2000])
-    second = ingest_all(recording, logs, profile, **options)  # type: ignore[arg-type]
+    second = ingest_all(recording, logs, profile, **options)
     assert states(second) == {"recorder.csv": "repaired"}
     names = {"recorder.mcap"} | ({second.outcomes[0].log.name} if what == "content" else set())
     assert {log.name for log in logs.iterdir()} == names
@@ -126,7 +121,7 @@ def _as_if_by_other_code() -> object:
     return lambda *given: fingerprint(*given) | {"code": "of another day"}
 
 
-def test_equal_content_under_two_names_is_one_trip(tmp_path: Path) -> None:
+def test_equal_content_under_two_names_is_one_trip(tmp_path):
     for name in ("a.csv", "b.csv"):
         (tmp_path / name).write_bytes(sample("gnss.csv").read_bytes())
     result = ingest_all([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "logs")
@@ -135,7 +130,7 @@ def test_equal_content_under_two_names_is_one_trip(tmp_path: Path) -> None:
     assert [log.name for log in (tmp_path / "logs").iterdir()] == ["a.mcap"]
 
 
-def test_a_file_renamed_or_given_twice_is_one(tmp_path: Path) -> None:
+def test_a_file_renamed_or_given_twice_is_one(tmp_path):
     recording = tmp_path / "gnss.csv"
     recording.write_bytes(sample("gnss.csv").read_bytes())
     assert len(files_of([recording, tmp_path, recording], tmp_path / "logs")) == 1
@@ -144,7 +139,7 @@ def test_a_file_renamed_or_given_twice_is_one(tmp_path: Path) -> None:
     assert states(ingest_all(renamed, tmp_path / "logs")) == {"ride.csv": "unchanged"}
 
 
-def test_a_log_of_something_else_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_log_of_something_else_is_not_overwritten(tmp_path):
     logs = tmp_path / "logs"
     logs.mkdir()
     driven = read_log(sample("stopping.mcap"))
@@ -158,7 +153,7 @@ def test_a_log_of_something_else_is_not_overwritten(tmp_path: Path) -> None:
     assert ingest_all(tmp_path / "run.gpx", logs).outcomes[0].log == other
 
 
-def test_a_recording_that_has_grown_takes_its_logs_place(tmp_path: Path) -> None:
+def test_a_recording_that_has_grown_takes_its_logs_place(tmp_path):
     data, logs = sample("gnss.csv").read_bytes(), tmp_path / "logs"
     recording = tmp_path / "gnss.csv"
     recording.write_bytes(data[: len(data) // 2])
@@ -169,7 +164,7 @@ def test_a_recording_that_has_grown_takes_its_logs_place(tmp_path: Path) -> None
     assert len(read_log(logs / "gnss.mcap")["/gnss/fix"]) == 6847
 
 
-def test_of_a_file_with_several_recordings_each_is_listed(tmp_path: Path) -> None:
+def test_of_a_file_with_several_recordings_each_is_listed(tmp_path):
     text = gpx_text(drive(60, 1.0, 1), parts=[[np.arange(30)], [np.arange(30, 60)]])
     logs = tmp_path / "logs"
     path = tmp_path / "day.gpx"
@@ -184,9 +179,7 @@ def test_of_a_file_with_several_recordings_each_is_listed(tmp_path: Path) -> Non
     assert {"day-1.mcap", "day-2.mcap"} <= {log.name for log in logs.iterdir()}
 
 
-def test_a_reader_that_breaks_stops_no_other_file(
-    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reader_that_breaks_stops_no_other_file(campaign, tmp_path, monkeypatch):
     from trainlog.ingest import batch
 
     usual = batch.ingested
@@ -194,7 +187,7 @@ def test_a_reader_that_breaks_stops_no_other_file(
     def broken(path: Path, given: object) -> object:
         if path.name == "gnss.csv":
             raise ZeroDivisionError("a defect")
-        return usual(path, given)  # type: ignore[arg-type]
+        return usual(path, given)
 
     monkeypatch.setattr(batch, "ingested", broken)
     result = ingest_all(campaign, tmp_path / "logs")
@@ -203,7 +196,7 @@ def test_a_reader_that_breaks_stops_no_other_file(
     assert result.counts["repaired"] == 2
 
 
-def test_what_cannot_be_used_at_all_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_used_at_all_is_refused(tmp_path):
     (tmp_path / "none").mkdir()
     with pytest.raises(InputError, match="has no files"):
         ingest_all(tmp_path / "none", tmp_path / "logs")
@@ -214,9 +207,7 @@ def test_what_cannot_be_used_at_all_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "logs").exists()
 
 
-def test_the_command_lists_all_and_its_status_says_whether_any_failed(
-    campaign: Path, tmp_path: Path, shell: Shell
-) -> None:
+def test_the_command_lists_all_and_its_status_says_whether_any_failed(campaign, tmp_path, shell):
     logs = tmp_path / "logs"
     status, shown, _ = shell("ingest", campaign, "-o", logs)
     assert status == 1
@@ -237,7 +228,7 @@ def test_the_command_lists_all_and_its_status_says_whether_any_failed(
     assert status == 0
 
 
-def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path: Path) -> None:
+def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path):
     folder, logs = tmp_path / "many", tmp_path / "logs"
     folder.mkdir()
     head = sample("gnss.csv").read_text("utf-8").splitlines()[:2_000]

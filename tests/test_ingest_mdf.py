@@ -73,7 +73,7 @@ def standard() -> list[list[Any]]:
 
 
 @pytest.mark.parametrize("version", ["4.20", "3.30"])
-def test_channels_come_back_in_the_files_units(tmp_path: Path, version: str) -> None:
+def test_channels_come_back_in_the_files_units(tmp_path, version):
     trip = ingest(measured(tmp_path / "run.dat", version=version), profile=profile())
     report = report_of(trip)
     assert trip.provenance[0]["format"] == "mdf"
@@ -95,7 +95,7 @@ def test_channels_come_back_in_the_files_units(tmp_path: Path, version: str) -> 
     assert trip["/environment"]["air_temperature"].iloc[0] == pytest.approx(285.15)
 
 
-def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path: Path) -> None:
+def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path):
     """They share a frame with the instants of both; nothing is made up in between."""
     groups = [[signal(speed(FAST), FAST, "v", "km/h")], [signal(SLOW * 20.0, SLOW, "s", "m")]]
     columns = {
@@ -120,22 +120,20 @@ def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path: Path) -> None:
         ({}, "channels may mean anything; give a profile"),
     ],
 )
-def test_channels_that_cannot_be_used(
-    tmp_path: Path, columns: dict[str, Any], message: str
-) -> None:
+def test_channels_that_cannot_be_used(tmp_path, columns, message):
     more = [[signal(SLOW, SLOW, "x")], [signal(-SLOW, SLOW, "x")]]
     path = measured(tmp_path / "run.mf4", groups=standard() + more)
     refused(InputError, message, ingest, path, profile=profile(columns))
 
 
-def test_a_group_can_be_named(tmp_path: Path) -> None:
+def test_a_group_can_be_named(tmp_path):
     more = [[signal(SLOW, SLOW, "x")], [signal(0.01 * SLOW, SLOW, "x", "m/s2")]]
     path = measured(tmp_path / "run.mf4", groups=standard() + more)
     trip = ingest(path, profile=profile({"/train/state.acceleration": {"column": "3:x"}}))
     np.testing.assert_allclose(trip["/train/state"]["acceleration"], 0.01 * SLOW)
 
 
-def test_files_that_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_that_cannot_be_used(tmp_path, monkeypatch):
     path = measured(tmp_path / "run.mf4")
     refused(InputError, "give a profile", ingest, path)
     whole = path.read_bytes()
@@ -152,7 +150,7 @@ def test_files_that_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ingest(path, profile=profile())
 
 
-def test_a_start_that_was_never_set_can_be_given(tmp_path: Path) -> None:
+def test_a_start_that_was_never_set_can_be_given(tmp_path):
     path = measured(tmp_path / "run.mdf", version="3.30", set_start=False)
     refused(InputError, "states that it was started at 1980-01-01", ingest, path, profile=profile())
     time = {"column": "time", "format": "elapsed", "start": "2024-05-01T08:00:00+02:00"}

@@ -89,9 +89,7 @@ def column_of(field: str, stated: str) -> str:
         (None, "mine.profile.toml: does not exist"),
     ],
 )
-def test_each_mistake_gives_one_line_with_file_place_and_remedy(
-    tmp_path: Path, toml: str | bytes | None, message: str
-) -> None:
+def test_each_mistake_gives_one_line_with_file_place_and_remedy(tmp_path, toml, message):
     path = tmp_path / "mine.profile.toml"
     if toml is not None:
         path.write_bytes(toml if isinstance(toml, bytes) else toml.encode())
@@ -100,7 +98,7 @@ def test_each_mistake_gives_one_line_with_file_place_and_remedy(
     assert "\n" not in str(caught)
 
 
-def test_profiles_for_tables_need_time_and_columns(tmp_path: Path) -> None:
+def test_profiles_for_tables_need_time_and_columns(tmp_path):
     rows = write(tmp_path / "run.csv", clean_run(5, 1.0).rows())
     for section in ("time", "columns"):
         content = copy.deepcopy(PLAIN)
@@ -122,7 +120,7 @@ def column(tmp_path: Path, cells: list[str], **options: object) -> np.ndarray:
     return ingest(path, profile=profile)[topic][field].to_numpy()
 
 
-def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path: Path) -> None:
+def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path):
     raw = ["0", "50", "100", "-100"]
     np.testing.assert_array_equal(column(tmp_path, raw, unit="%"), [0.0, 0.5, 1.0, -1.0])
     np.testing.assert_array_equal(column(tmp_path, raw, unit="%", sign=-1), [0.0, -0.5, -1.0, 1.0])
@@ -137,14 +135,14 @@ def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path: Path) -> None
     )
 
 
-def test_decimal_commas_and_cells_of_ones_own(tmp_path: Path) -> None:
+def test_decimal_commas_and_cells_of_ones_own(tmp_path):
     file = {"decimal": ",", "missing": ["out"]}
     found = column(tmp_path, ["12,5", "out", " 7,25 ", "+3"], unit="%", file=file)
     # A row that says nothing of a topic is no row of its frame.
     np.testing.assert_array_equal(found, [0.125, 0.0725, 0.03])
 
 
-def test_constants_fill_their_topic_or_stand_at_both_ends(tmp_path: Path) -> None:
+def test_constants_fill_their_topic_or_stand_at_both_ends(tmp_path):
     path = write(tmp_path / "run.csv", clean_run(20, 1.0).rows())
     columns = {
         **PLAIN["columns"],
@@ -160,7 +158,7 @@ def test_constants_fill_their_topic_or_stand_at_both_ends(tmp_path: Path) -> Non
     assert [air.index[0], air.index[-1]] == [trip.start, trip.end]
 
 
-def test_mass_becomes_load_and_position_gets_its_start(tmp_path: Path) -> None:
+def test_mass_becomes_load_and_position_gets_its_start(tmp_path):
     path = write(tmp_path / "run.csv", clean_run(20, 1.0).rows())
     trip_options = {
         "mass": {"value": 112, "unit": "t"},
@@ -183,7 +181,7 @@ def test_mass_becomes_load_and_position_gets_its_start(tmp_path: Path) -> None:
         refused(InputError, said, ingest, path, plain_profile(trip=options), train=train)
 
 
-def test_speed_and_a_start_make_an_estimated_position(tmp_path: Path) -> None:
+def test_speed_and_a_start_make_an_estimated_position(tmp_path):
     run = clean_run(300, 0.1)
     rows = [row.rpartition(",")[0] for row in run.rows()]
     columns = {"/train/state.speed": {"column": "v", "unit": "m/s"}}
@@ -197,7 +195,7 @@ def test_speed_and_a_start_make_an_estimated_position(tmp_path: Path) -> None:
     assert np.all(np.diff(estimate["position"]) >= 0.0)
 
 
-def test_what_a_recorder_calls_slip_protection_is_named_so(tmp_path: Path) -> None:
+def test_what_a_recorder_calls_slip_protection_is_named_so(tmp_path):
     words = ["", "GLEITSCHUTZ aktiv", "Tür zu", "wsp on axle 3"]
     rows = [f"2024-05-01T06:00:0{i}Z,{20 + i},{word}" for i, word in enumerate(words)]
     path = tmp_path / "run.csv"
@@ -217,7 +215,7 @@ def test_what_a_recorder_calls_slip_protection_is_named_so(tmp_path: Path) -> No
     assert len(onsets) == 2
 
 
-def test_an_axle_that_is_not_recorded_keeps_its_number(tmp_path: Path) -> None:
+def test_an_axle_that_is_not_recorded_keeps_its_number(tmp_path):
     """One speed a bogie: those of axles 1 and 3, also in the log."""
     rows = [f"2024-05-01T06:00:{i:02d}Z,{10 + i},{11 + i}" for i in range(20)]
     path = tmp_path / "run.csv"
@@ -233,7 +231,7 @@ def test_an_axle_that_is_not_recorded_keeps_its_number(tmp_path: Path) -> None:
     assert axles["wheel_speed_3"].tolist() == [11.0 + i for i in range(20)]
 
 
-def test_units_that_need_no_registry_are_converted_as_all_others() -> None:
+def test_units_that_need_no_registry_are_converted_as_all_others():
     """Those of the profiles that come along; multipliers are tested with the units."""
     registry = _registry()
     for unit, si in _KEPT_IN.items():

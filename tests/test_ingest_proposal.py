@@ -474,16 +474,16 @@ def assert_right(verdicts: list[Verdict], share: float, wrong: int) -> None:
     assert sum("wrong" in each.fields.values() for each in others) <= wrong, said
 
 
-def test_nine_of_ten_layouts_are_read_rightly_and_none_wrongly(verdicts: list[Verdict]) -> None:
+def test_nine_of_ten_layouts_are_read_rightly_and_none_wrongly(verdicts):
     assert_right(verdicts, 0.9, 0)
 
 
 @pytest.mark.long
-def test_three_hundred_layouts(tmp_path: Path) -> None:
+def test_three_hundred_layouts(tmp_path):
     assert_right([judged(Layout(tmp_path, seed)) for seed in range(3_000, 3_300)], 0.95, 3)
 
 
-def test_every_column_is_used_or_listed(verdicts: list[Verdict]) -> None:
+def test_every_column_is_used_or_listed(verdicts):
     for verdict in verdicts:
         proposal = verdict.proposal
         assert proposal is not None, str(verdict)
@@ -494,7 +494,7 @@ def test_every_column_is_used_or_listed(verdicts: list[Verdict]) -> None:
         assert used | set(proposal.not_used) == set(proposal.names)
 
 
-def test_the_sample_recorder_is_ingested_as_with_its_own_profile() -> None:
+def test_the_sample_recorder_is_ingested_as_with_its_own_profile():
     proposal = propose_profile(RECORDER)
     assert [question.split(":")[0] for question in proposal.open] == ["time zone"]
     assert "# open: or local time" in proposal.text
@@ -512,7 +512,7 @@ def test_the_sample_recorder_is_ingested_as_with_its_own_profile() -> None:
         pd.testing.assert_frame_equal(proposed[name], frame)
 
 
-def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> None:
+def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path):
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F [kN]": run.F})
     effort = field(propose_profile(path), "/train/controls.tractive_effort")
@@ -520,7 +520,7 @@ def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> Non
     assert effort["alternative"] == "kN, as the file states"
 
 
-def test_the_train_decides_between_units(tmp_path: Path) -> None:
+def test_the_train_decides_between_units(tmp_path):
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F": run.F})
     unknown = field(propose_profile(path), "/train/controls.tractive_effort")
@@ -530,7 +530,7 @@ def test_the_train_decides_between_units(tmp_path: Path) -> None:
     assert (known["unit"], known["alternative"]) == ("N", "")
 
 
-def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) -> None:
+def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path):
     run = drive()
     stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
     frame = pd.DataFrame({"t": stamps, "x": run.v * 3.6, "y": run.s})
@@ -541,7 +541,7 @@ def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) ->
     np.testing.assert_allclose(trip["/train/state"]["position"], run.s, atol=0.1)
 
 
-def test_south_west_in_degrees_and_minutes(tmp_path: Path) -> None:
+def test_south_west_in_degrees_and_minutes(tmp_path):
     run = drive()
     stamps = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(run.t, unit="s")
     places = {"lat": 3330.0 + run.s / 1853.25, "NS": "S", "lon": 7040.0, "EW": "W"}
@@ -551,7 +551,7 @@ def test_south_west_in_degrees_and_minutes(tmp_path: Path) -> None:
     assert fix["longitude"].iloc[0] == pytest.approx(-70.0 - 40.0 / 60.0)
 
 
-def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path: Path) -> None:
+def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path):
     run = drive()
     noise = np.random.default_rng(1).uniform(0.0, 9_000.0, len(run))
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "Weg [m]": noise})
@@ -570,7 +570,7 @@ def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path: Path) -> No
         (["04/12/2024", "05/12/2024"], "%d/%m/%Y", False),
     ],
 )
-def test_day_and_month(tmp_path: Path, days: list[str], pattern: str, opened: bool) -> None:
+def test_day_and_month(tmp_path, days, pattern, opened):
     run = drive()
     half = len(run) // len(days)
     stamps = pd.Timestamp("2024-01-01T23:55:00") + pd.to_timedelta(run.t, unit="s")
@@ -589,7 +589,7 @@ def test_day_and_month(tmp_path: Path, days: list[str], pattern: str, opened: bo
 
 
 @pytest.mark.parametrize("pattern", ["%Y%m%dT%H%M%SZ", "%Y%m%d%H%M%S", "%d-%b-%Y %H:%M:%S"])
-def test_times_whose_parts_are_known_by_their_order(tmp_path: Path, pattern: str) -> None:
+def test_times_whose_parts_are_known_by_their_order(tmp_path, pattern):
     truth = pd.date_range("2024-05-01T06:00:00Z", periods=300, freq="s")
     speed = 60.0 + 20.0 * np.sin(np.arange(300) / 30.0)
     rows = [f"{at},{v:.1f}" for at, v in zip(truth.strftime(pattern), speed, strict=True)]
@@ -600,9 +600,7 @@ def test_times_whose_parts_are_known_by_their_order(tmp_path: Path, pattern: str
 
 
 @pytest.mark.parametrize(("zone", "hours"), [("Z", 0), ("z", 0), ("+02", 2), (" -0330", -3.5)])
-def test_a_zone_is_known_alike_in_tables_and_tracks(
-    tmp_path: Path, zone: str, hours: float
-) -> None:
+def test_a_zone_is_known_alike_in_tables_and_tracks(tmp_path, zone, hours):
     run = drive(120)
     times = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, "s")
     stated = [f"{time:%Y-%m-%dT%H:%M:%S}{zone}" for time in times]
@@ -624,7 +622,7 @@ def test_a_zone_is_known_alike_in_tables_and_tracks(
 
 @pytest.mark.parametrize("name", ["ENGINE_RUN_TINE ()", "Run time since engine start [s]"])
 @pytest.mark.parametrize("rows", [1, 3])
-def test_the_run_time_of_an_engine_is_a_time(tmp_path: Path, name: str, rows: int) -> None:
+def test_the_run_time_of_an_engine_is_a_time(tmp_path, name, rows):
     """OBD loggers count whole seconds since the start, with one or several rows each."""
     run = drive(300 * rows, 1.0 / rows)
     engine = 50.0 + np.random.default_rng(1).uniform(0.0, 1.0, 300 * rows)
@@ -636,7 +634,7 @@ def test_the_run_time_of_an_engine_is_a_time(tmp_path: Path, name: str, rows: in
     assert np.abs(apart - np.arange(300 * rows) / rows).max() < 0.01
 
 
-def test_parquet_with_typed_times(tmp_path: Path) -> None:
+def test_parquet_with_typed_times(tmp_path):
     run = drive()
     path = tmp_path / "run.parquet"
     stamps = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(run.t, unit="s")
@@ -649,9 +647,7 @@ def test_parquet_with_typed_times(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("beside", ["fixes", "distance"])
 @pytest.mark.parametrize(("unit", "size"), [("km/h", 3.6), ("rpm", 60.0 / (2.0 * np.pi * 0.43))])
-def test_wheel_speeds_are_kept_where_no_speed_is_recorded(
-    tmp_path: Path, beside: str, unit: str, size: float
-) -> None:
+def test_wheel_speeds_are_kept_where_no_speed_is_recorded(tmp_path, beside, unit, size):
     run = drive()
     where = {"lat": 47.0 + run.s / 111_195.0, "lon": 9.0}
     where = where if beside == "fixes" else {"distance [m]": run.s}
@@ -666,9 +662,7 @@ def test_wheel_speeds_are_kept_where_no_speed_is_recorded(
     ("delimiter", "thousands", "decimal", "digits"),
     [(",", ",", ".", 1), (";", ".", ",", 1), (";", "'", ".", 0), ("\t", ".", ",", 0)],
 )
-def test_marks_between_thousands_are_read(
-    tmp_path: Path, delimiter: str, thousands: str, decimal: str, digits: int
-) -> None:
+def test_marks_between_thousands_are_read(tmp_path, delimiter, thousands, decimal, digits):
     run = drive()
     marks = str.maketrans({",": thousands, ".": decimal})
     lines = [delimiter.join(["t [s]", "Speed [km/h]", "Distance [m]"])]
@@ -687,7 +681,7 @@ def test_marks_between_thousands_are_read(
             ingest(path, wrong)
 
 
-def test_a_unit_that_no_other_column_shows_is_unproven(tmp_path: Path) -> None:
+def test_a_unit_that_no_other_column_shows_is_unproven(tmp_path):
     run = drive()
     alone = {"t [s]": run.t, "Speed [mph]": 2.23694 * run.v}
     for columns, unproven in ((alone, "/train/state.speed [mph]"), (alone | {"s [m]": run.s}, "")):
@@ -711,13 +705,13 @@ NO_TRIP = {
 
 
 @pytest.mark.parametrize("text", NO_TRIP, ids=range(len(NO_TRIP)))
-def test_what_no_profile_can_read_or_is_no_trip_is_refused(tmp_path: Path, text: str) -> None:
+def test_what_no_profile_can_read_or_is_no_trip_is_refused(tmp_path, text):
     path = tmp_path / "run.csv"
     path.write_text(text, "utf-8")
     refused(InputError, NO_TRIP[text], propose_profile, path)
 
 
-def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path: Path) -> None:
+def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path):
     lines = Path("sample_logs/gnss.csv").read_text().splitlines()[:4000]
     names = "Jahr,Monat,Tag,Stunde,Minute,Sekunde,Satelliten,Laenge,Breite,Hoehe 1,Hoehe 2,"
     names += "hAcc,vAcc,v,sAcc,PDOP,"
@@ -735,7 +729,7 @@ def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path: Path) -
     assert {"latitude", "longitude", "altitude"} <= set(proposed["/gnss/fix"])
 
 
-def test_a_user_at_a_terminal_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_user_at_a_terminal_is_asked(tmp_path, monkeypatch):
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "s [m]": run.s})
     monkeypatch.setattr("trainlog.cli.ingest._at_terminal", lambda: True)
@@ -747,7 +741,7 @@ def test_a_user_at_a_terminal_is_asked(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "out" / "run.mcap").is_file()
 
 
-def test_public_tables_that_are_no_trip() -> None:
+def test_public_tables_that_are_no_trip():
     folder = Path(__file__).parents[1] / ".." / "shared" / "data" / "aalto"
     if not folder.is_dir():
         pytest.skip("needs the public data")
@@ -758,7 +752,7 @@ def test_public_tables_that_are_no_trip() -> None:
         refused(InputError, reason, propose_profile, folder / name)
 
 
-def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:
+def test_the_command_proposes_and_then_ingests(tmp_path):
     run = drive()
     (tmp_path / "in").mkdir()
     stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
@@ -794,7 +788,7 @@ def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("hours", [-4.0, 0.0, 3.0, 5.75])
-def test_a_unix_time_beside_a_local_one_decides_its_zone(tmp_path: Path, hours: float) -> None:
+def test_a_unix_time_beside_a_local_one_decides_its_zone(tmp_path, hours):
     """The column of local time comes first, has tenths of a second, and names no zone."""
     truth = pd.date_range("2024-05-01T20:00:00Z", periods=900, freq="500ms")
     local = (truth + pd.Timedelta(hours=hours)).strftime("%Y-%m-%d %H:%M:%S.%f")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
-from ingest_logs import Damaged, clean_run, damaged_runs, plain_profile, plain_text, ublox, write
+from ingest_logs import clean_run, damaged_runs, plain_profile, plain_text, ublox, write
 from recorder_files import gpx, mtk
 from refusals import refused
 
@@ -74,7 +73,7 @@ def plain_raw(rows: list[str]) -> pd.DataFrame:
 
 @FILES
 @given(damaged_runs())
-def test_a_damaged_file_is_found_again(tmp_path: Path, damaged: Damaged) -> None:
+def test_a_damaged_file_is_found_again(tmp_path, damaged):
     trip = ingest(write(tmp_path / "run.csv", damaged.rows), profile=plain_profile())
     assert_restored(trip, plain_raw(damaged.rows))
     entries = repairs_of(trip)
@@ -89,9 +88,7 @@ def test_a_damaged_file_is_found_again(tmp_path: Path, damaged: Damaged) -> None
 
 @FILES
 @given(st.data())
-def test_rows_without_sub_seconds_fix_or_sense_are_found_again(
-    tmp_path: Path, data: st.DataObject
-) -> None:
+def test_rows_without_sub_seconds_fix_or_sense_are_found_again(tmp_path, data):
     count = data.draw(st.integers(40, 120))
     ticks = np.arange(count)
     before = data.draw(st.integers(0, 20))
@@ -124,7 +121,7 @@ def test_rows_without_sub_seconds_fix_or_sense_are_found_again(
     assert_restored(ingest(path), raw)
 
 
-def test_times_that_cannot_be_read_are_kept_as_text(tmp_path: Path) -> None:
+def test_times_that_cannot_be_read_are_kept_as_text(tmp_path):
     recorded = mtk(3, before=4)
     path = tmp_path / "run.csv"
     path.write_text(recorded.text, "ascii")
@@ -134,7 +131,7 @@ def test_times_that_cannot_be_read_are_kept_as_text(tmp_path: Path) -> None:
     assert list(times["row"]) == [2, 3, 4, 5]
 
 
-def test_raw_values_survive_the_log(tmp_path: Path) -> None:
+def test_raw_values_survive_the_log(tmp_path):
     path = tmp_path / "run.gpx"
     path.write_text(gpx(1).text, "utf-8")
     trip = ingest(path)
@@ -145,7 +142,7 @@ def test_raw_values_survive_the_log(tmp_path: Path) -> None:
     assert ingest(path).attachments == trip.attachments
 
 
-def test_a_clean_file_keeps_no_raw_values(tmp_path: Path) -> None:
+def test_a_clean_file_keeps_no_raw_values(tmp_path):
     trip = ingest(write(tmp_path / "run.csv", clean_run(50, 0.1).rows()), profile=plain_profile())
     assert REPAIRS_ATTACHMENT not in trip.attachments
     assert len(repairs_of(trip)) == 0
@@ -153,9 +150,7 @@ def test_a_clean_file_keeps_no_raw_values(tmp_path: Path) -> None:
     refused(LogError, "was not made by ingest", repairs_of, Trip({}))
 
 
-def test_what_is_kept_is_bounded_and_the_rest_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_kept_is_bounded_and_the_rest_counted(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "Repairs", partial(Repairs, most=100))
     rows = clean_run(400, 1.0).rows()
     doubled = [row for row in rows for _ in range(2)]

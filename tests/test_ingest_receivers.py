@@ -43,7 +43,7 @@ def assert_fixes(trip: Trip, run: object) -> None:
         ("ZDA", "GGA", "VTG"),
     ],
 )
-def test_sentences_become_fixes(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+def test_sentences_become_fixes(tmp_path, kinds):
     run = drive(100, 5.0)
     trip = read(tmp_path, nmea_lines(run, kinds))
     assert trip.provenance[0]["format"] == "nmea"
@@ -62,7 +62,7 @@ def test_sentences_become_fixes(tmp_path: Path, kinds: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("kinds", [("RMC", "GGA"), ("GGA", "RMC"), ("GGA", "VTG")])
-def test_midnight_is_noticed(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+def test_midnight_is_noticed(tmp_path, kinds):
     run = drive(200, 5.0)
     late = pd.Timestamp("2024-05-01T23:59:40Z").value - run.time[0]
     run = type(run)(run.time + late, *(getattr(run, n) for n in list(vars(run))[1:]))
@@ -74,7 +74,7 @@ def test_midnight_is_noticed(tmp_path: Path, kinds: tuple[str, ...]) -> None:
     assert trip.end.isoformat() == "2024-05-02T00:00:19.800000+00:00"
 
 
-def test_damaged_sentences_are_counted_and_kept(tmp_path: Path) -> None:
+def test_damaged_sentences_are_counted_and_kept(tmp_path):
     run = drive(60, 1.0)
     lines = nmea_lines(run, ("RMC", "GGA"))
     bad = {10: lines[10].replace(",N,", ",S,"), 21: lines[21][:-3], 40: lines[40][:17]}
@@ -93,7 +93,7 @@ def test_damaged_sentences_are_counted_and_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("prefix", ["12.345 ", "2024-05-01T06:00:00.1Z,", "[06:00:00.10] "])
-def test_a_loggers_own_time_may_stand_before(tmp_path: Path, prefix: str) -> None:
+def test_a_loggers_own_time_may_stand_before(tmp_path, prefix):
     run = drive(60, 1.0)
     dated = "-" in prefix
     lines = nmea_lines(run, ("GGA", "VTG") if dated else ("RMC", "GGA"))
@@ -101,7 +101,7 @@ def test_a_loggers_own_time_may_stand_before(tmp_path: Path, prefix: str) -> Non
     assert_fixes(trip, run)
 
 
-def test_no_fix_and_void_sentences_say_nothing(tmp_path: Path) -> None:
+def test_no_fix_and_void_sentences_say_nothing(tmp_path):
     run = drive(60, 1.0)
     void = [checked(f"GNRMC,0559{i:02d}.00,V,,,,,,,010524,,,N") for i in range(30)] + [
         checked(f"GNGGA,0559{i:02d}.00,,,,,0,00,99.99,,,,,,") for i in range(30, 40)
@@ -119,11 +119,11 @@ def test_no_fix_and_void_sentences_say_nothing(tmp_path: Path) -> None:
         ([line[:-1] + "G" for line in nmea_lines(drive(9, 1.0))], "45 of 45 messages are damaged"),
     ],
 )
-def test_logs_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str) -> None:
+def test_logs_that_cannot_be_used(tmp_path, lines, message):
     refused(InputError, message, read, tmp_path, lines)
 
 
-def test_hex_lines_come_back(tmp_path: Path) -> None:
+def test_hex_lines_come_back(tmp_path):
     """The IMU's times count since the start, by a clock that drifts: 0.4 ms are left of it."""
     made = hexlines(0)
     trip = read(tmp_path, made.text.splitlines())
@@ -145,7 +145,7 @@ def test_hex_lines_come_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(imu[column], expected, rtol=1e-12)
 
 
-def test_hex_lines_with_nmea_alone(tmp_path: Path) -> None:
+def test_hex_lines_with_nmea_alone(tmp_path):
     made = hexlines(3)
     run = drive(30, 1.0, 3)
     lines = [line for line in made.text.splitlines() if ",I," in line]
@@ -161,7 +161,7 @@ def test_hex_lines_with_nmea_alone(tmp_path: Path) -> None:
     assert np.abs(late).max() < 1_000_000
 
 
-def test_hex_lines_without_a_time_are_refused(tmp_path: Path) -> None:
+def test_hex_lines_without_a_time_are_refused(tmp_path):
     lines = [line for line in hexlines(1).text.splitlines() if ",I," in line]
     refused(InputError, r"no message gives the time.*NAV-PVT", read, tmp_path, lines)
     run = drive(9, 1.0)
@@ -169,7 +169,7 @@ def test_hex_lines_without_a_time_are_refused(tmp_path: Path) -> None:
     refused(InputError, "no message gives the time", read, tmp_path, lines + void)
 
 
-def test_a_logger_that_was_restarted_is_refused(tmp_path: Path) -> None:
+def test_a_logger_that_was_restarted_is_refused(tmp_path):
     run = drive(300, 1.0)
     lines = [f"{since_start(10**9 * (i % 150 + 5))},U,{nav_pvt(run, i).hex()}" for i in range(300)]
     refused(InputError, r"clock was restarted: .* split the file", read, tmp_path, lines)
@@ -177,7 +177,7 @@ def test_a_logger_that_was_restarted_is_refused(tmp_path: Path) -> None:
 
 @settings(max_examples=25, suppress_health_check=list(HealthCheck))
 @given(st.data())
-def test_fixes_are_what_pyubx2_reads(tmp_path: Path, data: st.DataObject) -> None:
+def test_fixes_are_what_pyubx2_reads(tmp_path, data):
     """Every field, whatever the message holds; and a bit that is flipped is noticed."""
     kept, lines = [], []
     for i in range(12):
@@ -220,7 +220,7 @@ def test_fixes_are_what_pyubx2_reads(tmp_path: Path, data: st.DataObject) -> Non
         ("20221020_1252_R90120_Formigine_SN2", 1, "2022-10-20T10:50:25.999560255", 5),
     ],
 )
-def test_the_published_samples(name: str, fixes: int, start: str, not_used: int) -> None:
+def test_the_published_samples(name, fixes, start, not_used):
     """A train at a standstill: one g upwards, no rotation but the sensor's bias."""
     trip = ingest(ETH / f"{name}_sample.csv")
     report, imu = report_of(trip), trip["/imu"]

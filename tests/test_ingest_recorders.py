@@ -40,7 +40,7 @@ def assert_fixes(trip: Trip, recorded: Recorded) -> None:
         ("none", "+01:00", 0),
     ],
 )
-def test_gpx_comes_back(tmp_path: Path, seed: int, speed: str, offset: str) -> None:
+def test_gpx_comes_back(tmp_path, seed, speed, offset):
     recorded = gpx(seed, speed=speed, offset=offset)
     trip = read(tmp_path, "run.gpx", recorded.text)
     report = report_of(trip)
@@ -58,7 +58,7 @@ def test_gpx_comes_back(tmp_path: Path, seed: int, speed: str, offset: str) -> N
     assert trip.metadata["horizontal_accuracy"] == "3 m times HDOP"
 
 
-def test_a_count_of_unix_time_decides_the_zone_of_a_gpx(tmp_path: Path) -> None:
+def test_a_count_of_unix_time_decides_the_zone_of_a_gpx(tmp_path):
     """Times that name no zone are UTC by the standard, and local where a phone does not keep it."""
     run = drive(60, 1.0)
     text = gpx_text(run, offset="+02:00").replace("+02:00", "")
@@ -76,7 +76,7 @@ def test_a_count_of_unix_time_decides_the_zone_of_a_gpx(tmp_path: Path) -> None:
         assert report_of(trip).not_used["<pace> of track points"] == 60
 
 
-def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path: Path) -> None:
+def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path):
     run = drive(300, 1.0)
     parts = np.split(np.arange(300), [100, 150, 220])
     path = tmp_path / "day.gpx"
@@ -93,7 +93,7 @@ def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path: Path) -> None:
     assert report_of(trips[0]).not_used["tracks without points"] == 1
 
 
-def test_a_track_that_is_no_trip_does_not_cost_the_others(tmp_path: Path) -> None:
+def test_a_track_that_is_no_trip_does_not_cost_the_others(tmp_path):
     run = drive(60, 1.0)
     parts = [[np.arange(30)], [np.arange(30, 31)], [np.arange(31, 60)]]
     path = tmp_path / "day.gpx"
@@ -104,7 +104,7 @@ def test_a_track_that_is_no_trip_does_not_cost_the_others(tmp_path: Path) -> Non
     assert trips == ["day-1", "day-3"]
 
 
-def test_a_gpx_cut_off_anywhere_gives_its_whole_points(tmp_path: Path) -> None:
+def test_a_gpx_cut_off_anywhere_gives_its_whole_points(tmp_path):
     text = gpx_text(drive(40, 1.0))
     for end in range(len(text) - 1200, len(text) - 8, 41):
         whole = text[:end].count("</trkpt>")
@@ -137,12 +137,12 @@ EXTERNAL = '<?xml version="1.0"?>\n<!DOCTYPE gpx [<!ENTITY a SYSTEM "file:///etc
         ),
     ],
 )
-def test_bad_gpx_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_bad_gpx_is_refused(tmp_path, text, message):
     refused(InputError, message, read, tmp_path, "run.gpx", text, format="gpx")
 
 
 @pytest.mark.parametrize(("seed", "scaled"), [(0, False), (1, True)])
-def test_mtk_comes_back(tmp_path: Path, seed: int, scaled: bool) -> None:
+def test_mtk_comes_back(tmp_path, seed, scaled):
     recorded = mtk(seed, scaled=scaled)
     trip = read(tmp_path, "run.csv", recorded.text)
     report = report_of(trip)
@@ -158,7 +158,7 @@ def test_mtk_comes_back(tmp_path: Path, seed: int, scaled: bool) -> None:
     np.testing.assert_allclose(speed[known], recorded.truth.speed[known], rtol=0, atol=1e-12)
 
 
-def test_mtk_columns_are_found_by_name(tmp_path: Path) -> None:
+def test_mtk_columns_are_found_by_name(tmp_path):
     recorded = mtk(4, before=5)
     lines = recorded.text.splitlines()
     lines[0] = "year,month,day,hour,min,sec,sats,longitude,latitude,height,speed,hdop"

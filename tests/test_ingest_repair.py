@@ -12,7 +12,6 @@ from hypothesis import given, settings, strategies as st
 from ingest_logs import (
     SECOND,
     START,
-    Damaged,
     clean_run,
     damaged_runs,
     plain_profile,
@@ -44,7 +43,7 @@ def read(tmp_path: Path, rows: list[str], **sections: object) -> Trip:
     return ingest(write(tmp_path / "run.csv", rows), profile=plain_profile(**sections))
 
 
-def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path: Path) -> None:
+def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path):
     """Each time is written once, so that no row is of a clock that was a second ahead."""
     swapped = 5, 45, 49, 53, 57
     rows = [
@@ -61,7 +60,7 @@ def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path: Path) -> 
 
 @FILES
 @given(damaged_runs())
-def test_damage_is_undone_and_counted(tmp_path: Path, damaged: Damaged) -> None:
+def test_damage_is_undone_and_counted(tmp_path, damaged):
     trip = read(tmp_path, damaged.rows)
     report = report_of(trip)
     assert report.count("duplicates") == damaged.doubled
@@ -85,7 +84,7 @@ def test_damage_is_undone_and_counted(tmp_path: Path, damaged: Damaged) -> None:
 
 @FILES
 @given(st.data())
-def test_the_longest_ordered_part_is_found(data: st.DataObject) -> None:
+def test_the_longest_ordered_part_is_found(data):
     time = np.array(data.draw(st.lists(st.integers(0, 12), min_size=1, max_size=40)))
     marked = longest_nondecreasing(time)
     assert np.all(np.diff(time[marked]) >= 0)
@@ -97,9 +96,7 @@ def test_the_longest_ordered_part_is_found(data: st.DataObject) -> None:
 
 @pytest.mark.parametrize(("step", "within"), [(1.0, 10.0), (4.0, 20.0)])
 @pytest.mark.parametrize("way", [-1.0, 1.0])
-def test_a_time_is_far_off_beyond_the_limit_or_five_steps_of_both_rows_around(
-    step: float, within: float, way: float
-) -> None:
+def test_a_time_is_far_off_beyond_the_limit_or_five_steps_of_both_rows_around(step, within, way):
     for beyond in (0.1, -0.1):
         time = step * np.arange(100)
         time[50] += way * (step + within + beyond)  # beside the row that is next to it in time
@@ -110,7 +107,7 @@ def test_a_time_is_far_off_beyond_the_limit_or_five_steps_of_both_rows_around(
 
 
 @pytest.mark.parametrize("sizes", [(90, 3, 7), (3, 90, 7), (3, 7, 90)])
-def test_the_largest_of_groups_that_pauses_part_is_the_trip(sizes: tuple[int, ...]) -> None:
+def test_the_largest_of_groups_that_pauses_part_is_the_trip(sizes):
     for apart, whole in ((3_600.1, False), (3_599.9, True)):
         parts = [np.arange(size) + 0.0 for size in sizes]
         for one, other in pairwise(parts):
@@ -120,7 +117,7 @@ def test_the_largest_of_groups_that_pauses_part_is_the_trip(sizes: tuple[int, ..
 
 
 @pytest.mark.parametrize("far", [25, 26])
-def test_a_clock_that_jumps_in_more_than_a_quarter_of_the_rows_is_refused(far: int) -> None:
+def test_a_clock_that_jumps_in_more_than_a_quarter_of_the_rows_is_refused(far):
     time = np.arange(100.0)
     time[-far:] += 1e6
     if far == 25:
@@ -129,7 +126,7 @@ def test_a_clock_that_jumps_in_more_than_a_quarter_of_the_rows_is_refused(far: i
         refused(InputError, "26 of 100 rows do not fit", drop_clock_jumps, timed(time), Limits())
 
 
-def test_a_fix_has_a_position_satellites_and_an_accuracy() -> None:
+def test_a_fix_has_a_position_satellites_and_an_accuracy():
     """On the equator and on the meridian of Greenwich, too, but where both meet receivers say 0."""
     rows = [  # latitude, longitude, satellites, accuracy, whether it is a fix
         (47.0, 9.0, 7.0, 2.0, True),
@@ -148,12 +145,12 @@ def test_a_fix_has_a_position_satellites_and_an_accuracy() -> None:
     np.testing.assert_array_equal(has_fix(table), expected.astype(bool))
     position = {name: signals[f"/gnss/{name}"] for name in names[:2]}
     alone = replace(table, signals={f"/gnss/{name}": each for name, each in position.items()})
-    assert has_fix(alone).sum() == 5  # type: ignore[union-attr]
+    assert has_fix(alone).sum() == 5
     for name in names[:2]:
         assert has_fix(replace(table, signals={f"/gnss/{name}": columns[0]})) is None
 
 
-def test_rows_before_the_first_fix_leave_logs_of_a_receiver_alone() -> None:
+def test_rows_before_the_first_fix_leave_logs_of_a_receiver_alone():
     fixes = {
         "/gnss/fix.latitude": np.array([0.0, 47.0, 47.0, 0.0, 47.0]),
         "/gnss/fix.longitude": np.array([0.0, 9.0, 9.0, 0.0, 9.0]),
@@ -182,15 +179,13 @@ def timed(time: FloatArray) -> Table:
     st.lists(st.floats(-1.0, 1.0), min_size=60, max_size=60),
     st.floats(0.1, 50.0),
 )
-def test_what_changes_no_faster_than_the_rate_is_no_spike(
-    steps: list[float], changes: list[float], rate: float
-) -> None:
+def test_what_changes_no_faster_than_the_rate_is_no_spike(steps, changes, rate):
     time = np.cumsum(steps)
     values = np.cumsum(rate * np.array(changes)[: time.size] * np.array(steps))
     assert not spikes(time, values, rate, 1e-6 * rate).any()
 
 
-def test_gaps_are_counted_and_never_filled(tmp_path: Path) -> None:
+def test_gaps_are_counted_and_never_filled(tmp_path):
     rows = plain_rows(200)
     kept = rows[:50] + rows[80:120] + rows[130:]
     trip = read(tmp_path, kept)
@@ -204,7 +199,7 @@ def test_gaps_are_counted_and_never_filled(tmp_path: Path) -> None:
     assert report_of(wide).count("gaps") == 1
 
 
-def test_rows_of_one_instant_are_merged(tmp_path: Path) -> None:
+def test_rows_of_one_instant_are_merged(tmp_path):
     """A logger that writes one row a signal."""
     run = clean_run(30, 1.0)
     rows = [
@@ -219,7 +214,7 @@ def test_rows_of_one_instant_are_merged(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
 
 
-def test_contradictory_rows_of_one_instant_keep_the_first_value(tmp_path: Path) -> None:
+def test_contradictory_rows_of_one_instant_keep_the_first_value(tmp_path):
     rows = plain_rows(20)
     stamp, _, position = rows[7].split(",")
     trip = read(tmp_path, [*rows[:8], f"{stamp},3.0,{position}", *rows[8:]])
@@ -227,7 +222,7 @@ def test_contradictory_rows_of_one_instant_keep_the_first_value(tmp_path: Path) 
     assert trip["/train/state"]["speed"].iloc[7] == float(rows[7].split(",")[1])
 
 
-def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path: Path) -> None:
+def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path):
     rows = plain_rows(60)
     stamp, _, position = rows[30].split(",")
     rows[30] = f"{stamp},70.0,{position}"
@@ -239,7 +234,7 @@ def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path: Path)
     assert report.counts == {"spikes": 1}
 
 
-def test_wheels_that_spin_are_no_spikes(tmp_path: Path) -> None:
+def test_wheels_that_spin_are_no_spikes(tmp_path):
     """A slip of 5 m/s that builds up and dies within a second is what the log is for."""
     run = clean_run(100, 0.1)
     slip = np.zeros(100)
@@ -255,9 +250,7 @@ OF_TABLES = [rule for rule in RULES if rule.off == "refuse" and rule.name not in
 
 
 @pytest.mark.parametrize("rule", OF_TABLES)
-def test_rules_that_are_off_refuse_what_they_would_repair(
-    tmp_path: Path, rule: object, request: pytest.FixtureRequest
-) -> None:
+def test_rules_that_are_off_refuse_what_they_would_repair(tmp_path, rule, request):
     rows = plain_rows(60)
     stamp, _, position = rows[30].split(",")
     damage = {
@@ -275,7 +268,7 @@ def test_rules_that_are_off_refuse_what_they_would_repair(
         read(tmp_path, damage, repair={rule.name: False})
 
 
-def test_values_stay_when_their_rules_are_off(tmp_path: Path) -> None:
+def test_values_stay_when_their_rules_are_off(tmp_path):
     rows = plain_rows(60)
     stamp, _, position = rows[30].split(",")
     rows[30] = f"{stamp},400.0,{position}"
@@ -298,9 +291,7 @@ def elapsed(trip: Trip) -> np.ndarray:
 
 @FILES
 @given(st.data())
-def test_seconds_with_four_and_six_rows_come_out_exactly(
-    tmp_path: Path, data: st.DataObject
-) -> None:
+def test_seconds_with_four_and_six_rows_come_out_exactly(tmp_path, data):
     """A row at the edge of a second that was labelled with the neighbour's."""
     ticks = np.arange(data.draw(st.integers(0, 4)), 5 * 40 + data.draw(st.integers(0, 4)))
     second = ticks // 5
@@ -317,9 +308,7 @@ def test_seconds_with_four_and_six_rows_come_out_exactly(
 
 @FILES
 @given(st.data())
-def test_lost_rows_cost_their_neighbours_less_than_a_period(
-    tmp_path: Path, data: st.DataObject
-) -> None:
+def test_lost_rows_cost_their_neighbours_less_than_a_period(tmp_path, data):
     ticks = np.arange(data.draw(st.integers(0, 4)), 5 * 60 + data.draw(st.integers(0, 4)))
     lost = {10 * i + data.draw(st.integers(0, 4)) for i in data.draw(st.sets(st.integers(1, 28)))}
     outage = data.draw(st.sampled_from([range(0), range(100, 123), range(121, 139)]))
@@ -332,7 +321,7 @@ def test_lost_rows_cost_their_neighbours_less_than_a_period(
     np.testing.assert_allclose(found[untouched], ticks[untouched] / 5, atol=1e-9)
 
 
-def test_a_log_that_says_nothing_is_refused(tmp_path: Path) -> None:
+def test_a_log_that_says_nothing_is_refused(tmp_path):
     ticks = np.arange(100)
     text = ublox(ticks // 5, ticks / 5).replace(",9,93", ",0,93")
     off = plain_profile(repair={"before_first_fix": False})
@@ -341,7 +330,7 @@ def test_a_log_that_says_nothing_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("seed", "again"), [(0, 0.2), (1, 0.6), (2, 0.95), (3, 0.95)])
-def test_a_receiver_at_rest_keeps_its_rate(tmp_path: Path, seed: int, again: float) -> None:
+def test_a_receiver_at_rest_keeps_its_rate(tmp_path, seed, again):
     """Most of ten rows a second repeat the one before: all of them are samples."""
     made = mtk_at_rest(seed, again=again)
     trip = read_ublox(tmp_path, made.text)
@@ -352,7 +341,7 @@ def test_a_receiver_at_rest_keeps_its_rate(tmp_path: Path, seed: int, again: flo
 
 
 @pytest.mark.parametrize("times", [2, 3])
-def test_rows_that_are_each_written_several_times_count_once(tmp_path: Path, times: int) -> None:
+def test_rows_that_are_each_written_several_times_count_once(tmp_path, times):
     truth = drive(5 * 120, 5.0, 3)
     rows = [row for row in mtk_rows(truth) for _ in range(times)]
     trip = read_ublox(tmp_path, "\n".join([MTK_HEADER, *rows]) + "\n")
@@ -385,7 +374,7 @@ def read_drive(tmp_path: Path, run: Drive, *, speed: bool = True) -> tuple[np.nd
 
 @pytest.mark.parametrize("speed", [True, False])
 @pytest.mark.parametrize(("rate", "metres"), [(1.0, 234.0), (5.0, -400.0), (10.0, 3_000.0)])
-def test_fixes_beside_the_way_go(tmp_path: Path, rate: float, speed: bool, metres: float) -> None:
+def test_fixes_beside_the_way_go(tmp_path, rate, speed, metres):
     """234 m beside it with a stated accuracy of 713 m; single ones and runs of several."""
     run = drive(round(600 * rate), rate, 2)
     places = np.array([40, 90, 91, 150, 151, 152, 153, 200, 202, len(run) - 30])
@@ -395,7 +384,7 @@ def test_fixes_beside_the_way_go(tmp_path: Path, rate: float, speed: bool, metre
     assert report.rows_dropped == 0
 
 
-def test_a_poor_fix_where_the_train_may_be_stays(tmp_path: Path) -> None:
+def test_a_poor_fix_where_the_train_may_be_stays(tmp_path):
     run = drive(900, 1.0, 3)
     absent, report = read_drive(tmp_path, moved(run, np.array([100, 300]), 15.0, 713 / 3))
     assert not absent.any()
@@ -403,7 +392,7 @@ def test_a_poor_fix_where_the_train_may_be_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0])
-def test_fixes_that_come_back_from_an_outage_elsewhere_stay(tmp_path: Path, rate: float) -> None:
+def test_fixes_that_come_back_from_an_outage_elsewhere_stay(tmp_path, rate):
     """What was 150 m off before the tunnel, for a minute, is not judged by a jump."""
     run = drive(round(600 * rate), rate, 4)
     off = np.arange(round(200 * rate), round(260 * rate))
@@ -411,7 +400,7 @@ def test_fixes_that_come_back_from_an_outage_elsewhere_stay(tmp_path: Path, rate
     assert not absent.any()
 
 
-def test_a_frozen_speed_makes_no_fix_a_jump(tmp_path: Path) -> None:
+def test_a_frozen_speed_makes_no_fix_a_jump(tmp_path):
     """Between two outages there are a few sound fixes; the speed says that the train creeps."""
     run = drive(600, 1.0, 5)
     speed = run.speed.copy()
@@ -427,9 +416,7 @@ def test_a_frozen_speed_makes_no_fix_a_jump(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("length", "size"), [(1, 30.0), (2, -15.0), (3, 60.0), (4, 30.0), (5, -15.0), (7, 60.0)]
 )
-def test_runs_of_wild_speeds_go_and_the_sample_after_stays(
-    tmp_path: Path, length: int, size: float
-) -> None:
+def test_runs_of_wild_speeds_go_and_the_sample_after_stays(tmp_path, length, size):
     rows = plain_rows(200)
     wild = [50, 120]
     for first in wild:
@@ -442,7 +429,7 @@ def test_runs_of_wild_speeds_go_and_the_sample_after_stays(
     assert len(repairs_of(trip)) == 2 * length == report_of(trip).count("spikes")
 
 
-def test_a_value_that_stays_where_it_jumped_is_no_spike() -> None:
+def test_a_value_that_stays_where_it_jumped_is_no_spike():
     time = np.arange(0.0, 60.0, 0.1)
     values = np.where(time < 30.0, 5.0, 300.0)
     assert not spikes(time, values, 1.0, 2.0).any()

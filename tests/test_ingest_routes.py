@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import Shell
 from ingest_logs import plain_profile
 from refusals import refused
 from route_networks import (
@@ -18,7 +17,6 @@ from route_networks import (
     PHONE,
     UBLOX,
     Received,
-    Receiver,
     balloon,
     bezier,
     doubled,
@@ -86,9 +84,7 @@ ROUTES = [
         for name, receiver in (("ublox", RATE_2), (("gpx", GPX), ("phone", PHONE))[number % 2])
     ],
 )
-def test_the_route_is_found_and_its_chainage(
-    tmp_path: Path, network: Network, places: tuple[str, ...], receiver: Receiver
-) -> None:
+def test_the_route_is_found_and_its_chainage(tmp_path, network, places, receiver):
     route = network.route(*places)
     fixes = drive(route, receiver, np.random.default_rng([7, len(route.legs)]))
     if receiver is GPX:
@@ -105,7 +101,7 @@ def test_the_route_is_found_and_its_chainage(
     assert np.quantile(found, 0.95) < 40.0
 
 
-def test_lines_too_close_to_tell_apart_are_refused_with_the_margin(tmp_path: Path) -> None:
+def test_lines_too_close_to_tell_apart_are_refused_with_the_margin(tmp_path):
     network = doubled(4.0)
     fixes = drive(network.route("A", "D"), GPX, np.random.default_rng(5))
     said = "do not determine the route.*(main.*relief|relief.*main)"
@@ -119,14 +115,14 @@ def test_lines_too_close_to_tell_apart_are_refused_with_the_margin(tmp_path: Pat
 
 
 @pytest.mark.parametrize("edge", ["main", "relief"])
-def test_lines_20_m_apart_are_told_apart(tmp_path: Path, edge: str) -> None:
+def test_lines_20_m_apart_are_told_apart(tmp_path, edge):
     network = doubled(20.0)
     fixes = drive(network.route("A", f"{edge}@3", "D"), RATE_2, np.random.default_rng(2))
     trip = ingested(tmp_path, fixes, network)
     assert [name for name, _ in legs_of(trip)] == ["west", edge, "east"]
 
 
-def test_a_loop_in_a_tunnel_is_not_guessed(tmp_path: Path) -> None:
+def test_a_loop_in_a_tunnel_is_not_guessed(tmp_path):
     route = BALLOON.route("A", "loop@2.0", "A")
     loop = (route.legs[1].position - 5.0, route.legs[1].end + 5.0)
     fixes = drive(route, RATE_2, np.random.default_rng(1), tunnels=[loop])
@@ -134,7 +130,7 @@ def test_a_loop_in_a_tunnel_is_not_guessed(tmp_path: Path) -> None:
         ingested(tmp_path, fixes, BALLOON)
 
 
-def test_a_trip_that_turns_back_becomes_two(tmp_path: Path) -> None:
+def test_a_trip_that_turns_back_becomes_two(tmp_path):
     route = Y.route("A", "B", "A")
     whole = route.length
     fixes = drive(route, RATE_2, np.random.default_rng(3), stops=(40.0, whole / 2, whole - 40.0))
@@ -147,7 +143,7 @@ def test_a_trip_that_turns_back_becomes_two(tmp_path: Path) -> None:
     assert (back.start - there["/gnss/fix"].index[-1]).total_seconds() < 5.0
 
 
-def test_what_lies_off_the_network_is_left_out_and_counted(tmp_path: Path) -> None:
+def test_what_lies_off_the_network_is_left_out_and_counted(tmp_path):
     """From a depot 4 km away, by a line that the network has not."""
     whole = network_of(
         [
@@ -163,7 +159,7 @@ def test_what_lies_off_the_network_is_left_out_and_counted(tmp_path: Path) -> No
     assert trip.start - BEGUN > pd.Timedelta(minutes=2)
 
 
-def test_fixes_elsewhere_and_too_few_of_them_are_refused(tmp_path: Path) -> None:
+def test_fixes_elsewhere_and_too_few_of_them_are_refused(tmp_path):
     fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
     away = replace(fixes, points=fixes.points + 40_000j)
     refused(InputError, "lie more than 150 m from network 'drawn'", ingested, tmp_path, away, Y)
@@ -171,14 +167,14 @@ def test_fixes_elsewhere_and_too_few_of_them_are_refused(tmp_path: Path) -> None
     refused(InputError, "too few fixes", ingested, tmp_path, replace(fixes, points=few), Y)
 
 
-def test_a_way_that_the_turns_forbid_is_refused(tmp_path: Path) -> None:
+def test_a_way_that_the_turns_forbid_is_refused(tmp_path):
     open_turns = replace(Y, turns={"J": (("stem", "left"), ("stem", "right"), ("left", "right"))})
     fixes = drive(open_turns.route("B", "J", "C"), GPX, np.random.default_rng(8))
     with pytest.raises(InputError, match=r"follow a route that its turns allow|no trip"):
         list(ingest_each(write_gpx(tmp_path / "b.gpx", fixes), network=Y))
 
 
-def test_a_network_without_geometry_asks_for_stations(tmp_path: Path) -> None:
+def test_a_network_without_geometry_asks_for_stations(tmp_path):
     fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
     with pytest.raises(InputError, match=r"no edge of network 'drawn' has a geometry.*--stations"):
         ingested(tmp_path, fixes, without_course(Y))
@@ -209,8 +205,8 @@ def without_course(network: Network, *names: str, longer: float = 1.0) -> Networ
 
 @pytest.mark.parametrize("places", [("A", "B"), ("B", "A")])
 def test_an_edge_without_a_course_is_passed_where_the_distance_driven_is_its_length(
-    tmp_path: Path, places: tuple[str, str]
-) -> None:
+    tmp_path, places
+):
     route = CHAIN.route(*places)
     fixes = drive(route, RATE_2, np.random.default_rng([11, len(places[0])]))
     trip = ingested(tmp_path, fixes, without_course(CHAIN, "bend"))
@@ -229,9 +225,7 @@ def test_an_edge_without_a_course_is_passed_where_the_distance_driven_is_its_len
     assert np.quantile(found, 0.95) < 60.0
 
 
-def test_an_edge_without_a_course_is_refused_where_the_distance_is_another_or_unknown(
-    tmp_path: Path,
-) -> None:
+def test_an_edge_without_a_course_is_refused_where_the_distance_is_another_or_unknown(tmp_path):
     route = CHAIN.route("A", "B")
     fixes = drive(route, RATE_2, np.random.default_rng(12))
     with pytest.raises(InputError, match=r"bend without a geometry.* by its speed the train drove"):
@@ -243,8 +237,8 @@ def test_an_edge_without_a_course_is_refused_where_the_distance_is_another_or_un
 
 @pytest.mark.parametrize("back", [False, True])
 def test_distances_between_stops_show_the_route_of_an_imported_network_without_courses(
-    tmp_path: Path, back: bool
-) -> None:
+    tmp_path, back
+):
     """OSRD's network has five tracks between its stations; two of them are as long."""
     path = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd" / "infras"
     if not path.is_dir():
@@ -283,7 +277,7 @@ def _of_edges(network: Network, names: set[str]) -> Network:
     return replace(network, edges=edges, nodes=nodes, turns=turns)
 
 
-def test_the_command_takes_a_network_as_such_or_as_a_line(tmp_path: Path, shell: Shell) -> None:
+def test_the_command_takes_a_network_as_such_or_as_a_line(tmp_path, shell):
     network = tmp_path / "y.network.json"
     write_network(Y, network)
     fixes = drive(Y.route("A", "C"), GPX, np.random.default_rng(1))
@@ -298,7 +292,7 @@ def test_the_command_takes_a_network_as_such_or_as_a_line(tmp_path: Path, shell:
     assert "a network and a direction are given" in shown
 
 
-def test_live_a_network_is_refused(tmp_path: Path) -> None:
+def test_live_a_network_is_refused(tmp_path):
     with pytest.raises(InputError, match="found when a trip is over"):
         LiveIngest.begun(tmp_path / "x.mcap", Given(network=NetworkRoutes(Y)), LiveOptions())
 
@@ -342,7 +336,7 @@ def odometer_profile(**columns: str) -> Profile:
     return plain_profile(time={"column": "time"}, columns=mapped, trip={"columns": columns})
 
 
-def test_without_fixes_the_distances_between_stops_show_the_route(tmp_path: Path) -> None:
+def test_without_fixes_the_distances_between_stops_show_the_route(tmp_path):
     network = with_stations(Y, INNER)
     route = network.route("A", "C")
     stops = [0.0, 1_400.0, 3_700.0, 5_000.0 + 2_600.0, route.length]
@@ -358,7 +352,7 @@ def test_without_fixes_the_distances_between_stops_show_the_route(tmp_path: Path
         ingest(file, odometer_profile(), network=network)
 
 
-def test_stops_that_two_routes_have_are_not_guessed(tmp_path: Path) -> None:
+def test_stops_that_two_routes_have_are_not_guessed(tmp_path):
     """Stations lie alike on both lines behind the junction."""
     alike = {"stem": INNER["stem"], "left": [("B1", 1_900.0)], "right": [("C1", 1_920.0)]}
     network = with_stations(Y, alike)
@@ -367,7 +361,7 @@ def test_stops_that_two_routes_have_are_not_guessed(tmp_path: Path) -> None:
         ingest(file, odometer_profile(), network=network)
 
 
-def test_kilometres_of_numbered_lines_show_the_route(tmp_path: Path) -> None:
+def test_kilometres_of_numbered_lines_show_the_route(tmp_path):
     """Line 850 counts up, line 851 down from the junction: the kilometre jumps there."""
     length = Y.edge("left").line.length
     known = {
@@ -403,7 +397,7 @@ def test_kilometres_of_numbered_lines_show_the_route(tmp_path: Path) -> None:
         ingest(file, odometer_profile(line="line"), network=network)
 
 
-def test_a_column_of_stations_states_the_route(tmp_path: Path) -> None:
+def test_a_column_of_stations_states_the_route(tmp_path):
     network = with_stations(Y, INNER)
 
     def cells(position: np.ndarray) -> dict[str, object]:

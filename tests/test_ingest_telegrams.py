@@ -97,7 +97,7 @@ def capture(path: Path, packets: list[tuple[int, bytes]], link: int = 1) -> Path
     return path
 
 
-def test_a_file_of_telegrams_gives_what_was_sent(tmp_path: Path) -> None:
+def test_a_file_of_telegrams_gives_what_was_sent(tmp_path):
     run = clean_run(300, 0.2)
     sent = telegrams(run)
     sent[20] = sent[20][:10] + b"\xff\xff" + sent[20][12:]  # the number for no value
@@ -118,7 +118,7 @@ def test_a_file_of_telegrams_gives_what_was_sent(tmp_path: Path) -> None:
     assert stated == "/train/controls.dynamic_braking_effort [kN]"
 
 
-def test_telegrams_of_other_kinds_are_counted(tmp_path: Path) -> None:
+def test_telegrams_of_other_kinds_are_counted(tmp_path):
     run = clean_run(100, 1.0)
     mixed = [each for pair in zip(telegrams(run), telegrams(run, 8), strict=True) for each in pair]
     path = tmp_path / "run.bin"
@@ -144,9 +144,7 @@ def test_telegrams_of_other_kinds_are_counted(tmp_path: Path) -> None:
         ((1190, 1200), {49}, "a55a"),
     ],
 )
-def test_a_damaged_file_is_read_on_and_what_is_lost_counted(
-    tmp_path: Path, cut: tuple[int, int], lost: set[int], mark: str
-) -> None:
+def test_a_damaged_file_is_read_on_and_what_is_lost_counted(tmp_path, cut, lost, mark):
     run = clean_run(50, 1.0)
     whole = b"".join(telegrams(run))
     path = tmp_path / "run.bin"
@@ -157,7 +155,7 @@ def test_a_damaged_file_is_read_on_and_what_is_lost_counted(
     assert trip.metadata["repair.truncated_rows"] == "1"
 
 
-def test_a_capture_gives_the_time_of_arrival(tmp_path: Path) -> None:
+def test_a_capture_gives_the_time_of_arrival(tmp_path):
     run = clean_run(60, 0.5)
     packets = [(int(t), udp(each)) for t, each in zip(run.time, telegrams(run), strict=True)]
     packets[10:10] = [
@@ -179,7 +177,7 @@ def test_a_capture_gives_the_time_of_arrival(tmp_path: Path) -> None:
     refused(InputError, "no time of arrival", ingest, plain, profile=profile_of(by_arrival))
 
 
-def test_captures_of_other_kinds_are_read_alike(tmp_path: Path) -> None:
+def test_captures_of_other_kinds_are_read_alike(tmp_path):
     import dpkt
 
     run = clean_run(30, 0.5)
@@ -195,7 +193,7 @@ def test_captures_of_other_kinds_are_read_alike(tmp_path: Path) -> None:
         assert np.array_equal(trip[STATE].index.as_unit("ns").asi8, run.time)
 
 
-def test_a_capture_that_is_cut_off_gives_its_whole_packets(tmp_path: Path) -> None:
+def test_a_capture_that_is_cut_off_gives_its_whole_packets(tmp_path):
     run = clean_run(60, 0.5)
     packets = [(int(t), udp(each)) for t, each in zip(run.time, telegrams(run), strict=True)]
     path = capture(tmp_path / "run.pcap", packets)
@@ -212,7 +210,7 @@ def test_a_capture_that_is_cut_off_gives_its_whole_packets(tmp_path: Path) -> No
     refused(InputError, "has no telegram|cannot be read", ingest, path, profile=profile())
 
 
-def test_live_datagrams_give_what_their_file_gives(tmp_path: Path) -> None:
+def test_live_datagrams_give_what_their_file_gives(tmp_path):
     run = clean_run(200, 0.1)
     sent = telegrams(run)
     path = tmp_path / "run.bin"
@@ -255,7 +253,7 @@ CODES = {"int8": "b", "uint16": "H", "int32": "i", "uint64": "Q", "float32": "f"
 
 @settings(max_examples=40)
 @given(st.lists(st.sampled_from([*CODES]), min_size=1, max_size=6), st.booleans(), st.data())
-def test_every_number_is_read_as_it_was_packed(kinds: list[str], big: bool, data: Any) -> None:
+def test_every_number_is_read_as_it_was_packed(kinds, big, data):
     values = []
     for kind in kinds:
         if kind.startswith("float"):
@@ -290,11 +288,11 @@ def test_every_number_is_read_as_it_was_packed(kinds: list[str], big: bool, data
         ({"fields": {"speed": {"offset": 0, "type": "uint8"}}, "where": {}}, "no field 'force.1'"),
     ],
 )
-def test_a_layout_that_cannot_be_is_refused(change: dict[str, Any], said: str) -> None:
+def test_a_layout_that_cannot_be_is_refused(change, said):
     refused(InputError, said, profile, **change)
 
 
-def test_a_file_without_a_profile_or_of_another_length_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_a_profile_or_of_another_length_is_refused(tmp_path):
     path = tmp_path / "run.bin"
     path.write_bytes(b"\x00" * 20)
     refused(InputError, "no profile describes", ingest, path, format="telegrams")
@@ -321,7 +319,7 @@ def flirt(second: float, speed: float, acceleration: float, effort: float) -> by
     return bytes(data)
 
 
-def test_the_telegram_of_a_flirt_becomes_a_trip(tmp_path: Path) -> None:
+def test_the_telegram_of_a_flirt_becomes_a_trip(tmp_path):
     seconds = START / 1e9 + np.arange(0.0, 120.0, 0.5)
     motion = seconds - seconds[0]
     speed = 15.0 + 10.0 * np.sin(motion / 20.0)
@@ -356,7 +354,7 @@ ZTBUS = (
 )
 
 
-def test_a_mission_of_ztbus_needs_no_profile(tmp_path: Path) -> None:
+def test_a_mission_of_ztbus_needs_no_profile(tmp_path):
     run = clean_run(120, 1.0)
     stamps = pd.DatetimeIndex(run.time - run.time % 10**9, tz="UTC")
     force = 19e3 * np.gradient(run.speed)

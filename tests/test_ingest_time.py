@@ -260,15 +260,13 @@ def read(*columns: list[object], decimal: str = ".", **options: object) -> list[
         ([[datetime.datetime(2024, 5, 1, 8, 7, 8, 250_000)]], {"timezone": "Europe/Zurich"}),
     ],
 )
-def test_every_way_of_writing_an_instant(
-    columns: list[list[object]], options: dict[str, object]
-) -> None:
+def test_every_way_of_writing_an_instant(columns, options):
     assert read(*columns, **options) == [INSTANT]
 
 
 @settings(max_examples=40)
 @given(st.integers(pd.Timestamp("1981-01-01").value, pd.Timestamp("2099-01-01").value))
-def test_nanoseconds_survive_text_and_counts(instant: int) -> None:
+def test_nanoseconds_survive_text_and_counts(instant):
     text = pd.Timestamp(instant).isoformat(timespec="nanoseconds")
     assert read([text + "Z"]) == [instant]
     assert read([text], format="%Y-%m-%dT%H:%M:%S.%f") == [instant]
@@ -278,7 +276,7 @@ def test_nanoseconds_survive_text_and_counts(instant: int) -> None:
 
 @settings(max_examples=40)
 @given(st.integers(0, 2_000_000_000_000))
-def test_seconds_as_decimals_are_exact_to_the_millisecond(milliseconds: int) -> None:
+def test_seconds_as_decimals_are_exact_to_the_millisecond(milliseconds):
     milliseconds += 500_000_000_000
     written = f"{milliseconds // 1000}.{milliseconds % 1000:03d}"
     assert read([written], format="epoch") == [milliseconds * 1_000_000]
@@ -299,11 +297,11 @@ def test_seconds_as_decimals_are_exact_to_the_millisecond(milliseconds: int) -> 
         ([[2023, 2024], [2, 5], [29, 1], [0, 6], [0, 7], [0, 8.25]], {"format": "parts"}),
     ],
 )
-def test_what_is_no_time_is_absent(columns: list[list[object]], options: dict[str, object]) -> None:
+def test_what_is_no_time_is_absent(columns, options):
     assert read(*columns, **options) == [NO_TIME, INSTANT]
 
 
-def test_midnight_is_noticed() -> None:
+def test_midnight_is_noticed():
     times = ["23:59:58", "23:59:59", "00:00:00", "00:00:01", "23:59:59", "00:00:00"]
     found = read([*times], format="%H:%M:%S", date=datetime.date(2024, 5, 1))
     start = pd.Timestamp("2024-05-01T23:59:58Z").value
@@ -311,7 +309,7 @@ def test_midnight_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("local", ["2024-10-27 02:30:00", "2024-03-31 02:30:00"])
-def test_hours_that_come_twice_or_never_are_refused(local: str) -> None:
+def test_hours_that_come_twice_or_never_are_refused(local):
     with pytest.raises(InputError, match=r"run\.csv: local time 2024.*Europe/Zurich.*\+01:00"):
         read([local], timezone="Europe/Zurich")
     assert read([local], timezone="+01:00")
@@ -326,7 +324,7 @@ def test_hours_that_come_twice_or_never_are_refused(local: str) -> None:
         ("1899-05-01 06:00:00", {}),
     ],
 )
-def test_a_wrong_unit_of_time_leaves_no_time(column: str, options: dict[str, object]) -> None:
+def test_a_wrong_unit_of_time_leaves_no_time(column, options):
     """Refused here with the instant it reads as, or later because no row has a time."""
     try:
         found = read([column, column], **options)
@@ -358,14 +356,12 @@ def assert_step_found(folder: Path, line: str, layout: Layout, step: str) -> Non
 
 
 @pytest.mark.parametrize(("line", "layout", "step"), CASES)
-def test_a_clock_that_was_set_is_found(
-    tmp_path: Path, line: str, layout: Layout, step: str
-) -> None:
+def test_a_clock_that_was_set_is_found(tmp_path, line, layout, step):
     assert_step_found(tmp_path, line, layout, step)
 
 
 @pytest.mark.parametrize("step", ["back 7.4", "forward 2.6", "forward 30"])
-def test_any_seconds_may_be_set_and_a_cut_agrees(tmp_path: Path, step: str) -> None:
+def test_any_seconds_may_be_set_and_a_cut_agrees(tmp_path, step):
     """Sizes that no receiver learns; three cuts of the rows give the times of the whole."""
     layout = LAYOUTS[5]
     assert_step_found(tmp_path, "StGallen-Wil", layout, step)
@@ -387,9 +383,7 @@ def without_step(tmp_path: Path, run: Drive, shown: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("behind", [1.0, 2.0, 3.0])
-def test_a_receiver_that_begins_late_after_a_gap_sets_no_clock(
-    tmp_path: Path, behind: float
-) -> None:
+def test_a_receiver_that_begins_late_after_a_gap_sets_no_clock(tmp_path, behind):
     """Its first fixes lag by as much as the gap is long, and catch up in 12 s."""
     run, second = drive("StGallen-Wil", 1.0, 600), np.arange(600)
     since = second - 300 - int(behind)
@@ -403,9 +397,7 @@ def test_a_receiver_that_begins_late_after_a_gap_sets_no_clock(
 
 
 @pytest.mark.parametrize("interval", [0.97, 0.99, 1.02])
-def test_fixes_that_are_rounded_to_whole_seconds_set_no_clock(
-    tmp_path: Path, interval: float
-) -> None:
+def test_fixes_that_are_rounded_to_whole_seconds_set_no_clock(tmp_path, interval):
     """A phone that measures not quite once a second gives a second twice, or leaves one out."""
     run = drive("StGallen-Wil", 1.0 / interval, 500)
     shown = run.time - run.time % SECOND
@@ -413,9 +405,7 @@ def test_fixes_that_are_rounded_to_whole_seconds_set_no_clock(
 
 
 @pytest.mark.parametrize(("pace", "held"), [(0.0, 15.0), (0.2, 6.0), (0.4, 6.0), (0.4, 15.0)])
-def test_a_receiver_that_holds_its_place_before_a_gap_sets_no_clock(
-    tmp_path: Path, pace: float, held: float
-) -> None:
+def test_a_receiver_that_holds_its_place_before_a_gap_sets_no_clock(tmp_path, pace, held):
     """Under a roof it goes on too slowly, as phones do on real rides before many gaps."""
     run, second = drive("StGallen-Wil", 1.0, 600), np.arange(600.0)
     assert np.all(run.speed[280:310] > 10.0)
@@ -431,7 +421,7 @@ def test_a_receiver_that_holds_its_place_before_a_gap_sets_no_clock(
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_step_back_that_gives_times_again_needs_no_distance(tmp_path: Path, late: bool) -> None:
+def test_a_step_back_that_gives_times_again_needs_no_distance(tmp_path, late):
     """Speeds alone: times with two speeds each are of two clocks; rows written late fill a gap."""
     run = drive("hilly", 10.0, 2000)
     number = np.arange(2000)
@@ -450,7 +440,7 @@ def test_a_step_back_that_gives_times_again_needs_no_distance(tmp_path: Path, la
 
 
 @pytest.mark.parametrize("step", [None, 6])
-def test_a_train_may_brake_unseen_as_it_does_elsewhere(tmp_path: Path, step: int | None) -> None:
+def test_a_train_may_brake_unseen_as_it_does_elsewhere(tmp_path, step):
     """A freight train loses no 120 m in 26 s: it went on for 20 s, and the clock was set by 6 s."""
     at, position, speed = paced(30_000.0, PACES["freight"], 3)
     steady = np.flatnonzero(np.convolve(np.ptp(speed) * 0.9 < speed, np.ones(400), "valid") == 400)
@@ -473,7 +463,7 @@ def test_a_train_may_brake_unseen_as_it_does_elsewhere(tmp_path: Path, step: int
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
-def test_clocks_that_were_not_set_are_left_alone(tmp_path: Path, layout: Layout) -> None:
+def test_clocks_that_were_not_set_are_left_alone(tmp_path, layout):
     """With and without gaps of 1 to 18 whole seconds, in which the train moves on."""
     for lost in ((0, 3), (1, 17))[LAYOUTS.index(layout) % 2]:
         case = recorded(tmp_path, "hilly", layout, None, count=240.0, lost=lost)
@@ -483,7 +473,7 @@ def test_clocks_that_were_not_set_are_left_alone(tmp_path: Path, layout: Layout)
         assert error_of(trip, case) <= max(0.15, 0.5 * case.period)
 
 
-def test_a_gap_at_a_standstill_is_a_gap(tmp_path: Path) -> None:
+def test_a_gap_at_a_standstill_is_a_gap(tmp_path):
     """Clocks are set far more rarely than rows are lost: where no motion shows it, it is a gap."""
     rows = [f"2024-05-01T06:00:{0.1 * i:06.3f}Z,0.00,3.0" for i in range(500)]
     path = tmp_path / "run.csv"
@@ -497,9 +487,7 @@ def test_a_gap_at_a_standstill_is_a_gap(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("date", "rows"), [("2000,0,0", 7), ("1980,1,6", 300), ("2000,1,1", 900), ("2080,1,6", 300)]
 )
-def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(
-    tmp_path: Path, date: str, rows: int
-) -> None:
+def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(tmp_path, date, rows):
     """In an MTK log of whole seconds whose first rows have another date, but fixes."""
     case = recorded(tmp_path, "hilly", LAYOUTS[0], None, count=120.0)
     head, *lines = case.path.read_text().splitlines()
@@ -511,7 +499,7 @@ def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(
     assert error_of(trip, case) < 0.15
 
 
-def test_a_date_that_changes_while_the_time_of_day_goes_on(tmp_path: Path) -> None:
+def test_a_date_that_changes_while_the_time_of_day_goes_on(tmp_path):
     """Two thirds of the rows decide; where the dates are as many, the file is refused."""
     times = pd.date_range("2024-05-01T06:00:00Z", periods=600, freq="s")
     for changed, right in ((150, True), (300, False)):
@@ -531,7 +519,7 @@ def test_a_date_that_changes_while_the_time_of_day_goes_on(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("layout", [LAYOUTS[0], LAYOUTS[1]], ids=["mtk", "ublox"])
-def test_a_week_count_that_rolled_over_in_the_whole_file(tmp_path: Path, layout: Layout) -> None:
+def test_a_week_count_that_rolled_over_in_the_whole_file(tmp_path, layout):
     """2024-05-01 reads as 2004-09-15; no u-blox or MTK logger is that old."""
     case = recorded(tmp_path, "hilly", layout, None, count=60.0)
     case.path.write_text(case.path.read_text().replace("2024,5,1,", "2004,9,15,"))
@@ -543,7 +531,7 @@ def test_a_week_count_that_rolled_over_in_the_whole_file(tmp_path: Path, layout:
     assert error_of(trip, case) < 0.15
 
 
-def test_old_dates_of_a_receiver_are_suspected(tmp_path: Path) -> None:
+def test_old_dates_of_a_receiver_are_suspected(tmp_path):
     case = recorded(tmp_path, "hilly", LAYOUTS[3], None, count=60.0)
     case.path.write_text(case.path.read_text().replace("2024-05-01", "2004-09-15"))
     report = report_of(ingest(case.path))
@@ -584,7 +572,7 @@ def disturbed(run: Drive, rate: float, seed: int) -> Drive:
 
 @pytest.mark.parametrize("layout", LAYOUTS[3:7], ids=lambda layout: layout.name)
 @pytest.mark.parametrize("seed", range(5))
-def test_other_defects_are_no_steps_of_the_clock(tmp_path: Path, layout: Layout, seed: int) -> None:
+def test_other_defects_are_no_steps_of_the_clock(tmp_path, layout, seed):
     run = disturbed(drive("hilly", layout.rate, int(200 * layout.rate)), layout.rate, seed)
     path = tmp_path / layout.name
     layout.write(path, run, distance("hilly", run))
@@ -592,7 +580,7 @@ def test_other_defects_are_no_steps_of_the_clock(tmp_path: Path, layout: Layout,
     assert "clock_step" not in report_of(ingest(path, profile=profile)).counts
 
 
-def test_rows_of_another_column_are_no_samples_of_their_own() -> None:
+def test_rows_of_another_column_are_no_samples_of_their_own():
     """Each second holds a value written twice, and a row of another column."""
     second, place = np.repeat(np.arange(20), 3), np.arange(60) % 3
     one, other = np.where(place < 2, second, np.nan), np.where(place == 2, -second, np.nan)
@@ -600,7 +588,7 @@ def test_rows_of_another_column_are_no_samples_of_their_own() -> None:
     assert rows_per_second(table) == 1
 
 
-def test_two_seconds_in_which_something_moves_show_no_rate() -> None:
+def test_two_seconds_in_which_something_moves_show_no_rate():
     second, values = np.repeat(np.arange(8), 2), np.zeros(16)
     values[5], values[6], values[7:] = 1.0, 0.5, 2.0
     table = Table(second * NANOSECONDS, np.arange(16), {"one": values})

@@ -73,7 +73,7 @@ def written(folder: Path, text: str, name: str = "week.csv") -> Path:
     return path
 
 
-def test_numbered_trips_become_logs_with_their_load_and_weather(tmp_path: Path) -> None:
+def test_numbered_trips_become_logs_with_their_load_and_weather(tmp_path):
     file = written(tmp_path, table(RUNS))
     proposal = propose_profile(file)
     assert any("RE 3105, RE 3109, RE 3113" in line for line in proposal.lines())
@@ -95,7 +95,7 @@ def test_numbered_trips_become_logs_with_their_load_and_weather(tmp_path: Path) 
     )
 
 
-def test_pauses_part_trips_that_no_column_numbers(tmp_path: Path) -> None:
+def test_pauses_part_trips_that_no_column_numbers(tmp_path):
     file = written(tmp_path, table(RUNS, numbered=False))
     proposal = propose_profile(file)
     assert proposal.profile.limits.pause == 900.0
@@ -105,7 +105,7 @@ def test_pauses_part_trips_that_no_column_numbers(tmp_path: Path) -> None:
     assert [each.metadata["load"] for each in result.outcomes] == ["9400", "3100", "12250"]
 
 
-def test_a_standstill_with_rows_parts_trips_and_keeps_every_row(tmp_path: Path) -> None:
+def test_a_standstill_with_rows_parts_trips_and_keeps_every_row(tmp_path):
     distance, speed = driven(RUNS[0])
     still = 2_400
     rows = ["Time,Speed (km/h),Distance (m)"]
@@ -122,7 +122,7 @@ def test_a_standstill_with_rows_parts_trips_and_keeps_every_row(tmp_path: Path) 
     assert abs(lengths[0] - lengths[1]) < 120
 
 
-def test_a_clock_that_leaps_while_the_train_runs_parts_no_trip(tmp_path: Path) -> None:
+def test_a_clock_that_leaps_while_the_train_runs_parts_no_trip(tmp_path):
     text = table(RUNS[:1], numbered=False).splitlines()
     late = [line.replace("2025-03-11", "2025-03-12") for line in text[180:]]
     file = written(tmp_path, "\n".join([*text[:180], *late]))
@@ -130,7 +130,7 @@ def test_a_clock_that_leaps_while_the_train_runs_parts_no_trip(tmp_path: Path) -
     assert len(result.outcomes) == 1
 
 
-def test_a_load_that_changes_within_a_trip_is_not_used(tmp_path: Path) -> None:
+def test_a_load_that_changes_within_a_trip_is_not_used(tmp_path):
     file = written(tmp_path, table(RUNS))
     profile = propose_profile(file).profile
     columns = profile.trip.columns.model_copy(update={"number": None})
@@ -142,7 +142,7 @@ def test_a_load_that_changes_within_a_trip_is_not_used(tmp_path: Path) -> None:
     assert any("changes within the trip" in what for what in report_of(trip).not_used)
 
 
-def test_a_copy_under_another_name_is_skipped(tmp_path: Path) -> None:
+def test_a_copy_under_another_name_is_skipped(tmp_path):
     file = written(tmp_path, table(RUNS))
     profile = propose_profile(file).profile
     logs = tmp_path / "logs"
@@ -180,9 +180,7 @@ def railway(length: float = 11_000.0, *, level: bool = False) -> Line:
     )
 
 
-def test_a_counter_that_starts_elsewhere_is_placed_by_the_stops_of_each_trip(
-    tmp_path: Path,
-) -> None:
+def test_a_counter_that_starts_elsewhere_is_placed_by_the_stops_of_each_trip(tmp_path):
     back = replace(RUNS[1], number="RE 3110", stops=(2400.0, 6700.0, 9800.0))
     file = written(tmp_path, table((RUNS[0], back)))
     line = railway()
@@ -195,7 +193,7 @@ def test_a_counter_that_starts_elsewhere_is_placed_by_the_stops_of_each_trip(
     assert "4 of 4 stops at stations reverse" in trips[1].metadata["direction_evidence"]
 
 
-def test_stops_that_match_no_station_leave_the_start_open(tmp_path: Path) -> None:
+def test_stops_that_match_no_station_leave_the_start_open(tmp_path):
     other = replace(RUNS[0], stops=(1500.0, 4000.0, 8_800.0))
     file = written(tmp_path, table((other,)))
     line = railway()
@@ -208,7 +206,7 @@ def test_stops_that_match_no_station_leave_the_start_open(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("way", ["forward", "reverse"])
-def test_the_direction_of_a_trip_without_stops_shows_in_its_gradients(way: str) -> None:
+def test_the_direction_of_a_trip_without_stops_shows_in_its_gradients(way):
     line, train = railway(), read_train(sample(DEFAULT_TRAIN))
     travelled = line if way == "forward" else line.reversed()
     rng = np.random.default_rng(3)

@@ -53,7 +53,7 @@ def by_filterpy(
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000))
-def test_filter_and_smoother_give_filterpys_and_rauch_tung_striebels_numbers(seed: int) -> None:
+def test_filter_and_smoother_give_filterpys_and_rauch_tung_striebels_numbers(seed):
     given_ = drawn(seed)
     transition, noise, observation, shift, measured, variances = given_
     mean, covariance = np.ones(3), np.diag([1.0, 4.0, 0.5])
@@ -68,7 +68,7 @@ def test_filter_and_smoother_give_filterpys_and_rauch_tung_striebels_numbers(see
     np.testing.assert_array_equal(np.isnan(found.used), np.isnan(measured))
 
 
-def test_the_smoother_is_the_regression_over_all_samples() -> None:
+def test_the_smoother_is_the_regression_over_all_samples():
     """A line without process noise: least squares, whose covariance no smoother can invert."""
     time = np.arange(20.0)
     measured = 3.0 + 0.5 * time + np.random.default_rng(1).standard_normal(20)
@@ -84,7 +84,7 @@ def test_the_smoother_is_the_regression_over_all_samples() -> None:
 
 
 @pytest.mark.parametrize(("limit", "deviations", "kept"), [(5.0, 0.0, False), (5.0, 8.0, True)])
-def test_a_gate_leaves_out_what_is_too_far_off(limit: float, deviations: float, kept: bool) -> None:
+def test_a_gate_leaves_out_what_is_too_far_off(limit, deviations, kept):
     """The further of a distance and of standard deviations of the prediction decides."""
     model = LinearGaussian(
         np.ones((1, 1, 1)), np.zeros((1, 1, 1)), np.ones((1, 1, 1)), step=np.zeros(2, np.int64),
@@ -98,7 +98,7 @@ def test_a_gate_leaves_out_what_is_too_far_off(limit: float, deviations: float, 
     assert np.array_equal(found.means, without.means) != kept
 
 
-def test_bands_hold_errors_that_last_and_only_with_them() -> None:
+def test_bands_hold_errors_that_last_and_only_with_them():
     """Errors are drawn for each trip: no averaging removes them."""
     time = np.arange(0.0, 200.0)
     truth, speed = 10.0 * time - 100.0 * np.sin(time / 20.0), 10.0 - 5.0 * np.cos(time / 20.0)

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from command import Shell
 from killed import PATIENCE
 from recorder_files import drive, nav_pvt, nmea_lines
 from refusals import refused
@@ -95,7 +94,7 @@ def sample(second: float, **values: Any) -> bytes:
     return json.dumps({"topic": STATE, "time": EPOCH + second, **values}).encode()
 
 
-def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path: Path) -> None:
+def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path):
     rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
     file = tmp_path / "part.csv"
     file.write_bytes(b"".join([rows[0], *rows[2001:4000]]))
@@ -115,7 +114,7 @@ def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path: Path) -> Non
     assert (step["lines"], step["malformed"], step["closed"]) == ("2007", "7", "whole")
 
 
-def test_rows_of_a_receiver_are_kept_as_they_came(tmp_path: Path) -> None:
+def test_rows_of_a_receiver_are_kept_as_they_came(tmp_path):
     """Whole seconds are not spread, nor is anything else done that ingesting does afterwards."""
     file = SAMPLES / "gnss.csv"
     found, live = recorded(tmp_path / "live.mcap", file.read_bytes().splitlines(), UBLOX)
@@ -129,9 +128,7 @@ def test_rows_of_a_receiver_are_kept_as_they_came(tmp_path: Path) -> None:
     assert live.longest_gap == pytest.approx(45.0, abs=1.1)
 
 
-def test_a_stream_on_standard_input_is_kept_as_it_came(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
-) -> None:
+def test_a_stream_on_standard_input_is_kept_as_it_came(tmp_path, monkeypatch, shell):
     file = tmp_path / "part.csv"
     file.write_bytes(b"".join((SAMPLES / "recorder.csv").read_bytes().splitlines(True)[:600]))
     log, raw = tmp_path / "a.mcap", tmp_path / "raw.csv"
@@ -148,7 +145,7 @@ def test_a_stream_on_standard_input_is_kept_as_it_came(
     assert "exists already; choose another name" in " ".join(shell(*words[:-1])[2].split())
 
 
-def test_sentences_are_epochs_as_in_a_file(tmp_path: Path) -> None:
+def test_sentences_are_epochs_as_in_a_file(tmp_path):
     """Across midnight, with a damaged one between and GGA without a date."""
     pytest.importorskip("pynmeagps")
     driven = drive(60, 1.0)
@@ -167,9 +164,7 @@ def test_sentences_are_epochs_as_in_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000])
-def test_ubx_and_lines_are_taken_apart_wherever_the_stream_is_cut(
-    size: int, tmp_path: Path
-) -> None:
+def test_ubx_and_lines_are_taken_apart_wherever_the_stream_is_cut(size, tmp_path):
     driven = drive(10, 1.0)
     parts = [nav_pvt(driven, second) for second in range(10)]
     damaged = bytearray(parts[5])
@@ -203,7 +198,7 @@ WRONG = {
 }
 
 
-def test_each_malformed_line_is_kept_with_its_reason_and_of_many_some(tmp_path: Path) -> None:
+def test_each_malformed_line_is_kept_with_its_reason_and_of_many_some(tmp_path):
     lines, many = [sample(second, speed=10.0) for second in range(5)], MOST_KEPT + 50
     found, live = recorded(tmp_path / "live.mcap", [*lines[:4], *WRONG, lines[4]])
     words = found["/events"]["message"].tolist()
@@ -217,7 +212,7 @@ def test_each_malformed_line_is_kept_with_its_reason_and_of_many_some(tmp_path: 
     assert any("50 of them not kept in the log" in each for each in live.sentences())
 
 
-def test_json_of_a_profile_has_the_profiles_units(tmp_path: Path) -> None:
+def test_json_of_a_profile_has_the_profiles_units(tmp_path):
     profile = tmp_path / "bus.toml"
     profile.write_text(
         'format = "trainlog/recorder-profile"\nversion = 1\nname = "bus"\n'
@@ -236,7 +231,7 @@ def test_json_of_a_profile_has_the_profiles_units(tmp_path: Path) -> None:
     assert sum(live.malformed.values()) == 1
 
 
-def test_times_of_json_are_iso_or_counts() -> None:
+def test_times_of_json_are_iso_or_counts():
     expected = pd.Timestamp("2024-05-01T06:00:00.25Z").value
     for given in (
         "2024-05-01T06:00:00.25Z", "2024-05-01T08:00:00.25+02:00", EPOCH + 0.25,
@@ -248,7 +243,7 @@ def test_times_of_json_are_iso_or_counts() -> None:
             time_of(wrong)
 
 
-def test_single_wild_times_are_dropped_and_named(tmp_path: Path) -> None:
+def test_single_wild_times_are_dropped_and_named(tmp_path):
     """One before the others does not count, two between them neither."""
     lines = [sample(second, speed=10.0) for second in range(20)]
     lines[8], lines[12] = sample(86_400, speed=10.0), sample(-3_600, speed=10.0)
@@ -259,7 +254,7 @@ def test_single_wild_times_are_dropped_and_named(tmp_path: Path) -> None:
     assert found["/events"]["message"].str.contains("line 10 was not recorded: its time is").any()
 
 
-def test_a_sender_that_stops_leaves_a_gap_and_late_rows_are_sorted(tmp_path: Path) -> None:
+def test_a_sender_that_stops_leaves_a_gap_and_late_rows_are_sorted(tmp_path):
     seconds = [0.1 * n for n in range(50)]
     seconds[20], seconds[21] = seconds[21], seconds[20]
     seconds.insert(30, seconds[29])
@@ -273,7 +268,7 @@ def test_a_sender_that_stops_leaves_a_gap_and_late_rows_are_sorted(tmp_path: Pat
 
 
 @pytest.mark.parametrize("step", [1.0, 5.0])
-def test_a_clock_that_is_set_back_goes_on_and_says_so(step: float, tmp_path: Path) -> None:
+def test_a_clock_that_is_set_back_goes_on_and_says_so(step, tmp_path):
     truth = step * np.arange(40.0)
     stated = np.where(truth < 20.0 * step, truth, truth - 3600.0)
     lines = [sample(second, speed=float(n)) for n, second in enumerate(stated.tolist())]
@@ -285,7 +280,7 @@ def test_a_clock_that_is_set_back_goes_on_and_says_so(step: float, tmp_path: Pat
     assert found["/events"]["message"].str.contains("was set back by 3600 s").any()
 
 
-def test_impossible_values_become_absent_and_a_wrong_unit_is_named(tmp_path: Path) -> None:
+def test_impossible_values_become_absent_and_a_wrong_unit_is_named(tmp_path):
     lines = [sample(n, speed=200.0 if n > 10 else 20.0, position=20.0 * n) for n in range(150)]
     found, live = recorded(tmp_path / "live.mcap", lines)
     assert found[STATE].speed.isna().sum() == 139
@@ -293,7 +288,7 @@ def test_impossible_values_become_absent_and_a_wrong_unit_is_named(tmp_path: Pat
     assert found["/events"]["message"].str.contains("check the unit of its column").sum() == 1
 
 
-def test_what_the_sender_counted_and_did_not_arrive_is_lost() -> None:
+def test_what_the_sender_counted_and_did_not_arrive_is_lost():
     numbering = Numbering()
     numbering.take([5, 6, 7, 10, 11, 8, 11, 12])
     assert numbering.counts == {"lost": 1, "late": 1, "repeated": 1, "restarts": 0}
@@ -302,7 +297,7 @@ def test_what_the_sender_counted_and_did_not_arrive_is_lost() -> None:
 
 
 @pytest.mark.parametrize("size", [1 << 8, 1 << 16])
-def test_a_counter_that_goes_round_is_no_restart(size: int) -> None:
+def test_a_counter_that_goes_round_is_no_restart(size):
     numbers = [number % size for number in range(size - 30, 3 * size + 10)]
     lost = numbers[:20] + numbers[22:33] + numbers[37:]
     late = [*lost[:27], lost[28], lost[27], *lost[29:]]  # the last of a round comes behind 0
@@ -313,7 +308,7 @@ def test_a_counter_that_goes_round_is_no_restart(size: int) -> None:
     assert numbering.counts["restarts"] == 1
 
 
-def test_a_growing_file_is_followed_through_rotation_and_cut_lines(tmp_path: Path) -> None:
+def test_a_growing_file_is_followed_through_rotation_and_cut_lines(tmp_path):
     path, framer = tmp_path / "recorder.jsonl", Framer()
 
     def lines_of(count: int) -> list[bytes]:
@@ -340,7 +335,7 @@ def test_a_growing_file_is_followed_through_rotation_and_cut_lines(tmp_path: Pat
         assert lines_of(2)[-1] == b"seven"
 
 
-def test_addresses_that_are_none_are_refused() -> None:
+def test_addresses_that_are_none_are_refused():
     for wrong in ("", "host", "127.0.0.1", "1:99999"):
         refused(InputError, "is not an address; write PORT or HOST:PORT", Datagrams, wrong)
     with Datagrams("0") as source:
@@ -356,7 +351,7 @@ def test_addresses_that_are_none_are_refused() -> None:
         *(pytest.param(n, marks=pytest.mark.long) for n in (signal.SIGTERM, signal.SIGINT)),
     ],
 )
-def test_what_ends_the_program_costs_a_second_at_most(number: int, tmp_path: Path) -> None:
+def test_what_ends_the_program_costs_a_second_at_most(number, tmp_path):
     log = tmp_path / "live.mcap"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -399,7 +394,7 @@ def test_what_ends_the_program_costs_a_second_at_most(number: int, tmp_path: Pat
     assert "lost" not in said
 
 
-def test_the_profile_line_and_train_travel_along(tmp_path: Path) -> None:
+def test_the_profile_line_and_train_travel_along(tmp_path):
     line = trainlog.read_line(trainlog.sample(trainlog.DEFAULT_LINE))
     train = trainlog.read_train(trainlog.sample(trainlog.DEFAULT_TRAIN))
     given = Given(PROFILE, line=line, train=train, metadata={"weather": "wet"})
@@ -433,7 +428,7 @@ def driven(recording: Any, seconds: int) -> None:
         recording.write("/train/controls", at, lever=0.5, tractive_effort=9e4)
 
 
-def test_what_is_drawn_is_what_the_replay_of_the_log_draws(tmp_path: Path) -> None:
+def test_what_is_drawn_is_what_the_replay_of_the_log_draws(tmp_path):
     pytest.importorskip("rerun")
     log, drawn, replayed = (tmp_path / name for name in ("a.mcap", "live.rrd", "whole.rrd"))
     with (
@@ -464,9 +459,7 @@ class _Stuck:
         return lambda *_, **__: self._free.wait(60.0)
 
 
-def test_a_viewer_that_takes_nothing_does_not_delay_the_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_viewer_that_takes_nothing_does_not_delay_the_recording(tmp_path, monkeypatch):
     pytest.importorskip("rerun")
     from trainlog.replay import live
 
@@ -494,7 +487,7 @@ def test_a_viewer_that_takes_nothing_does_not_delay_the_recording(
     assert drawing.drawn + drawing.dropped == sum(account.written.values())
 
 
-def test_a_viewer_that_is_closed_ends_the_drawing_alone(tmp_path: Path) -> None:
+def test_a_viewer_that_is_closed_ends_the_drawing_alone(tmp_path):
     pytest.importorskip("rerun")
     with (
         warnings.catch_warnings(record=True) as caught,

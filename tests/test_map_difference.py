@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,7 +73,7 @@ def whole() -> TrackConditionMap:
     return estimated(a_map(range(60)))
 
 
-def test_a_made_up_change_is_found_and_nothing_else(whole: TrackConditionMap) -> None:
+def test_a_made_up_change_is_found_and_nothing_else(whole):
     found = analysis.map_difference(whole, since=DAY + 29, line=LINE)
     assert found.changed
     inside = found.bins["bin"].between(CHANGED.start, CHANGED.stop - 1)
@@ -91,7 +90,7 @@ def test_a_made_up_change_is_found_and_nothing_else(whole: TrackConditionMap) ->
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(8, marks=pytest.mark.long)])
-def test_where_nothing_changed_little_is_found(count: int) -> None:
+def test_where_nothing_changed_little_is_found(count):
     """At most one comparison in twenty may find anything; of eight, one at most with luck."""
     found = [
         analysis.map_difference(a_map(range(24), seed, change=False), since=DAY + 11)
@@ -104,7 +103,7 @@ def test_where_nothing_changed_little_is_found(count: int) -> None:
     assert quiet.bins["probability"].mean() < 0.5
 
 
-def test_dates_and_maps_give_the_same_answer(whole: TrackConditionMap) -> None:
+def test_dates_and_maps_give_the_same_answer(whole):
     """The map of the first days against the whole compares the same evidence as the dates do."""
     by_date = analysis.map_difference(whole, since=DAY + 29)
     by_map = analysis.map_difference(a_map(range(30)), whole)
@@ -121,7 +120,7 @@ def test_dates_and_maps_give_the_same_answer(whole: TrackConditionMap) -> None:
     )
 
 
-def test_a_trip_under_two_rail_conditions_is_stated_and_not_subtracted() -> None:
+def test_a_trip_under_two_rail_conditions_is_stated_and_not_subtracted():
     first, second = a_map(range(40)), a_map(range(60))
     wet = second.layer("wet").evidence
     moved = [{**each, "layer": "dry"} if each["trip"] == "1-7" else each for each in second.trips]
@@ -141,7 +140,7 @@ def test_a_trip_under_two_rail_conditions_is_stated_and_not_subtracted() -> None
         analysis.map_difference(first, other)
 
 
-def test_a_false_discovery_rate_follows_benjamini_and_hochberg() -> None:
+def test_a_false_discovery_rate_follows_benjamini_and_hochberg():
     # Table 1 of their paper: the four least of fifteen are discoveries at 0.05.
     p = np.array([0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344,
                   0.0459, 0.3240, 0.4262, 0.5719, 0.6528, 0.7590, 1.0])  # fmt: skip
@@ -152,7 +151,7 @@ def test_a_false_discovery_rate_follows_benjamini_and_hochberg() -> None:
     assert q_values(np.zeros(0)).size == 0
 
 
-def test_a_change_of_the_detectable_ratio_is_found_four_times_in_five() -> None:
+def test_a_change_of_the_detectable_ratio_is_found_four_times_in_five():
     random = np.random.default_rng(3)
     log_std = random.uniform(0.05, 0.3, 60)
     ratio = detectable_ratio(log_std, 0.05)
@@ -165,7 +164,7 @@ def test_a_change_of_the_detectable_ratio_is_found_four_times_in_five() -> None:
     assert found / 1_000 == pytest.approx(0.8, abs=0.05)
 
 
-def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
+def test_what_cannot_be_compared_is_refused(whole):
     for given, message in (
         ({}, "one map is given; give a second one, or"),
         ({"since": DAY + 90}, "the second date, 2026-07-25, must be after the first, 2026-08-25"),
@@ -179,9 +178,7 @@ def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
         refused(InputError, message, analysis.map_difference, whole, **given)
 
 
-def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
-    whole: TrackConditionMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_history_has_the_evidence_and_the_estimate_of_each_day(whole, monkeypatch):
     row = CHANGED.start + 5
     position = 25.0 * row + 10.0
     found = analysis.map_history(whole, position, "wet", line=LINE, days=3)
@@ -205,9 +202,7 @@ def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
     assert found.near == "at Mitte"
 
 
-def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
-    whole: TrackConditionMap,
-) -> None:
+def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(whole):
     found = analysis.map_history(whole, 2_000.0, "wet", days=2)
     assert found.onsets.empty
     assert found.used["level"].unique().tolist() == pytest.approx([whole.levels[4]])
@@ -218,9 +213,7 @@ def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_commands_draw_list_and_end_as_diff_does(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_draw_list_and_end_as_diff_does(tmp_path, capsys):
     path, line = tmp_path / "wet.map", tmp_path / "A-B.line.json"
     trainlog.write_map(estimated(a_map(range(21, 41))), path)
     trainlog.write_line(LINE, line)

@@ -7,7 +7,6 @@ import os
 import sys
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -68,9 +67,7 @@ def points_of(well_known: bytes | None) -> np.ndarray:
     return np.frombuffer(well_known[9:], "<f8").reshape(-1, 2)
 
 
-def test_gdal_reads_from_a_geopackage_what_the_map_knows(
-    track: TrackConditionMap, line: Line, tmp_path: Path
-) -> None:
+def test_gdal_reads_from_a_geopackage_what_the_map_knows(track, line, tmp_path):
     path, again = tmp_path / "map.gpkg", tmp_path / "again.gpkg"
     for each in (path, again):
         analysis.export_map(track, each, line=line, at=AT)
@@ -104,9 +101,7 @@ def test_gdal_reads_from_a_geopackage_what_the_map_knows(
     assert info["dataset_metadata"]["expected_at"] == "2024-10-09T06:00:00+00:00"
 
 
-def test_geojson_follows_rfc_7946_and_gdal_reads_it(
-    track: TrackConditionMap, line: Line, tmp_path: Path
-) -> None:
+def test_geojson_follows_rfc_7946_and_gdal_reads_it(track, line, tmp_path):
     path = tmp_path / "map.geojson"
     analysis.export_map(track, path, line=line, at=AT, layers=["wet"])
     content = json.loads(path.read_text("utf-8"))
@@ -128,9 +123,7 @@ def test_geojson_follows_rfc_7946_and_gdal_reads_it(
     assert len(geometry) == kinds.total()
 
 
-def test_parquet_and_csv_hold_the_bins_by_chainage(
-    track: TrackConditionMap, line: Line, tmp_path: Path
-) -> None:
+def test_parquet_and_csv_hold_the_bins_by_chainage(track, line, tmp_path):
     expected = bins_table(track, line, AT)
     analysis.export_map(track, tmp_path / "map.parquet", line=line, at=AT)
     table = pq.read_table(tmp_path / "map.parquet")
@@ -148,9 +141,7 @@ def test_parquet_and_csv_hold_the_bins_by_chainage(
     assert "2024-10-07" in (tmp_path / "map.csv").read_text("utf-8")
 
 
-def test_sections_cover_the_line_and_lose_no_extreme(
-    track: TrackConditionMap, line: Line, tmp_path: Path
-) -> None:
+def test_sections_cover_the_line_and_lose_no_extreme(track, line, tmp_path):
     bins, sections = bins_table(track, line, AT), sections_table(track, line, AT)
     for name in track.layers:
         rows, parts = bins[bins["layer"] == name], sections[sections["layer"] == name]
@@ -177,8 +168,8 @@ def test_sections_cover_the_line_and_lose_no_extreme(
 
 
 def test_what_cannot_be_exported_is_refused_and_older_files_stay(
-    track: TrackConditionMap, line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    track, line, tmp_path, monkeypatch
+):
     without = replace(line, geometry=None)
     other = replace(line, name="elsewhere")
     for name, given, layers, message in (
@@ -204,9 +195,7 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
     assert (tmp_path / "map.gpkg").read_text() == "older"
 
 
-def test_the_line_is_taken_from_a_log_that_the_map_was_made_from(
-    line: Line, tmp_path: Path
-) -> None:
+def test_the_line_is_taken_from_a_log_that_the_map_was_made_from(line, tmp_path):
     own = replace(line, name="own")
     trip = trainlog.read(trainlog.sample("nonstop.mcap"))
     carried = {**trip.attachments, LINE_ATTACHMENT: line_to_bytes(own)}
@@ -237,11 +226,11 @@ def made_up(**changes: object) -> Line:
         ),
         (Tunnel(610.0, 4.0, 40.0),),
     )
-    return replace(line, **changes)  # type: ignore[arg-type]
+    return replace(line, **changes)
 
 
 @pytest.mark.parametrize("name", ["made up", "CH_StGallen_Wil", "DE_Chemnitz_Cranzahl"])
-def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
+def test_each_bin_states_what_the_line_is_within_it(name):
     line = made_up() if name == "made up" else read_line(sample(f"{name}.line.json"))
     table = line_table(line, empty_map(line))
     assert table["end_m"].iloc[-1] == line.length
@@ -258,7 +247,7 @@ def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
         assert row["curvature_per_km"] == pytest.approx(1e3 * sharpest, rel=2e-3, abs=1e-6)
 
 
-def test_what_the_line_does_not_state_is_not_a_number() -> None:
+def test_what_the_line_does_not_state_is_not_a_number():
     line = made_up(curvatures=None, assumed=("gradients", "speed_limits", "stations"))
     table = line_table(line, empty_map(line))
     unknown = table[["gradient_permil", "curvature_per_km", "speed_limit_km_h"]]
@@ -266,12 +255,12 @@ def test_what_the_line_does_not_state_is_not_a_number() -> None:
     assert table.station.isna().all()
 
 
-def test_a_map_of_another_line_is_refused() -> None:
+def test_a_map_of_another_line_is_refused():
     other = empty_map(made_up(name="other"))
     refused(InputError, "the map is of line 'other'", line_table, made_up(), other)
 
 
-def test_limits_of_both_directions_stand_where_they_differ() -> None:
+def test_limits_of_both_directions_stand_where_they_differ():
     line = made_up(speed_limits_reverse=StepProfile([0.0, 600.0], [15.0, 35.0]))
     table = line_table(line, empty_map(line))
     assert table.speed_limit_km_h.iloc[[0, -1]].tolist() == pytest.approx([108.0, 90.0])
@@ -292,7 +281,7 @@ def days_of(track: TrackConditionMap, shift: int) -> TrackConditionMap:
     return estimated(replace(track, layers={"wet": both}, trips=(*trips, *again)))
 
 
-def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -> None:
+def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path):
     track = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map"))
     longer, past = days_of(track, 3), pd.Timestamp("2024-10-09T06:00Z")
     assert longer.days.tolist() == [20_003, 20_006]
@@ -317,7 +306,7 @@ def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -
     assert not list(tmp_path.glob("none*"))
 
 
-def test_the_default_time_is_right_after_the_last_evidence(track: TrackConditionMap) -> None:
+def test_the_default_time_is_right_after_the_last_evidence(track):
     state = analysis.map_state(track)
     assert state.at == state.last_evidence == pd.Timestamp("2024-10-08", tz="UTC")
     assert state.spots["probability"].tolist() == [0.9]
@@ -328,9 +317,7 @@ def test_the_default_time_is_right_after_the_last_evidence(track: TrackCondition
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_json_and_states_the_zone_that_it_assumed(tmp_path, capsys):
     condition = str(trainlog.sample("CH_StGallen_Wil.map"))
     words = ["map", "show", condition, "--layer", "wet", "--at", "2024-10-09T08:00"]
     assert run([*words, "--zone", "Europe/Zurich", "--json"]) == 0

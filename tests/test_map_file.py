@@ -94,12 +94,8 @@ class TestSet:
         order=st.permutations(range(9)), cuts=st.lists(st.integers(0, 9), min_size=2, max_size=2)
     )
     def test_any_order_grouping_and_division_into_files_gives_the_same_bytes(
-        self,
-        nine: tuple[list[Evidence], bytes],
-        order: list[int],
-        cuts: list[int],
-        tmp_path_factory: pytest.TempPathFactory,
-    ) -> None:
+        self, nine, order, cuts, tmp_path_factory
+    ):
         """Recordings of one drive among them, of which some replace others."""
         pieces, expected = nine
         folder = tmp_path_factory.mktemp("maps")
@@ -116,7 +112,7 @@ class TestSet:
         merge_files(paths[:2], pair)
         assert merged(folder, [pair, paths[2]]) == expected
 
-    def test_the_file_gives_the_map_that_is_made_in_memory(self, tmp_path: Path) -> None:
+    def test_the_file_gives_the_map_that_is_made_in_memory(self, tmp_path):
         pieces = [piece(i, ("dry", "wet")[i % 2]) for i in range(6)]
         given_to(tmp_path / "a.map", pieces)
         known, _ = update(empty_map(LINE), pieces)
@@ -126,9 +122,7 @@ class TestSet:
         assert map_to_bytes(again) == map_to_bytes(known), "with the estimate that was kept"
         np.testing.assert_array_equal(again.layer("wet").log_mean, known.layer("wet").log_mean)
 
-    def test_a_trip_that_is_taken_out_leaves_the_map_that_never_had_it(
-        self, tmp_path: Path
-    ) -> None:
+    def test_a_trip_that_is_taken_out_leaves_the_map_that_never_had_it(self, tmp_path):
         pieces = [piece(1), piece(2), part(10, 0, 9), part(11, 0, 40)]
         given_to(tmp_path / "all.map", pieces)
         given_to(tmp_path / "never.map", [pieces[0], pieces[2]])
@@ -141,7 +135,7 @@ class TestSet:
         given_to(tmp_path / "once.map", pieces)
         assert bytes_of(tmp_path / "all.map") == bytes_of(tmp_path / "once.map")
 
-    def test_what_cannot_be_taken_out_changes_nothing(self, tmp_path: Path) -> None:
+    def test_what_cannot_be_taken_out_changes_nothing(self, tmp_path):
         path = tmp_path / "a.map"
         given_to(path, [piece(1), piece(2)])
         with MapFile(path) as file:
@@ -153,15 +147,13 @@ class TestSet:
             refused(InputError, "was compacted", file.remove, [one])
             assert file.amount()[0] == 2
 
-    def test_a_log_in_two_layers_is_refused(self, tmp_path: Path) -> None:
+    def test_a_log_in_two_layers_is_refused(self, tmp_path):
         given_to(tmp_path / "a.map", [piece(1, "dry")])
         given_to(tmp_path / "b.map", [piece(1, "wet")])
         with pytest.raises(InputError, match=r"counts trip 'trip-1' as 'wet', another .* as 'dry'"):
             merged(tmp_path, [tmp_path / "a.map", tmp_path / "b.map"])
 
-    def test_maps_that_differ_are_not_merged_and_files_are_not_replaced(
-        self, tmp_path: Path
-    ) -> None:
+    def test_maps_that_differ_are_not_merged_and_files_are_not_replaced(self, tmp_path):
         given_to(tmp_path / "a.map", [piece(1)])
         with MapFile(tmp_path / "b.map", empty_map(LINE, settings={"trip_std": 0.2})):
             pass
@@ -173,7 +165,7 @@ class TestSet:
 
 
 class TestCompaction:
-    def test_the_map_stays_the_same(self, tmp_path: Path) -> None:
+    def test_the_map_stays_the_same(self, tmp_path):
         pieces = [piece(i, ("dry", "wet")[i % 2]) for i in range(8)]
         path = tmp_path / "a.map"
         given_to(path, pieces[:6])
@@ -189,7 +181,7 @@ class TestCompaction:
         given_to(tmp_path / "whole.map", pieces)
         assert bytes_of(path) == bytes_of(tmp_path / "whole.map")
 
-    def test_the_latest_trips_of_each_condition_are_kept(self, tmp_path: Path) -> None:
+    def test_the_latest_trips_of_each_condition_are_kept(self, tmp_path):
         """How many is decided by the trips that are there, not by how they came."""
         pieces = [
             replace(piece(i, ("dry", "wet")[i % 4 == 0]), recorded=drive(100 * i, 100 * i + 9))
@@ -214,7 +206,7 @@ class TestCompaction:
         assert bytes_of(tmp_path / "once.map") == bytes_of(tmp_path / "whole.map")
         assert bytes_of(tmp_path / "twice.map") == bytes_of(tmp_path / "whole.map")
 
-    def test_sums_of_weeks_are_those_of_their_days(self, tmp_path: Path) -> None:
+    def test_sums_of_weeks_are_those_of_their_days(self, tmp_path):
         """Of old days; no sum changes, no day is dated before its evidence, none of late ones."""
         rail, path = Rail(5), tmp_path / "a.map"
         trips = [rail.trip(5 * number) for number in range(100)]
@@ -236,7 +228,7 @@ class TestCompaction:
         for day in (newest - 400, newest - 200):
             assert found.between(0, day).events.sum() <= days.between(0, day).events.sum()
 
-    def test_a_log_is_still_known_and_its_drive_decided(self, tmp_path: Path) -> None:
+    def test_a_log_is_still_known_and_its_drive_decided(self, tmp_path):
         path = tmp_path / "a.map"
         given_to(path, [part(1, 0, 9), part(2, 0, 20)])
         with MapFile(path) as file:
@@ -248,7 +240,7 @@ class TestCompaction:
         assert "which is counted already" in fuller.reason
         assert [trip["trip"] for trip in read_map(path).trips] == ["trip-2"]
 
-    def test_sums_that_share_a_drive_are_not_merged(self, tmp_path: Path) -> None:
+    def test_sums_that_share_a_drive_are_not_merged(self, tmp_path):
         for name, found in (("a", part(1, 0, 9)), ("b", part(1, 0, 9)), ("c", part(2, 0, 20))):
             given_to(tmp_path / f"{name}.map", [found])
             with MapFile(tmp_path / f"{name}.map") as file:
@@ -316,7 +308,7 @@ class TestDamage:
         assert "\n" not in message
         return True
 
-    def test_changed_bytes(self, good: bytes, without_estimates: bytes) -> None:
+    def test_changed_bytes(self, good, without_estimates):
         rng = np.random.default_rng(1)
         found = 0
         for whole in (good, without_estimates):
@@ -326,18 +318,18 @@ class TestDamage:
                 found += self.check(bytes(data), whole)
         assert found > 5
 
-    def test_truncation(self, good: bytes) -> None:
+    def test_truncation(self, good):
         for end in range(0, len(good) - 1, 2_039):
             # Of the last page an end that holds nothing may be missing.
             assert self.check(good[:end], good) or end > len(good) - 4_096
 
-    def test_pages_of_zeros_and_of_another_place(self, good: bytes) -> None:
+    def test_pages_of_zeros_and_of_another_place(self, good):
         for start in range(0, len(good), 4_096):
             assert self.check(good[:start] + bytes(4_096) + good[start + 4_096 :], good) or start
             data = good[:start] + good[:4_096] + good[start + 4_096 :]
             assert self.check(data, good) or data == good or start
 
-    def test_rows_that_were_changed_or_removed_by_hand(self, good: bytes, tmp_path: Path) -> None:
+    def test_rows_that_were_changed_or_removed_by_hand(self, good, tmp_path):
         for number, (words, message) in enumerate((
             ("DELETE FROM trips WHERE key LIKE '%3'", "entries are missing"),
             ("DELETE FROM trips", "entries are missing"),
@@ -358,7 +350,7 @@ class TestDamage:
                 read_map(path)
             assert "build the map anew from the logs" in str(caught.value)
 
-    def test_an_estimate_that_was_changed_is_made_again(self, good: bytes, tmp_path: Path) -> None:
+    def test_an_estimate_that_was_changed_is_made_again(self, good, tmp_path):
         for number, data in enumerate((b"", b"x" * 40)):
             path = tmp_path / f"{number}.map"
             path.write_bytes(good)
@@ -374,7 +366,7 @@ class TestOtherFiles:
         assert str(caught.value).startswith(str(path))
         return str(caught.value)
 
-    def test_each_is_named_with_the_remedy(self, tmp_path: Path) -> None:
+    def test_each_is_named_with_the_remedy(self, tmp_path):
         path = tmp_path / "a.map"
         assert "does not exist" in self.refused(path)
         for data, message in (
@@ -391,7 +383,7 @@ class TestOtherFiles:
         path.mkdir()
         assert "is a folder" in self.refused(path)
 
-    def test_a_database_of_something_else(self, tmp_path: Path) -> None:
+    def test_a_database_of_something_else(self, tmp_path):
         path = tmp_path / "a.map"
         changed(path, "CREATE TABLE messages (data BLOB)")
         before = path.read_bytes()
@@ -400,7 +392,7 @@ class TestOtherFiles:
             MapFile(path, empty_map(LINE))
         assert path.read_bytes() == before
 
-    def test_a_newer_version(self, tmp_path: Path) -> None:
+    def test_a_newer_version(self, tmp_path):
         path = tmp_path / "a.map"
         path.write_bytes(SAMPLE.read_bytes())
         changed(path, "PRAGMA user_version = 2")
@@ -408,13 +400,13 @@ class TestOtherFiles:
             "follows version 2 of the format of maps, this trainlog knows 1; update trainlog"
         )
 
-    def test_a_map_given_for_a_log_or_for_json_is_named(self) -> None:
+    def test_a_map_given_for_a_log_or_for_json_is_named(self):
         with pytest.raises(trainlog.LogError, match="not an MCAP file but a track-condition map"):
             trainlog.read(SAMPLE)
         with pytest.raises(InputError, match="is not JSON but a track-condition map"):
             trainlog.read_line(SAMPLE)
 
-    def test_reading_changes_no_file_that_was_written_whole(self, tmp_path: Path) -> None:
+    def test_reading_changes_no_file_that_was_written_whole(self, tmp_path):
         path = tmp_path / "a.map"
         write_map(update(empty_map(LINE), [piece(1)])[0], path)
         before = path.read_bytes()
@@ -434,9 +426,7 @@ class TestPacked:
         st.lists(st.floats(), max_size=20),
         st.lists(st.booleans(), max_size=20),
     )
-    def test_arrays_survive_to_the_last_bit(
-        self, whole: list[int], real: list[float], true: list[bool]
-    ) -> None:
+    def test_arrays_survive_to_the_last_bit(self, whole, real, true):
         arrays = {
             "whole": np.array(whole, dtype=np.int64),
             "real": np.array(real, dtype=np.float64),
@@ -458,7 +448,7 @@ class TestPacked:
             max_size=6,
         )
     )
-    def test_arrays_of_many_are_joined(self, lists: list[list[int]]) -> None:
+    def test_arrays_of_many_are_joined(self, lists):
         kept = [
             {
                 "whole": np.array(each, dtype=np.int64),
@@ -476,7 +466,7 @@ class TestPacked:
             assert found[name].tobytes() == expected.tobytes()
 
 
-def test_a_trip_in_memory_is_no_log_of_a_map(tmp_path: Path) -> None:
+def test_a_trip_in_memory_is_no_log_of_a_map(tmp_path):
     trip = trainlog.read(sample("nonstop.mcap"))
     for each in (trip, [trip]):
         refused(InputError, "is updated from logs", update_map, each, tmp_path / "own.map")

@@ -87,10 +87,10 @@ def appended(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 class TestProcesses:
-    def test_killed_updaters_lose_nothing_that_they_acknowledged(self, appended: Any) -> None:
+    def test_killed_updaters_lose_nothing_that_they_acknowledged(self, appended):
         check_killed(appended[1], kills=3)
 
-    def test_updaters_that_begin_one_map_at_once_lose_nothing(self, appended: Any) -> None:
+    def test_updaters_that_begin_one_map_at_once_lose_nothing(self, appended):
         """Before, two at once lost a trip in ten of ten tries."""
         found = appended[0]
         assert (found["killed"], found["ended"]) == (0, 5)
@@ -140,9 +140,7 @@ def path(updated: Path, tmp_path: Path) -> Path:
 
 class TestCommandsAtOnce:
     @pytest.mark.long
-    def test_killed_commands_lose_nothing_that_they_stated(
-        self, logs: Path, updated: Path, tmp_path: Path
-    ) -> None:
+    def test_killed_commands_lose_nothing_that_they_stated(self, logs, updated, tmp_path):
         """Five commands update one map from one folder at once: all are killed, then all end."""
         rounds = of_killed_updaters("update", tmp_path, logs, 5, 8)
         assert sum(found["killed"] for found in rounds) >= 20
@@ -159,9 +157,7 @@ class TestCommandsAtOnce:
 
 
 class TestUpdate:
-    def test_the_map_is_that_of_all_logs_at_once(
-        self, logs: Path, updated: Path, tmp_path: Path
-    ) -> None:
+    def test_the_map_is_that_of_all_logs_at_once(self, logs, updated, tmp_path):
         path = tmp_path / "a.map"
         for log in sorted(logs.iterdir(), reverse=True):
             assert len(update_map(log, path).added) == 1
@@ -172,9 +168,7 @@ class TestUpdate:
         assert again.sentence == "0 trips added, 3 held already; the map holds 3 trips of 1 day"
         assert path.read_bytes() == before
 
-    def test_logs_that_have_not_changed_are_not_read(
-        self, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_logs_that_have_not_changed_are_not_read(self, logs, tmp_path, monkeypatch):
         path = tmp_path / "a.map"
         update_map(logs, path)
         read: list[Path] = []
@@ -187,9 +181,7 @@ class TestUpdate:
         monkeypatch.undo()
         assert len(update_map(logs, path).of("held")) == 3
 
-    def test_the_readable_part_of_a_damaged_log_counts_with_its_account(
-        self, written: Path, tmp_path: Path
-    ) -> None:
+    def test_the_readable_part_of_a_damaged_log_counts_with_its_account(self, written, tmp_path):
         whole = (written / "trip-01.mcap").read_bytes()
         damaged = tmp_path / "damaged.mcap"
         damaged.write_bytes(whole[: 2 * len(whole) // 3])
@@ -215,8 +207,8 @@ class TestCommand:
         return result.exit_code, result.stdout, result.stderr
 
     def test_a_layer_is_known_or_given_as_new_and_what_it_overrides_is_stated(
-        self, written: Path, tmp_path: Path
-    ) -> None:
+        self, written, tmp_path
+    ):
         log, path = written / "trip-01.mcap", tmp_path / "wil.map"
         recorded = trainlog.read(log).metadata["weather"]
         with pytest.raises(InputError, match="'nass' is not known; known: dry, wet, damp, "):
@@ -233,7 +225,7 @@ class TestCommand:
             "states" not in self.run("map", "update", log, "--map", other, "--layer", recorded)[1]
         )
 
-    def test_a_log_that_stays_bad_is_reported_once(self, logs: Path, path: Path) -> None:
+    def test_a_log_that_stays_bad_is_reported_once(self, logs, path):
         """Every night the same folder: a mail on the first, and when something changes."""
         bad, words = logs / "bad.mcap", ("map", "update", logs, "--map", path)
 
@@ -263,8 +255,8 @@ class TestCommand:
         assert (status, shown) == (0, before.replace(held, "0 trips added"))
 
     def test_a_train_that_never_records_axles_is_listed_and_fails_no_night(
-        self, logs: Path, trips: list[Trip], path: Path, tmp_path: Path
-    ) -> None:
+        self, logs, trips, path, tmp_path
+    ):
         """Unlike a log whose axles may have been lost with its damage."""
         topics = {name: each for name, each in trips[0].topics.items() if name != "/train/axles"}
         metadata = {**trips[0].metadata, "trip": "without", "train": "bare"}
@@ -299,7 +291,7 @@ class TestCommand:
         assert (status, "1 refused," in shown) == (1, True)
         assert "cut.mcap: trip 'without' has no topic /train/axles" in complaint
 
-    def test_maps_are_merged_and_compacted(self, written: Path, path: Path, tmp_path: Path) -> None:
+    def test_maps_are_merged_and_compacted(self, written, path, tmp_path):
         every = sorted(written.iterdir())
         parts = tmp_path / "a.map", tmp_path / "b.map"
         shutil.copy(path, parts[0])

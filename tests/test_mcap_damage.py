@@ -149,9 +149,7 @@ def test_any_part_of_a_file_is_read_as_it_stands(parts):
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
 @settings(max_examples=25)
 @given(drawn=st.data())
-def test_forged_lengths_and_cuts_cost_rows_and_change_none(
-    trip: Trip, data: bytes, tmp_path: Path, drawn: st.DataObject
-) -> None:
+def test_forged_lengths_and_cuts_cost_rows_and_change_none(trip, data, tmp_path, drawn):
     """A record whose length is any number, in a log that ends at any byte."""
     record = drawn.draw(st.sampled_from(records_of(data)))
     forged = bytearray(data)

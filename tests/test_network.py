@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -110,7 +109,7 @@ def inside(leg: Leg, edge_line: Line, line: Line) -> np.ndarray:
 
 @given(routes())
 @CASES
-def test_a_route_has_the_values_of_its_edges_at_every_position(route: trainlog.Route) -> None:
+def test_a_route_has_the_values_of_its_edges_at_every_position(route):
     line = route.line
     for leg in line.legs:
         own = route.network.edge(leg.edge).line
@@ -146,7 +145,7 @@ def test_a_route_has_the_values_of_its_edges_at_every_position(route: trainlog.R
 
 @given(routes())
 @CASES
-def test_a_reversed_route_is_the_reversed_line(route: trainlog.Route) -> None:
+def test_a_reversed_route_is_the_reversed_line(route):
     back = route.reversed().line
     turned = replace(route.line.reversed(), name=back.name)
     # Tolerances of the comparison leave text and structure to be the same.
@@ -169,13 +168,13 @@ def test_a_reversed_route_is_the_reversed_line(route: trainlog.Route) -> None:
 
 @given(networks())
 @CASES
-def test_a_network_reads_back_as_it_was_written(network: Network) -> None:
+def test_a_network_reads_back_as_it_was_written(network):
     again = network_from_bytes(thing_to_bytes(network))
     assert_same(again, network, 1e-13)
     assert thing_to_bytes(again) == thing_to_bytes(network_from_bytes(thing_to_bytes(again)))
 
 
-def test_files_as_toml_and_with_lines_beside_them(tmp_path: Path) -> None:
+def test_files_as_toml_and_with_lines_beside_them(tmp_path):
     network = Network("one", (Node("St. Gallen"), Node("Wil")), (
         Edge("own", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
     write_network(network, tmp_path / "one.network.toml")
@@ -198,7 +197,7 @@ def test_files_as_toml_and_with_lines_beside_them(tmp_path: Path) -> None:
         read_line(f"{tmp_path}/absent.toml#Gossau SG,Wil")
 
 
-def test_a_route_turns_back_at_stations_only() -> None:
+def test_a_route_turns_back_at_stations_only():
     turns = {"J": (("trunk", "to B"), ("trunk", "to C"))}
     network = y_network(turns)
     refused(InputError, r"no route from 'B' to 'C'.*turn back", network.route, "B", "C")
@@ -208,7 +207,7 @@ def test_a_route_turns_back_at_stations_only() -> None:
     assert [leg.edge for leg in y_network().route("C", "J", "B").legs] == ["to C", "to B"]
 
 
-def test_kilometres_survey_and_geometry_of_edges_are_kept() -> None:
+def test_kilometres_survey_and_geometry_of_edges_are_kept():
     east = Geometry([0.0, 1_000.0], [47.0, 47.0], [9.0, 9.01], "surveyed")
     west = Geometry([0.0, 2_000.0], [47.0, 47.0], [9.01002, 9.03], "surveyed")
     down = LineReference("850", [0.0], [61_200.0], [60_200.0])
@@ -235,7 +234,7 @@ def test_kilometres_survey_and_geometry_of_edges_are_kept() -> None:
         _ = mixed.route("A", "C").line
 
 
-def test_a_section_of_a_route_keeps_what_its_legs_are() -> None:
+def test_a_section_of_a_route_keeps_what_its_legs_are():
     line = y_network().route("A", "B").line
     part = line.section(2_500.0, 4_000.0)
     assert [(leg.edge, leg.edge_start, leg.edge_end) for leg in part.legs] == [
@@ -246,7 +245,7 @@ def test_a_section_of_a_route_keeps_what_its_legs_are() -> None:
     refused(InputError, "is not a part of it", line.section, 4_000.0, 6_000.0)
 
 
-def test_what_no_network_can_be_is_listed_at_once() -> None:
+def test_what_no_network_can_be_is_listed_at_once():
     with pytest.raises(InputError) as caught:
         Network("bad", (Node("A"), Node("A"), Node("B"), Node("X"), Node("Y")), (
             edge("1", "A", "B"), edge("1", "A", "Bb"),
@@ -276,7 +275,7 @@ def test_what_no_network_can_be_is_listed_at_once() -> None:
         Network("bad", (Node("A"), Node("B")), (Edge("1", route, "A", "B"),))
 
 
-def test_places_that_are_not_known_are_refused_with_those_that_are_like_them() -> None:
+def test_places_that_are_not_known_are_refused_with_those_that_are_like_them():
     network = y_network()
     refused(InputError, "has no place 'trunck'", network.route, "A", "trunck")
     refused(InputError, "'x' is not a kilometre", network.route, "A", "trunk@x")
@@ -291,7 +290,7 @@ def test_places_that_are_not_known_are_refused_with_those_that_are_like_them() -
         named.route("West", "East_station")
 
 
-def test_a_route_over_given_edges() -> None:
+def test_a_route_over_given_edges():
     network = y_network()
     route = network.along([("to B", False), ("to C", False)], start=1_500.0, end=200.0)
     assert route.places == ("to B@1.500", "to C@0.200")
@@ -313,7 +312,7 @@ def cut_network(west: Edge) -> Network:
     return Network("cut", nodes, (east, west))
 
 
-def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
+def test_evidence_counts_for_the_condition_of_each_edge(tmp_path):
     from analysis.fleet.analyses import adhesion
     from analysis.view import TripView
 
@@ -332,7 +331,7 @@ def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
         adhesion(TripView(trainlog.read(tmp_path / "trip.mcap")))
 
 
-def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
+def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path):
     from analysis.network.edges import edge_line, trips_on_edges
     from trainlog.formats.railway import line_of
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import Shell
 from refusals import refused
 
 from analysis.network.edges import export_network
@@ -157,9 +156,7 @@ def imported(name: str, category: str | None = None) -> Network:
 
 @needs_osrd
 @pytest.mark.parametrize("name", INFRAS)
-def test_every_infrastructure_of_osrd_becomes_a_network_with_all_its_track(
-    name: str, tmp_path: Path
-) -> None:
+def test_every_infrastructure_of_osrd_becomes_a_network_with_all_its_track(name, tmp_path):
     (written,) = import_file(OSRD / "infras" / f"{name}.json", tmp_path)
     network = read_network(written.path)
     tracks = file_of(name)["track_sections"]
@@ -171,7 +168,7 @@ def test_every_infrastructure_of_osrd_becomes_a_network_with_all_its_track(
 
 @needs_osrd
 @pytest.mark.parametrize("name", ["tiny_infra", "small_infra"])
-def test_routes_are_as_long_steep_bent_and_slow_as_the_file_states(name: str) -> None:
+def test_routes_are_as_long_steep_bent_and_slow_as_the_file_states(name):
     reading, network, draw = Reading(name), imported(name), np.random.default_rng(16)
     found = []
     for start, goal in itertools.permutations(reading.stations, 2):
@@ -197,9 +194,7 @@ def test_routes_are_as_long_steep_bent_and_slow_as_the_file_states(name: str) ->
 @needs_osrd
 @pytest.mark.parametrize("category", [None, "none", "E32C", "HLP", "MA100"])
 @pytest.mark.parametrize("name", INFRAS)
-def test_limits_are_those_of_the_direction_and_of_the_category_of_the_train(
-    name: str, category: str | None
-) -> None:
+def test_limits_are_those_of_the_direction_and_of_the_category_of_the_train(name, category):
     reading = Reading(name)
     tags = {tag for each in reading.file["speed_sections"] for tag in each["speed_limit_by_tag"]}
     if category not in (None, "none", *tags):
@@ -256,7 +251,7 @@ def read_small(tmp_path: Path, **changes: Any) -> Infrastructure:
     return found
 
 
-def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None:
+def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path):
     loop = switch("s", "point_switch", A="a END", B1="b BEGIN", B2="b END")
     points = [point("p", "a", 400.0), point("q", "b", 100.0)]
     (network,), *_ = read_small(
@@ -285,9 +280,7 @@ def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None
         ({"track_sections": []}, "track_sections: has too few entries"),
     ],
 )
-def test_infrastructure_of_osrd_that_contradicts_itself_is_refused(
-    changes: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_infrastructure_of_osrd_that_contradicts_itself_is_refused(changes, words, tmp_path):
     refused(InputError, words, read_small, tmp_path, **changes)
 
 
@@ -299,7 +292,7 @@ def railml(text: str, tmp_path: Path) -> Infrastructure:
     return found
 
 
-def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path: Path) -> None:
+def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path):
     (network,), *_ = railml(RAILML_2, tmp_path)
     assert network.name == "valley"
     assert network.length == pytest.approx(4_000.0 + 2_050.0 + 1_500.0)
@@ -308,7 +301,7 @@ def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path: Path) -> Non
     refused(InputError, "no route", network.route, "main/2@13.8", "loop@0.1")
 
 
-def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_path: Path) -> None:
+def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_path):
     (network,), *_ = railml(RAILML_2, tmp_path)
     line = network.route("Anfang", "Cham").line
     # Track 'main' from its pos 500 on: position s is pos s + 500; 'onward' from 3500 on.
@@ -345,7 +338,7 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_
     assert np.allclose(back.gradient(5_000.0 - s), -line.gradient(s))
 
 
-def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path: Path) -> None:
+def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path):
     (network,), left_out, assumed = railml(RAILML_3, tmp_path)
     assert {edge.name: edge.line.length for edge in network.edges} == {
         "ne_a": 2_000.0, "ne_b": 1_500.0, "ne_c": 1_550.0,
@@ -363,7 +356,7 @@ def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path: Path)
     assert any(each.startswith("level where no gradients are stated: 1.550 km") for each in assumed)
 
 
-def test_locations_of_railml_3_are_shares_positions_measures_and_directions(tmp_path: Path) -> None:
+def test_locations_of_railml_3_are_shares_positions_measures_and_directions(tmp_path):
     (network,), *_ = railml(RAILML_3, tmp_path)
     main, other = network.edge("ne_a").line, network.edge("ne_b").line
     # 10 per mille for 0.9 of it, an arc to -4, whose mean is 3.
@@ -387,7 +380,7 @@ def test_locations_of_railml_3_are_shares_positions_measures_and_directions(tmp_
     assert loop.assumed == ("gradients", "speed_limits")
 
 
-def test_tunnels_of_railml_2_lie_on_their_tracks_and_bridges_are_counted(tmp_path: Path) -> None:
+def test_tunnels_of_railml_2_lie_on_their_tracks_and_bridges_are_counted(tmp_path):
     text = RAILML_2.replace("<levelCrossings>", f"{TUNNELS_2}<levelCrossings>")
     (network,), left_out, assumed = railml(text, tmp_path)
     line = network.route("main/1@12", "Cham").line
@@ -401,7 +394,7 @@ def test_tunnels_of_railml_2_lie_on_their_tracks_and_bridges_are_counted(tmp_pat
     assert unknown == ["main/3+onward"]
 
 
-def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> None:
+def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path):
     text = RAILML_3.replace("<switchesIS>", f"{TUNNELS_3}<switchesIS>")
     (network,), left_out, assumed = railml(text, tmp_path)
     line = network.route("ne_a@10", "ne_b@0.3").line
@@ -437,8 +430,8 @@ def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> Non
     ],
 )
 def test_railml_that_is_damaged_or_dangling_is_refused_with_its_place(
-    text: str, old: str, new: str, words: str, tmp_path: Path
-) -> None:
+    text, old, new, words, tmp_path
+):
     assert old in text
     refused(InputError, words, railml, text.replace(old, new, 1), tmp_path)
 
@@ -449,7 +442,7 @@ def plain(name: str, *stations: tuple[str, float], gradient: float = 0.0) -> Lin
     return Line(name, stations[-1][1], places, limits, gradients)
 
 
-def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -> None:
+def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once():
     main = plain("main", ("A", 0.0), ("B", 4e3), ("C", 9e3))
     branch = plain("branch", ("A", 0.0), ("B", 4e3), ("D", 6e3))
     back = plain("short", ("C", 0.0), ("D", 3e3), gradient=0.01)
@@ -465,9 +458,7 @@ def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -
 
 
 @needs_osrd
-def test_a_planner_imports_a_network_shows_routes_and_exports_it(
-    tmp_path: Path, shell: Shell
-) -> None:
+def test_a_planner_imports_a_network_shows_routes_and_exports_it(tmp_path, shell):
     def command(*words: object) -> str:
         status, printed, problems = shell(*words)
         assert status == 0, problems
@@ -498,7 +489,7 @@ def test_a_planner_imports_a_network_shows_routes_and_exports_it(
             assert 49.0 < y < 50.0
 
 
-def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> None:
+def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions():
     """As an operator has them: one file a direction, whose limits differ."""
     main = plain("there", ("A", 0.0), ("B", 4e3), ("C", 9e3), gradient=0.004)
     own = StepProfile([0.0, 1e3], [30.0, 20.0])
@@ -531,7 +522,7 @@ def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> No
         assert any(note.endswith(words) for note in notes)
 
 
-def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:
+def test_a_network_without_coordinates_is_not_exported(tmp_path):
     network, _ = network_of_lines("one", [plain("a", ("A", 0.0), ("B", 1e3))])
     refused(InputError, "has coordinates", export_network, network, tmp_path / "a.geojson")
     write_network(network, tmp_path / "a.network.json")
@@ -539,7 +530,7 @@ def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:
 
 
 @needs_osrd
-def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_path: Path) -> None:
+def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_path):
     source = OSRD / "infras" / "overlapping_routes.json"
     for name in ("assumed", "known"):
         (tmp_path / name).mkdir()
@@ -553,7 +544,7 @@ def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_pat
     assert not any(each.line.gradients.values.any() for each in after.edges)
 
 
-def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) -> None:
+def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path):
     kind = {
         "id": "odd",
         "ports": ["A", "B1", "B2"],
@@ -565,9 +556,7 @@ def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) ->
     refused(InputError, "no route", network.route, "a@0.4", "c@0.5")
 
 
-def test_gradients_that_contradict_each_other_are_counted_and_the_later_holds(
-    tmp_path: Path,
-) -> None:
+def test_gradients_that_contradict_each_other_are_counted_and_the_later_holds(tmp_path):
     slopes = [
         {"gradient": 5.0, "begin": 0.0, "end": 600.0},
         {"gradient": -2.0, "begin": 500.0, "end": 1200.0},

@@ -85,9 +85,7 @@ def maps(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_trip_on_a_route_counts_on_its_edges_as_it_does_on_its_line(
-    logs: Path, maps: Path, tmp_path: Path
-) -> None:
+def test_a_trip_on_a_route_counts_on_its_edges_as_it_does_on_its_line(logs, maps, tmp_path):
     update_map(logs, tmp_path / "route.map")
     route = trainlog.read_map(tmp_path / "route.map").layer("wet").evidence
     found = network_map(maps)
@@ -106,7 +104,7 @@ def test_a_trip_on_a_route_counts_on_its_edges_as_it_does_on_its_line(
         assert [each["temperature_source"] for each in kept] == ["log"] * 3
 
 
-def test_the_map_along_a_route_has_places_and_directions_right(maps: Path) -> None:
+def test_the_map_along_a_route_has_places_and_directions_right(maps):
     found = network_map(maps)
     there = found.along(network().route("East", "West").line).layer("wet")
     back = found.along(network().route("West", "East").line).layer("wet")
@@ -124,9 +122,7 @@ def test_the_map_along_a_route_has_places_and_directions_right(maps: Path) -> No
         found.along(WHOLE)
 
 
-def test_a_second_update_adds_nothing_and_an_interrupted_one_is_finished(
-    logs: Path, maps: Path, tmp_path: Path
-) -> None:
+def test_a_second_update_adds_nothing_and_an_interrupted_one_is_finished(logs, maps, tmp_path):
     again = update_network_map(logs, maps)
     assert (len(again.added), len(again.of("held"))) == (0, 3)
     assert (again.trips, again.days) == (3, 3), "a trip over two edges is one trip"
@@ -152,9 +148,7 @@ def test_a_second_update_adds_nothing_and_an_interrupted_one_is_finished(
         ("Sursee", "Sursee", "Sursee"),
     ],
 )
-def test_an_edge_has_one_map_by_whatever_it_is_written(
-    edge: str, stem: str, earlier: str, tmp_path: Path
-) -> None:
+def test_an_edge_has_one_map_by_whatever_it_is_written(edge, stem, earlier, tmp_path):
     """The map of a fleet and that of given logs had names of their own."""
     line = replace(WHOLE, name=edge)
     log = on_line("nonstop.mcap", line, tmp_path / "trip.mcap")
@@ -180,7 +174,7 @@ def test_an_edge_has_one_map_by_whatever_it_is_written(
             reading()
 
 
-def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path: Path) -> None:
+def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path):
     update_network_map(sample("nonstop.mcap"), tmp_path / "maps")
     assert list(network_map(tmp_path / "maps").maps) == ["CH_StGallen_Wil"]
     refused = update_network_map(sample("nonstop.mcap"), tmp_path / "other", network())
@@ -193,7 +187,7 @@ def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path: Path) ->
         network_map(tmp_path / "other")
 
 
-def test_forecasts_and_scores_of_all_edges(maps: Path) -> None:
+def test_forecasts_and_scores_of_all_edges(maps):
     found = network_map(maps)
     whole, edges = score_network(found)
     assert set(edges) == {"east", "west/old"}
@@ -215,7 +209,7 @@ def test_forecasts_and_scores_of_all_edges(maps: Path) -> None:
         score_network(NetworkMap(maps, None, {}))
 
 
-def test_maps_are_scored_on_later_trips_edge_by_edge(maps: Path, logs: Path) -> None:
+def test_maps_are_scored_on_later_trips_edge_by_edge(maps, logs):
     found = network_map(maps)
     early = found.known_before(pd.Timestamp("2024-10-08T00:00Z"))
     every = sorted(logs.glob("*.mcap"))
@@ -236,9 +230,7 @@ def test_maps_are_scored_on_later_trips_edge_by_edge(maps: Path, logs: Path) -> 
         score_network_on(found, every[:1])
 
 
-def test_a_log_too_long_for_the_memory_is_one_trip_on_each_of_its_edges(
-    logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_too_long_for_the_memory_is_one_trip_on_each_of_its_edges(logs, monkeypatch):
     for name, value in (("ROWS", 1_000), ("PAUSE", 20.0)):
         monkeypatch.setattr(view, name, value)
     given = LogOnEdges(logs / "day-0.mcap", network())
@@ -251,7 +243,7 @@ def test_a_log_too_long_for_the_memory_is_one_trip_on_each_of_its_edges(
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
+def test_commands_take_a_folder_of_maps(maps, tmp_path):
     picture = tmp_path / "network.png"
     run = CliRunner().invoke(app, ["map", "show", str(maps), "--picture", str(picture)])
     assert run.exit_code == 0, run.output
@@ -269,9 +261,7 @@ def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     assert "west/old" in run.output
 
 
-def test_a_trip_refused_on_one_edge_is_scored_on_the_others(
-    maps: Path, logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trip_refused_on_one_edge_is_scored_on_the_others(maps, logs, monkeypatch):
     found = network_map(maps)
     early = found.known_before(pd.Timestamp("2024-10-08T00:00Z"))
     every = sorted(logs.glob("*.mcap"))[1:]

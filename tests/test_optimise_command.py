@@ -47,9 +47,7 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
     return read_trajectory(output)
 
 
-def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(
-    observed: Path, tmp_path: Path
-) -> None:
+def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(observed, tmp_path):
     line = read_line(sample(DEFAULT_LINE))
     found = asked(observed, tmp_path, "--reverse", "--km", "25:")
     assert (found.positions[0], found.positions[-1]) == (25_000.0, line.length)
@@ -57,9 +55,7 @@ def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(
     assert found.speeds[:, [0, -1]] == pytest.approx(0.0)
 
 
-def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(
-    observed: Path, tmp_path: Path
-) -> None:
+def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(observed, tmp_path):
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     reserve = ("--km", ":6", "--reserve", 1)
     front = asked(observed, tmp_path, *reserve)
@@ -76,9 +72,7 @@ def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(
     assert max(whole.certificate["least_time"]) > max(front.certificate["least_time"])
 
 
-def test_a_map_read_with_more_caution_or_less_risk_leaves_less_adhesion(
-    observed: Path, tmp_path: Path
-) -> None:
+def test_a_map_read_with_more_caution_or_less_risk_leaves_less_adhesion(observed, tmp_path):
     at = ("--at", "2024-10-08T06:00Z")
     for read in (
         (("--set", "sigmas=0"), (), ("--set", "sigmas=4")),
@@ -91,7 +85,7 @@ def test_a_map_read_with_more_caution_or_less_risk_leaves_less_adhesion(
     assert stated == {"layer": "wet", "risk": 0.001, "time": "2024-10-08T06:00:00+00:00"}
 
 
-def test_the_risk_of_a_run_is_that_of_what_it_asks_for() -> None:
+def test_the_risk_of_a_run_is_that_of_what_it_asks_for():
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     track = read_map(sample("CH_StGallen_Wil.map"))
     alone = (Configuration.of(train),)
@@ -118,9 +112,7 @@ def test_the_risk_of_a_run_is_that_of_what_it_asks_for() -> None:
         )
 
 
-def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
-    tmp_path: Path,
-) -> None:
+def test_a_train_file_alone_is_planned_for_and_the_result_states_it(tmp_path):
     output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
     train = read_train(sample(DEFAULT_TRAIN))
     rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
@@ -137,7 +129,7 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     assert (trips / "driven-nominal.mcap").is_file()
 
 
-def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -> None:
+def test_values_are_taken_as_people_write_them(observed, tmp_path):
     words = ("--km", "3.2km:7500m", "--set", "initial-speed=20m/s", "--set", "final-speed=36 km/h")
     written = asked(observed, tmp_path, *words, "--running-time", "4:30")
     plain = ("--km", "3.2:7.5", "--set", "initial-speed=72", "--set", "final-speed=36")
@@ -151,9 +143,7 @@ def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -
     assert reserve[0].running_time == reserve[1].running_time
 
 
-def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(tmp_path, capsys):
     coarse = (*SAMPLES, "--set", "cells=20", "--set", "load=8t")
     stops = ("--stops", "St.Gallen, Gossau SG", "--running-time", "8:30")
     assert cli.run(["plan", *coarse, *stops, "-o", str(tmp_path / "a.json")]) == 0
@@ -179,7 +169,7 @@ def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(
     assert arrivals[-1] == pytest.approx(front[1]["running_time_s"], abs=0.1)
 
 
-def test_a_table_has_the_whole_run_by_kilometre(tmp_path: Path) -> None:
+def test_a_table_has_the_whole_run_by_kilometre(tmp_path):
     words = ("--stops", "Wil,Gossau SG,St.Gallen", "--reverse", "--set", "dwell=30", "--set",
              "cells=20")  # fmt: skip
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run.csv"), "-q"]) == 0
@@ -210,7 +200,7 @@ def test_a_table_has_the_whole_run_by_kilometre(tmp_path: Path) -> None:
     assert standing["time [s]"].diff().iloc[2] == pytest.approx(30.0, abs=0.02)
 
 
-def test_what_ipopt_finds_on_the_same_cells_is_stated(observed: Path, tmp_path: Path) -> None:
+def test_what_ipopt_finds_on_the_same_cells_is_stated(observed, tmp_path):
     """IPOPT knows nothing of the search: it lies above the bound and near the plan."""
     found = asked(observed, tmp_path, "--km", ":4", "--set", "referee=yes").certificate
     stated = found["referee"]
@@ -221,7 +211,7 @@ def test_what_ipopt_finds_on_the_same_cells_is_stated(observed: Path, tmp_path: 
     assert "referee" not in asked(observed, tmp_path, "--km", ":4").certificate
 
 
-def test_the_plan_of_a_journey_is_followed_section_by_section(tmp_path: Path) -> None:
+def test_the_plan_of_a_journey_is_followed_section_by_section(tmp_path):
     stops = "Gossau SG,Flawil,Uzwil"
     plan = tmp_path / "plan"
     words = [*SAMPLES, "--stops", stops, "--set", "cells=20", "-o", str(plan)]
@@ -245,9 +235,7 @@ def test_the_plan_of_a_journey_is_followed_section_by_section(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("protect", ["front", "train"])
-def test_what_of_a_plan_is_less_than_it_seems_is_stated(
-    protect: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_of_a_plan_is_less_than_it_seems_is_stated(protect, tmp_path, capsys):
     """Limits kept at the front alone, and a final speed that is not permitted there."""
     words = ["plan", *SAMPLES, "--km", "20:", "--set", "cells=60", "--set", f"protect={protect}"]
     fast = ["--set", "final-speed=500"] if protect == "front" else []
@@ -266,8 +254,6 @@ def test_what_of_a_plan_is_less_than_it_seems_is_stated(
         (("parameters", "--set", "load=8t"), "the parameter set holds the masses"),
     ],
 )
-def test_values_that_mean_another_are_refused(
-    given: tuple[str, ...], said: str, observed: Path, tmp_path: Path
-) -> None:
+def test_values_that_mean_another_are_refused(given, said, observed, tmp_path):
     words = [str(observed) if each == "parameters" else each for each in given]
     refused(InputError, said, cli.run, ["plan", *SAMPLES, *words, "-o", str(tmp_path / "p.json")])

@@ -49,15 +49,13 @@ def interrupted() -> Iterator[Trip]:
 @example(trip=trip_of(rows=0))
 @example(trip=trip_of(rows=1))
 @example(trip=trip_of(rows=100))
-def test_any_trip_comes_back_to_the_last_bit(
-    tmp_path_factory: pytest.TempPathFactory, trip: Trip
-) -> None:
+def test_any_trip_comes_back_to_the_last_bit(tmp_path_factory, trip):
     folder = tmp_path_factory.mktemp("parquet") / "trip.parquet"
     write_parquet(trip, folder)
     assert_same(trip, read_parquet(folder))
 
 
-def test_frames_of_other_programs_come_back(tmp_path: Path) -> None:
+def test_frames_of_other_programs_come_back(tmp_path):
     index = pd.DatetimeIndex([1, 2], tz="UTC", name="time").as_unit("ns")
     frame = pd.DataFrame(
         {
@@ -79,9 +77,7 @@ def test_frames_of_other_programs_come_back(tmp_path: Path) -> None:
         pd.testing.assert_frame_equal(back[name], frame)
 
 
-def test_same_trip_same_bytes_whatever_the_pieces(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_same_trip_same_bytes_whatever_the_pieces(tmp_path, monkeypatch):
     monkeypatch.setattr(trip_tables, "ROWS", 16)
     trip = trip_of(rows=100)
     write_parquet(trip, tmp_path / "whole.parquet")
@@ -101,7 +97,7 @@ def test_same_trip_same_bytes_whatever_the_pieces(
     assert_same(trip, read_parquet(tmp_path / "pieces.parquet"))
 
 
-def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
+def test_only_the_topics_and_columns_asked_for_are_read(tmp_path):
     trip = trip_of(rows=5)
     write_parquet(trip, tmp_path / "trip.parquet")
     for other in (tmp_path / "trip.parquet").glob("gnss*.parquet"):
@@ -127,16 +123,14 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
         (Trip({}, {"trip": "\ud800"}), "cannot be written"),
     ],
 )
-def test_what_cannot_be_written_is_refused_and_leaves_no_folder(
-    trip: Trip, said: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_written_is_refused_and_leaves_no_folder(trip, said, tmp_path):
     caught = refused(LogError, said, write_parquet, trip, tmp_path / "trip.parquet")
     assert caught.file == tmp_path / "trip.parquet"
     assert caught.remedy
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_such_a_folder_is_replaced(tmp_path: Path) -> None:
+def test_only_such_a_folder_is_replaced(tmp_path):
     folder = tmp_path / "trip.parquet"
     write_parquet(trip_of(rows=5), folder)
     write_parquet(trip_of(rows=7), folder)
@@ -152,7 +146,7 @@ def test_only_such_a_folder_is_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "photos" / "dog.jpg").read_bytes() == b"dog"
 
 
-def test_a_failed_write_leaves_the_older_folder(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_older_folder(tmp_path):
     folder = tmp_path / "trip.parquet"
     write_parquet(trip_of(rows=5), folder)
     before = contents(folder)
@@ -166,7 +160,7 @@ def test_a_failed_write_leaves_the_older_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [folder]
 
 
-def test_folders_that_hold_no_trip_are_named(tmp_path: Path) -> None:
+def test_folders_that_hold_no_trip_are_named(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     for name, said in (("nothing", "does not exist"), ("file", "not a folder"), ("", "no trip")):
         caught = refused(InputError, said, read_parquet, tmp_path / name)
@@ -179,7 +173,7 @@ def written(tmp_path: Path) -> Path:
     return tmp_path / "trip.parquet"
 
 
-def test_damaged_files_are_named(written: Path) -> None:
+def test_damaged_files_are_named(written):
     state = written / "train_state.parquet"
     whole = state.read_bytes()
     for name, damaged in {
@@ -200,9 +194,7 @@ def test_damaged_files_are_named(written: Path) -> None:
 
 @settings(max_examples=25)
 @given(st.data())
-def test_a_flipped_bit_is_found_or_harmless(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_a_flipped_bit_is_found_or_harmless(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("parquet") / "trip.parquet"
     trip = trip_of(rows=50, topics=[TRAIN_STATE.name, EVENTS.name])
     write_parquet(trip, folder)
@@ -231,9 +223,7 @@ def test_a_flipped_bit_is_found_or_harmless(
         ({"topics": [{"topic": "/a", "file": "trip.json", "footer": ""}]}, LogError, "damaged"),
     ],
 )
-def test_an_index_that_does_not_fit_is_refused(
-    change: dict[str, object], error: type[Exception], said: str, written: Path
-) -> None:
+def test_an_index_that_does_not_fit_is_refused(change, error, said, written):
     index = json.loads((written / "trip.json").read_text())
     (written / "trip.json").write_text(json.dumps(index | change))
     caught = refused(error, said, read_parquet, written)

@@ -10,7 +10,6 @@ from zipfile import ZipFile
 
 import numpy as np
 import pytest
-from command import Shell
 from refusals import refused
 
 from trainlog.errors import InputError
@@ -47,7 +46,7 @@ def found(tmp_path: Path) -> SferaJourney:
     return journey
 
 
-def test_line_timetable_and_train_of_a_journey(found: SferaJourney) -> None:
+def test_line_timetable_and_train_of_a_journey(found):
     """Segments follow each other in their direction; B is run over in reverse."""
     line, train = found.line, found.train
     assert line.length == 4_500.0
@@ -88,7 +87,7 @@ def test_line_timetable_and_train_of_a_journey(found: SferaJourney) -> None:
     assert "max_acceleration" in train.assumed
 
 
-def test_a_restriction_without_an_end_holds_to_that_of_its_segment(tmp_path: Path) -> None:
+def test_a_restriction_without_an_end_holds_to_that_of_its_segment(tmp_path):
     """As published journeys have them; places beyond a segment that no train calls at are left."""
     outside = '<TimingPoint TP_ID="e" location="1800"/></SP_Points>'
     jp = JOURNEY.replace('startLocation="200" endLocation="500"', 'startLocation="200"')
@@ -100,7 +99,7 @@ def test_a_restriction_without_an_end_holds_to_that_of_its_segment(tmp_path: Pat
     assert any("for want of an end" in each for each in journey.assumed)
 
 
-def test_times_that_nobody_can_keep_are_no_timetable(tmp_path: Path) -> None:
+def test_times_that_nobody_can_keep_are_no_timetable(tmp_path):
     """As in published journeys; line and train come in."""
     late = JOURNEY.replace("T06:38:00Z", "T06:33:30Z")
     (journey,) = read_sfera(folder_with(tmp_path, jp=late))
@@ -110,7 +109,7 @@ def test_times_that_nobody_can_keep_are_no_timetable(tmp_path: Path) -> None:
     assert any(said in each for each in journey.left_out)
 
 
-def test_too_few_characteristics_are_named(tmp_path: Path) -> None:
+def test_too_few_characteristics_are_named(tmp_path):
     poor = UNIT.replace('rolloutCoefficientA="2300"', "")
     (journey,) = read_sfera(folder_with(tmp_path, tc=poor))
     assert journey.train is None
@@ -142,15 +141,13 @@ ENTITY = '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><JourneyProfile/
         ({"b": "<Segment/>"}, "which is not given; b.xml holds none"),
     ],
 )  # fmt: skip
-def test_malformed_documents_are_one_line(
-    tmp_path: Path, changed: dict[str, str], said: str
-) -> None:
+def test_malformed_documents_are_one_line(tmp_path, changed, said):
     error = refused(InputError, said, read_sfera, folder_with(tmp_path, **changed))
     assert error.file is not None
     assert error.remedy
 
 
-def test_documents_too_large_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_documents_too_large_are_refused(tmp_path, monkeypatch):
     """In a folder as in an archive."""
     largest = max(len(text.encode()) for text in DOCUMENTS.values())
     monkeypatch.setattr("trainlog.formats.sfera.LARGEST", largest)
@@ -162,7 +159,7 @@ def test_documents_too_large_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
         refused(InputError, "documents of up to 0 MB are read", read_sfera, given)
 
 
-def test_times_without_a_zone_are_taken_as_utc_and_counted(tmp_path: Path) -> None:
+def test_times_without_a_zone_are_taken_as_utc_and_counted(tmp_path):
     words = "times without a zone, taken as UTC"
     (stated,) = read_sfera(folder_with(tmp_path))
     assert not any(words in each for each in stated.assumed)
@@ -171,7 +168,7 @@ def test_times_without_a_zone_are_taken_as_utc_and_counted(tmp_path: Path) -> No
     assert found.journey == stated.journey
 
 
-def test_two_journeys_of_one_name_do_not_overwrite_each_other(tmp_path: Path, shell: Shell) -> None:
+def test_two_journeys_of_one_name_do_not_overwrite_each_other(tmp_path, shell):
     """The second is refused, a third comes in."""
     folders = [tmp_path / name for name in ("one", "two", "three")]
     for number, folder in enumerate(folders):
@@ -190,7 +187,7 @@ def test_two_journeys_of_one_name_do_not_overwrite_each_other(tmp_path: Path, sh
     assert "GuardRails" in shown
 
 
-def test_a_line_of_ours_fills_what_the_journey_lacks(tmp_path: Path, found: SferaJourney) -> None:
+def test_a_line_of_ours_fills_what_the_journey_lacks(tmp_path, found):
     """By stations of the same names; our line runs the other way, and a little longer."""
     own = Line(
         name="ours",
@@ -226,9 +223,7 @@ def valid() -> Callable[[Element], bytes]:
     return written
 
 
-def test_constraints_come_back_where_they_were_put(
-    tmp_path: Path, found: SferaJourney, valid: Callable[[Element], bytes]
-) -> None:
+def test_constraints_come_back_where_they_were_put(tmp_path, found, valid):
     """Over the end of A and all of B into C, travelled A forward, B in reverse, C forward."""
     given = [
         Constraint(500.0, 3_700.0, "ASR", {"ASR_Speed": "30"}, "AdditionalSpeedRestriction"),
@@ -242,9 +237,7 @@ def test_constraints_come_back_where_they_were_put(
     assert again.journey == found.journey
 
 
-def test_what_was_learned_comes_back_as_the_next_version(
-    tmp_path: Path, valid: Callable[[Element], bytes]
-) -> None:
+def test_what_was_learned_comes_back_as_the_next_version(tmp_path, valid):
     element = parsed_xml(UNIT.encode(), "tc.xml")
     learned = RunningResistance(1_987.6, 45.1, 9.87)
     text = valid(with_resistance(element, learned)).decode()
@@ -254,9 +247,7 @@ def test_what_was_learned_comes_back_as_the_next_version(
     assert (again.train.mass, again.train.resistance) == (122e3, learned)
 
 
-def test_a_report_states_where_the_train_is_in_its_segment(
-    found: SferaJourney, valid: Callable[[Element], bytes]
-) -> None:
+def test_a_report_states_where_the_train_is_in_its_segment(found, valid):
     time = datetime.datetime(2026, 5, 17, 6, 32, 5, tzinfo=datetime.UTC)
     report = Report(time, 2_400.0, 22.5, slips=True)
     written = valid(status_report(report, found.segments, found.profile, "unit 17"))
@@ -283,7 +274,7 @@ def reports_of(found: SferaJourney, folder: Path, *, every: float = 5.0) -> Path
     return folder / "reports.zip"
 
 
-def test_reports_of_a_train_are_a_recording(tmp_path: Path, found: SferaJourney) -> None:
+def test_reports_of_a_train_are_a_recording(tmp_path, found):
     trip = ingest(reports_of(found, tmp_path))
     state = trip["/train/state"]
     assert state.position.to_numpy()[[0, -1]].tolist() == [100.0, 4_300.0]
@@ -294,7 +285,7 @@ def test_reports_of_a_train_are_a_recording(tmp_path: Path, found: SferaJourney)
     assert trip.metadata["line"] == found.line.name
 
 
-def test_reports_of_others_and_broken_ones_are_counted(tmp_path: Path, found: SferaJourney) -> None:
+def test_reports_of_others_and_broken_ones_are_counted(tmp_path, found):
     archive = reports_of(found, tmp_path)
     time = datetime.datetime(2026, 5, 17, 6, 31, tzinfo=datetime.UTC)
     message = xml_of(
@@ -311,7 +302,7 @@ def test_reports_of_others_and_broken_ones_are_counted(tmp_path: Path, found: Sf
     assert trip.metadata["repair.damaged_messages"] == "1"
 
 
-def test_reports_are_not_put_on_another_line(tmp_path: Path, found: SferaJourney) -> None:
+def test_reports_are_not_put_on_another_line(tmp_path, found):
     other = read_line("sample_logs/CH_StGallen_Wil.line.json")
     archive = reports_of(found, tmp_path)
     refused(InputError, "count along the journey's line 'Amstad - d'", ingest, archive, line=other)

@@ -8,11 +8,9 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from command import Shell
 from refusals import refused
 
 import trainlog
@@ -84,7 +82,7 @@ def constraints_in(journey: SferaJourney, tag: str) -> Iterator[tuple[float, flo
             yield *ends, found
 
 
-def test_a_line_as_a_journey_comes_back_as_the_line(wil: Path) -> None:
+def test_a_line_as_a_journey_comes_back_as_the_line(wil):
     line, (journey,) = trainlog.read_line("sample"), read_sfera(wil)
     at = np.arange(1.0, line.length, 7.0)
     assert np.array_equal(journey.line.speed_limit(at), line.speed_limit(at))
@@ -95,9 +93,7 @@ def test_a_line_as_a_journey_comes_back_as_the_line(wil: Path) -> None:
 
 @pytest.mark.usefixtures("unrenewed")
 @pytest.mark.parametrize(("number", "apart"), [(3, 25.0), (8, 0.0)])
-def test_advice_keeps_to_limits_and_changes_seldom(
-    number: int, apart: float, tmp_path: Path
-) -> None:
+def test_advice_keeps_to_limits_and_changes_seldom(number, apart, tmp_path):
     """Of random lines and trains: nowhere above a limit, no change too soon, nothing left out."""
     problem = random_problem(number)
     cuts = (problem.line.length * np.array([0.2, 0.55, 0.6])).tolist()
@@ -123,7 +119,7 @@ def test_advice_keeps_to_limits_and_changes_seldom(
     assert np.diff(times).min(initial=np.inf) >= apart
 
 
-def test_there_is_no_advice_for_what_lies_behind(plan: Path, wil: Path, tmp_path: Path) -> None:
+def test_there_is_no_advice_for_what_lies_behind(plan, wil, tmp_path):
     options = sfera.SferaOptions(passed=11_000.0)
     write_sfera([plan], wil, tmp_path / "ahead.xml", options)
     message = checked((tmp_path / "ahead.xml").read_bytes())
@@ -143,7 +139,7 @@ def with_segments(journey: Path, folder: Path) -> None:
         shutil.copy(file, folder)
 
 
-def test_advice_replaces_that_of_the_version_before(plan: Path, wil: Path, tmp_path: Path) -> None:
+def test_advice_replaces_that_of_the_version_before(plan, wil, tmp_path):
     write_sfera([plan], wil, tmp_path / "once.xml")
     with_segments(wil, tmp_path)
     found = write_sfera([plan], tmp_path / "once.xml", tmp_path / "twice.xml")
@@ -170,7 +166,7 @@ def forecast_of(
     )  # fmt: skip
 
 
-def test_low_adhesion_is_stated_where_the_forecast_knows_it(wil: Path, tmp_path: Path) -> None:
+def test_low_adhesion_is_stated_where_the_forecast_knows_it(wil, tmp_path):
     """Of a line of ours in the other direction; equal neighbours are one, dry and unknown none."""
     own = replace(trainlog.read_line("sample").reversed(), name="ours")
     (journey,) = read_sfera(wil)
@@ -196,7 +192,7 @@ def test_low_adhesion_is_stated_where_the_forecast_knows_it(wil: Path, tmp_path:
     assert times == {None, "2026-05-17T00:00:00Z"}
 
 
-def test_a_forecast_by_conditions_asks_which_one(wil: Path) -> None:
+def test_a_forecast_by_conditions_asks_which_one(wil):
     (journey,) = read_sfera(wil)
     forecast = forecast_of(journey.line.name, [0.04, 0.05], ["wet", "dry"])
     other = replace(forecast, line="other")
@@ -208,7 +204,7 @@ def test_a_forecast_by_conditions_asks_which_one(wil: Path) -> None:
         refused(InputError, said, low_adhesion, given, journey, **options)
 
 
-def test_a_trip_becomes_reports_and_a_trip_again(wil: Path, tmp_path: Path) -> None:
+def test_a_trip_becomes_reports_and_a_trip_again(wil, tmp_path):
     """The sample's trip: half a second of time, and what 5 s without a report hide."""
     log = Path("sample_logs/nonstop.mcap")
     found = write_sfera([log], wil, tmp_path / "reports.zip")
@@ -223,7 +219,7 @@ def test_a_trip_becomes_reports_and_a_trip_again(wil: Path, tmp_path: Path) -> N
     assert again.metadata["line"] == read_sfera(wil)[0].line.name
 
 
-def test_what_was_learned_is_the_next_version(wil: Path, tmp_path: Path) -> None:
+def test_what_was_learned_is_the_next_version(wil, tmp_path):
     train = trainlog.read_train("sample")
     common = RunningResistance(1_987.0, 40.0, 10.0)
     learned = ParameterSet(train.name, (Configuration.of(train),), common, np.eye(3))
@@ -255,9 +251,7 @@ def test_what_was_learned_is_the_next_version(wil: Path, tmp_path: Path) -> None
         ("plan", {"line": "two"}, "holds 2 journeys"),
     ],
 )
-def test_what_does_not_fit_is_refused(
-    wil: Path, plan: Path, tmp_path: Path, source: str, changes: dict[str, Any], said: str
-) -> None:
+def test_what_does_not_fit_is_refused(wil, plan, tmp_path, source, changes, said):
     """A slower journey has the same name and length, and a limit of 40 km/h on its way."""
     line, train, journey = trainlog.read_line("sample"), trainlog.read_train("sample"), wil
     limits = replace(line.speed_limits, values=line.speed_limits.values.copy())
@@ -280,9 +274,7 @@ def test_what_does_not_fit_is_refused(
     assert not (tmp_path / "x.xml").exists()
 
 
-def test_the_command_writes_the_next_version(
-    wil: Path, plan: Path, tmp_path: Path, shell: Shell
-) -> None:
+def test_the_command_writes_the_next_version(wil, plan, tmp_path, shell):
     file = tmp_path / "advised.xml"
     status, shown, _ = shell("sfera", str(plan), "--journey", str(wil), "-o", str(file))
     assert status == 0

@@ -35,9 +35,7 @@ def runs() -> list[list[study.Run]]:
     return [[study.run(case, **way) for case in study.CASES] for way in ways]
 
 
-def test_energy_of_the_motors_is_that_of_train_wheels_creep_and_resistance(
-    runs: list[list[study.Run]],
-) -> None:
+def test_energy_of_the_motors_is_that_of_train_wheels_creep_and_resistance(runs):
     """What the motors put in must be found again; the slip alone could hide a wrong model."""
     for run in (runs[1][2], runs[2][2]):
         locomotive = run.preset.locomotive
@@ -53,7 +51,7 @@ def test_energy_of_the_motors_is_that_of_train_wheels_creep_and_resistance(
 
 
 @pytest.mark.parametrize(("lag", "direction"), [(0.0, 1.0), (0.1, 1.0), (0.1, -1.0)])
-def test_sensitivities_are_those_of_finite_differences(lag: float, direction: float) -> None:
+def test_sensitivities_are_those_of_finite_differences(lag, direction):
     rng = np.random.default_rng(1)
     for preset in study.PRESETS:
         locomotive, tuning = preset.locomotive, preset.tuning
@@ -78,7 +76,7 @@ def test_sensitivities_are_those_of_finite_differences(lag: float, direction: fl
 
 
 @pytest.mark.parametrize("peak_slip", [1.2, 0.22, 0.1])
-def test_the_prediction_is_the_motion_also_on_steep_creep_curves(peak_slip: float) -> None:
+def test_the_prediction_is_the_motion_also_on_steep_creep_curves(peak_slip):
     """Against Runge-Kutta with steps of 0.1 ms, below and around the peak, in both directions."""
     locomotive = study.LOCOMOTIVE_85_T
     curve = steep(peak_slip, 0.25)
@@ -99,7 +97,7 @@ def test_the_prediction_is_the_motion_also_on_steep_creep_curves(peak_slip: floa
 
 
 @pytest.mark.parametrize(("peak_slip", "axles"), [(0.22, 4), (0.1, 12)])
-def test_steep_creep_curves_are_driven_at_their_peak(peak_slip: float, axles: int) -> None:
+def test_steep_creep_curves_are_driven_at_their_peak(peak_slip, axles):
     """Dry, then wet, then half of the axles wet: the adhesion in use is what the rail gives."""
     four = study.LOCOMOTIVE_85_T
     locomotive = replace(
@@ -127,9 +125,7 @@ def test_steep_creep_curves_are_driven_at_their_peak(peak_slip: float, axles: in
     np.testing.assert_allclose(used, 1.0, atol=0.01)
 
 
-def test_programs_that_no_solver_solves_are_counted_and_the_train_is_still_driven(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_programs_that_no_solver_solves_are_counted_and_the_train_is_still_driven(monkeypatch):
     """The plan that only brings each axle to its slip speed drives, and keeps the limits."""
     monkeypatch.setattr(cooperative, "solve", lambda program: (np.full(20, np.nan), -1))
     locomotive, rail, state = study.LOCOMOTIVE_85_T, coefficients([DRY] * 4), np.zeros(5)
@@ -142,7 +138,7 @@ def test_programs_that_no_solver_solves_are_counted_and_the_train_is_still_drive
     assert state[0] > 1.8
 
 
-def test_wheels_race_without_slip_control() -> None:
+def test_wheels_race_without_slip_control():
     run = study.run(study.CASES[0], strategy="no slip control")
     assert run.slip.max() > 20.0
 
@@ -159,9 +155,7 @@ def steep(peak_slip: float, maximum: float) -> np.ndarray:
     st.lists(st.floats(0.0, 5e3), min_size=4, max_size=4),
     st.floats(0.0, 2e4),
 )
-def test_torques_are_brought_within_any_limits(
-    plan: list[float], limits: list[float], total: float
-) -> None:
+def test_torques_are_brought_within_any_limits(plan, limits, total):
     controller = CooperativeController(LOCOMOTIVE)
     demand = demand_on(controller, coefficients([DRY] * 4), limits, total)
     found = within(np.array(plan).reshape(5, 4), demand)
@@ -171,7 +165,7 @@ def test_torques_are_brought_within_any_limits(
     assert np.all(found.sum(axis=1) <= total * (1.0 + 1e-12) + smallest)
 
 
-def test_the_page_has_what_the_cases_reach(runs: list[list[study.Run]]) -> None:
+def test_the_page_has_what_the_cases_reach(runs):
     every = [run for way in runs for run in way]
     assumed = study.run(study.CASES[0], integration="euler", first=study.FIRST_TORQUE)
     made = (published_table(), start_table(every[0], assumed), torque_table(every))
@@ -182,7 +176,7 @@ def test_the_page_has_what_the_cases_reach(runs: list[list[study.Run]]) -> None:
     assert trip_of(every[2]).metadata["traction_decisions"] == "300"
 
 
-def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:
+def test_the_rail_is_learnt_from_slip_and_adhesion_in_use():
     """A wheel at the peaks of a dry, then of a wet rail; speeds with noise."""
     locomotive, tuning = study.LOCOMOTIVE_85_T, study.SENSIBLE.tuning
     estimator = RailEstimator(locomotive, tuning, 0.05, 0.02)
@@ -206,7 +200,7 @@ def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:
     assert np.all((low <= WET.peak) & (wet.maximum <= high) & (WET.peak <= high))
 
 
-def test_bad_speeds_are_refused() -> None:
+def test_bad_speeds_are_refused():
     controller = CooperativeController(LOCOMOTIVE)
     dry = coefficients([DRY] * 4)
     demand = demand_on(controller, dry)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,9 +57,7 @@ def days(known: study.Setup, tmp_path_factory: pytest.TempPathFactory) -> list[D
     return both
 
 
-def test_constraints_and_stops_are_kept_and_only_without_the_map_axles_skid(
-    outcomes: dict[str, study.Outcome],
-) -> None:
+def test_constraints_and_stops_are_kept_and_only_without_the_map_axles_skid(outcomes):
     for each in outcomes.values():
         found = each.informed
         assert found.worst.max() <= 1e-6
@@ -72,7 +69,7 @@ def test_constraints_and_stops_are_kept_and_only_without_the_map_axles_skid(
     assert blind.worst[1] > 0.0
 
 
-def test_the_second_day_beats_the_first_in_slip_and_is_punctual(days: list[Day]) -> None:
+def test_the_second_day_beats_the_first_in_slip_and_is_punctual(days):
     first, second = days
     assert first.slip_events > 0
     assert second.slip_events == 0
@@ -84,9 +81,7 @@ def test_the_second_day_beats_the_first_in_slip_and_is_punctual(days: list[Day])
     assert len(second.track.trips) == 2
 
 
-def test_a_section_that_the_rail_forbids_in_its_time_is_late_by_the_least(
-    known: study.Setup, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_section_that_the_rail_forbids_in_its_time_is_late_by_the_least(known, monkeypatch):
     """Its arrival is put off before it is solved; the second day solves such a section."""
     monkeypatch.setattr(study, "reference", lambda made: replace(known.plan[0], section=made))
     icy = StepProfile(np.zeros(1), np.array([0.04]))
@@ -97,9 +92,7 @@ def test_a_section_that_the_rail_forbids_in_its_time_is_late_by_the_least(
     assert arrival - asked > bound
 
 
-def test_a_run_is_logged_with_its_levers_reference_and_truth(
-    outcomes: dict[str, study.Outcome], tmp_path: Path
-) -> None:
+def test_a_run_is_logged_with_its_levers_reference_and_truth(outcomes, tmp_path):
     found = outcomes["good track"].informed
     write_log(trip_of(found, "dry", 1), tmp_path / "trip.mcap")
     again = read_log(tmp_path / "trip.mcap")
@@ -111,9 +104,7 @@ def test_a_run_is_logged_with_its_levers_reference_and_truth(
     assert (tmp_path / "twice.mcap").read_bytes() == (tmp_path / "trip.mcap").read_bytes()
 
 
-def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
-    known: study.Setup,
-) -> None:
+def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(known):
     """On time the published controller keeps eq. (7) but for a guard's share; late it does not."""
     on_time, _, late, _ = study.SCENARIOS
     good = study.outcome(known, on_time, 78_200.0, published=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from io import StringIO
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -75,7 +74,7 @@ class TestField:
     distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
     covariance = 0.3**2 * np.exp(-distance / 120.0)
 
-    def test_onsets_alone_leave_the_spread_of_the_gaussian_posterior(self) -> None:
+    def test_onsets_alone_leave_the_spread_of_the_gaussian_posterior(self):
         rng = np.random.default_rng(1)
         weight = np.where(rng.uniform(size=BINS) < 0.3, rng.uniform(10.0, 500.0, BINS), 0.0)
         exact = np.linalg.inv(np.linalg.inv(self.covariance) + np.diag(weight))
@@ -85,7 +84,7 @@ class TestField:
         np.testing.assert_allclose(alone, (100.0 + 1.0 / 0.09) ** -0.5)
 
     @pytest.mark.parametrize("trips", [1, 4])
-    def test_what_all_onsets_of_a_trip_err_by_alike_widens_the_band(self, trips: int) -> None:
+    def test_what_all_onsets_of_a_trip_err_by_alike_widens_the_band(self, trips):
         """As much as it does exactly for one trip; never less for several."""
         rng = np.random.default_rng(3)
         weights = rng.uniform(20.0, 60.0, (trips, BINS)) * (rng.uniform(size=(trips, BINS)) < 0.4)
@@ -122,9 +121,7 @@ class TestBounds:
         return float(LEVELS[levels[0]]) if levels.size else None
 
     @given(st.floats(0.05, 0.4), st.floats(0.001, 0.03), st.sampled_from([1.0, -1.0]))
-    def test_a_bin_bears_at_least_what_was_used_less_one_standard_deviation(
-        self, used: float, std: float, sign: float
-    ) -> None:
+    def test_a_bin_bears_at_least_what_was_used_less_one_standard_deviation(self, used, std, sign):
         place = np.array([4.5 * BIN, 7.5 * BIN])
         found = evidence_of(
             self.made(place, sign * np.array([used, 0.6 * used]), std), empty_map(LINE), "dry"
@@ -135,7 +132,7 @@ class TestBounds:
             if known is not None:
                 assert known <= adhesion - std < known + 0.0101
 
-    def test_what_was_used_near_the_edge_of_a_bin_bounds_neither(self) -> None:
+    def test_what_was_used_near_the_edge_of_a_bin_bounds_neither(self):
         """The chainage is some metres off: the sample may belong to the next bin."""
         near = 3.0 * BIN + np.array([-4.9, -0.1, 0.1, 4.9])
         inside = np.array([3.0 * BIN - 5.1, 3.0 * BIN + 5.1])
@@ -148,7 +145,7 @@ class TestBounds:
 
 
 class TestMerging:
-    def test_the_same_log_is_counted_once_and_reported(self) -> None:
+    def test_the_same_log_is_counted_once_and_reported(self):
         first, _ = update(empty_map(LINE), [piece(1)])
         again, skipped = update(first, [replace(piece(1), trip="renamed"), piece(2), piece(2)])
         assert skipped == ("renamed", "trip-2")
@@ -168,7 +165,7 @@ class TestObserved:
             replace(piece(1), sha256=f"{i:064x}", daily=later) for i in range(2, 8)
         ])[0]  # fmt: skip
 
-    def test_the_prior_is_never_shown_as_data(self) -> None:
+    def test_the_prior_is_never_shown_as_data(self):
         track = self.spotted()
         layer = track.layer("dry")
         assert np.isnan(layer.maximum_adhesion[~layer.observed]).all()
@@ -177,7 +174,7 @@ class TestObserved:
         assert track.lower_bound("dry", 510.0) < 0.12
         assert track.layer("dry").quantile(0.975)[20] > 0.25
 
-    def test_model_error_is_a_floor(self) -> None:
+    def test_model_error_is_a_floor(self):
         many = [replace(piece(1), sha256=f"{i:064x}") for i in range(300)]
         layer = update(empty_map(LINE), many)[0].layer("dry")
         assert layer.log_std.min() == pytest.approx(SETTINGS["model_std"], rel=0.15)
@@ -190,7 +187,7 @@ def trip() -> Trip:
 
 
 class TestTrips:
-    def test_evidence_of_a_trip_is_one_entry_a_bin(self, trip: Trip) -> None:
+    def test_evidence_of_a_trip_is_one_entry_a_bin(self, trip):
         found = evidence(trip, empty_map(hilly_line()))
         events = found.daily.by_bin("events")
         entries = (events > 0) + found.daily.censored.sum(axis=1)
@@ -210,7 +207,7 @@ class TestWhatRecordersLack:
         console.print(*UpdatedMap(track, ()).shown())
         return str(console.file.getvalue())
 
-    def test_slips_without_a_level_and_slips_that_are_not_seen(self) -> None:
+    def test_slips_without_a_level_and_slips_that_are_not_seen(self):
         notes = ["the axles are sampled every 1 s: slips shorter than 2 s may be missed"]
         other = ["the axles are sampled every 0.5 s: slips shorter than 1 s may be missed"]
         shown = self.shown(
@@ -276,7 +273,7 @@ def unestimated(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class TestTripsThatDisagree:
-    def test_trips_of_another_condition_are_set_aside_and_named(self) -> None:
+    def test_trips_of_another_condition_are_set_aside_and_named(self):
         rail = Rail(1)
         wrong = {2, 5, 8, 11, 13}
         trips = [rail.trip(number, 1.9 if number in wrong else 1.0) for number in range(14)]
@@ -295,7 +292,7 @@ class TestTripsThatDisagree:
         assert len(again.notes) == len(wrong)
 
     @pytest.mark.usefixtures("unestimated")
-    def test_a_change_of_the_whole_line_is_no_wrong_label(self) -> None:
+    def test_a_change_of_the_whole_line_is_no_wrong_label(self):
         rail = Rail(2)
         trips = [rail.trip(number, 1.0 if number < 9 else 0.7) for number in range(14)]
         track, _ = update(empty_map(WAY), trips)
@@ -303,7 +300,7 @@ class TestTripsThatDisagree:
             notes[0].startswith("set aside") for notes in notes_of(track).values() if notes
         )
 
-    def test_the_other_track_has_a_layer_of_its_own(self, tmp_path: Path) -> None:
+    def test_the_other_track_has_a_layer_of_its_own(self, tmp_path):
         rail = Rail(3)
         ways = {"forward": 1.0, "reverse": 0.7}
         trips = [
@@ -327,7 +324,7 @@ class TestTripsThatDisagree:
         assert sorted(later) == ["wet forward", "wet reverse"]
         assert later["wet forward"] == track.layers["wet forward"].evidence
 
-    def test_factors_of_trips_are_taken_out_where_they_differ(self) -> None:
+    def test_factors_of_trips_are_taken_out_where_they_differ(self):
         rail = Rail(4)
         factors = np.exp([0.0, 0.2, -0.2, 0.02, -0.15, 0.16, -0.22, 0.0, 0.2, -0.03])
         trips = [rail.trip(number, float(each)) for number, each in enumerate(factors)]
@@ -347,7 +344,7 @@ class TestTripsThatDisagree:
         "lags",
         [pytest.param([0, 3] * 5, marks=pytest.mark.long), [-4, -3, -2, -1, 0, 0, 1, 2, 3, 4]],
     )
-    def test_the_band_holds_where_trips_are_placed_apart(self, lags: list[int]) -> None:
+    def test_the_band_holds_where_trips_are_placed_apart(self, lags):
         """Every second trip 75 m off; or spots that creep by 25 m a trip."""
         rail = Rail(6)
         trips = [rail.trip(number, lag=each) for number, each in enumerate(lags)]
@@ -361,7 +358,7 @@ class TestTripsThatDisagree:
         assert np.mean(over > 0.0) < 0.03
 
     @pytest.mark.usefixtures("unestimated")
-    def test_trips_years_apart_from_the_others_are_set_aside(self) -> None:
+    def test_trips_years_apart_from_the_others_are_set_aside(self):
         rail = Rail(5)
         trips = [rail.trip(number - 26 * 365 * (number % 3 == 0)) for number in range(8)]
         track, _ = update(empty_map(WAY), trips)
@@ -370,7 +367,7 @@ class TestTripsThatDisagree:
         assert all("dated 199" in each and "correct the recorder's clock" in each for each in said)
         assert np.ptp(track.days) < 10
 
-    def test_trips_that_agree_are_left_as_they_are(self) -> None:
+    def test_trips_that_agree_are_left_as_they_are(self):
         for seed in range(100, 108):
             rail = Rail(seed)
             trips = [
@@ -384,7 +381,7 @@ class TestTripsThatDisagree:
             assert found.evidence["wet"][0] == DailyEvidence.total(each.daily for each in trips)
 
 
-def test_dates_that_no_recorder_had_are_refused() -> None:
+def test_dates_that_no_recorder_had_are_refused():
     """A clock that jumped by 26 years on the way."""
     found = slip(simulate(draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]))
     moved = found.time.as_unit("ns").asi8.copy()
@@ -396,7 +393,7 @@ def test_dates_that_no_recorder_had_are_refused() -> None:
     assert evidence_of(found, empty_map(hilly_line()), "wet").daily.days.size == 1
 
 
-def test_settings_bins_and_lists_that_no_map_takes_are_refused() -> None:
+def test_settings_bins_and_lists_that_no_map_takes_are_refused():
     for words, call in (
         ("unknown setting 'speed'", lambda: empty_map(LINE, settings={"speed": 1.0})),
         ("trip_std must be positive", lambda: empty_map(LINE, settings={"trip_std": 0.0})),
@@ -434,7 +431,7 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_a_map_of_few_trips_shows_what_they_met() -> None:
+def test_a_map_of_few_trips_shows_what_they_met():
     found = errors(1, 6)
     assert set(found) == {"dry", "wet"}
     for error, score, observed in found.values():
@@ -445,7 +442,7 @@ def test_a_map_of_few_trips_shows_what_they_met() -> None:
 
 
 @pytest.mark.long
-def test_twelve_trips_on_eight_lines() -> None:
+def test_twelve_trips_on_eight_lines():
     """Each layer of each line, all together, and the share of truths in the 95 % band.
 
     Onsets read the maximum .002 too low; what few trips of a dry rail show of a slippery place is

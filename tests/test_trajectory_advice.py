@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ def sampled() -> Trajectory:
     return optimised(line, train, [Configuration.of(train)], reserve=0.1, cells=100)
 
 
-def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly: Trajectory) -> None:
+def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly):
     points = instructions(hilly, hilly_line().speed_limits)
     assert (points[0].position, points[0].phase) == (0.0, Phase.MAXIMUM_TRACTION)
     assert points[-1].phase is Phase.MAXIMUM_BRAKING
@@ -72,7 +71,7 @@ def words_of(trajectory: Trajectory) -> list[str]:
     return [each.words() for each in instructions(trajectory, FREE)]
 
 
-def test_at_one_speed_the_advice_is_to_hold_it() -> None:
+def test_at_one_speed_the_advice_is_to_hold_it():
     speeds = [0, 100, 100.5, 101, 100.2, 101.1, 100.5, 60, 0]
     assert words_of(_with_phases("TPHPCPCB", speeds)) == [
         "full traction to 101 km/h",
@@ -86,7 +85,7 @@ def test_at_one_speed_the_advice_is_to_hold_it() -> None:
     assert dip[2].course == pytest.approx(np.array([100.0, 80.0, 100.0]) / 3.6)
 
 
-def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake() -> None:
+def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake():
     """Braking downhill at one speed, then to a lower one: two speeds to hold, and a brake."""
     speeds = [0, 99, 100, 100, 100, 100, 85, 80, 80.5, 80, 60, 0]
     assert words_of(_with_phases("TPPPPHHPPCB", speeds)) == [
@@ -102,7 +101,7 @@ def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake() -> None:
     assert falling[1:3] == ["hold 100 km/h", "partial traction to 80 km/h by km 1.200"]
 
 
-def test_a_short_full_brake_to_a_lower_speed_is_advice() -> None:
+def test_a_short_full_brake_to_a_lower_speed_is_advice():
     given = _with_phases("TPBPB", [0, 115, 115, 105, 105, 0])
     times = np.array([0.0, 60.0, 120.0, 122.5, 200.0, 240.0])[None]
     assert words_of(replace(given, times=times)) == [
@@ -111,7 +110,7 @@ def test_a_short_full_brake_to_a_lower_speed_is_advice() -> None:
     ]  # fmt: skip
 
 
-def test_braking_is_advised_only_where_a_configuration_brakes() -> None:
+def test_braking_is_advised_only_where_a_configuration_brakes():
     """One coasts below a limit that the other has to brake for; further on both coast below one."""
     slow = np.array([0, 100, 92, 88, 80, 70, 0]) / 3.6
     fast = np.array([0, 100, 100, 90, 84, 75, 0]) / 3.6
@@ -137,7 +136,7 @@ def test_braking_is_advised_only_where_a_configuration_brakes() -> None:
     ]
 
 
-def test_a_speed_is_held_only_where_the_plan_drives_or_brakes() -> None:
+def test_a_speed_is_held_only_where_the_plan_drives_or_brakes():
     """Downhill one brakes for a limit below which the other coasts: nobody is to drive."""
     slow = np.array([0, 104, 107, 109.6, 109.7, 109.8, 109.9, 110, 110, 60, 0]) / 3.6
     fast = np.array([0, 104, 108, 109.9, 110, 110, 110, 110, 110, 60, 0]) / 3.6
@@ -197,7 +196,7 @@ def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
 
 @settings(max_examples=200)
 @given(drawn_plans())
-def test_rows_say_what_any_plan_does(drawn: tuple[Trajectory, StepProfile]) -> None:
+def test_rows_say_what_any_plan_does(drawn):
     plan, limits = drawn
     places, speeds, top = plan.positions, plan.speeds[0], 1.0 / KMH
     phases = np.array([["TPCHB".index(x) for x in each] for each in plan.certificate["phases"]])
@@ -256,7 +255,7 @@ def test_rows_say_what_any_plan_does(drawn: tuple[Trajectory, StepProfile]) -> N
 
 
 @given(drawn_plans())
-def test_no_other_rows_leave_less_unsaid(drawn: tuple[Trajectory, StepProfile]) -> None:
+def test_no_other_rows_leave_less_unsaid(drawn):
     plan = _Plan(*drawn)
     costs, chosen, change = plan._costs(), plan.chosen(), 2.5 / 3.6
     least = costs[:, 0]
@@ -266,9 +265,7 @@ def test_no_other_rows_leave_less_unsaid(drawn: tuple[Trajectory, StepProfile]) 
     assert own == pytest.approx(least.min())
 
 
-def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(
-    sampled: Trajectory, tmp_path: Path
-) -> None:
+def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(sampled, tmp_path):
     trip = read_log(sample("nonstop.mcap"))
     write_log(with_advice(trip, sampled), tmp_path / "advised.mcap")
     advised = read_log(tmp_path / "advised.mcap")
@@ -286,7 +283,7 @@ def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(
     refused(InputError, r"is never between km 1000\.000 and", with_advice, trip, beyond)
 
 
-def test_the_slope_of_the_front_is_the_price_of_a_second() -> None:
+def test_the_slope_of_the_front_is_the_price_of_a_second():
     problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05))
     front = energy_against_time(problem, (0.2, 0.05, 0.1, 0.15), OptimiserOptions(80))
     assert np.all(np.diff(front.times) > 0.0)
@@ -298,14 +295,14 @@ def test_the_slope_of_the_front_is_the_price_of_a_second() -> None:
     assert np.all(slopes >= 0.99 * front.prices[1:])
 
 
-def test_a_front_of_nothing_is_refused() -> None:
+def test_a_front_of_nothing_is_refused():
     problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0))
     refused(InputError, "no reserves", energy_against_time, problem, ())
     with pytest.raises(InfeasibleError, match="under one common traction"):
         energy_against_time(problem, (1e-7,), OptimiserOptions(40))
 
 
-def test_against_the_chainage_the_map_is_read_backwards() -> None:
+def test_against_the_chainage_the_map_is_read_backwards():
     line = hilly_line()
     condition = slippery(line, (7_000.0, 8_000.0, 0.08))
     configurations = tuple(observed(FLIRT, 1.0))
@@ -328,7 +325,7 @@ def test_against_the_chainage_the_map_is_read_backwards() -> None:
     assert found.tractive_effort[0] == pytest.approx(least, rel=1e-6)
 
 
-def test_coasting_for_a_moment_while_cruising_is_no_advice() -> None:
+def test_coasting_for_a_moment_while_cruising_is_no_advice():
     """Nor is a little braking at a speed that stays."""
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
     count = found.positions.size - 1

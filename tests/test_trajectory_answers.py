@@ -28,7 +28,7 @@ def reference() -> Trajectory:
     )
 
 
-def test_reference_run_costs_no_more_than_the_best_known(reference: Trajectory) -> None:
+def test_reference_run_costs_no_more_than_the_best_known(reference):
     per_mass = reference.certificate["energy"] / (1.06 * VIRM6.mass)
     assert per_mass <= 2802.9
     assert per_mass >= 2802.5, "less than every solver and the lower bound found"
@@ -36,7 +36,7 @@ def test_reference_run_costs_no_more_than_the_best_known(reference: Trajectory) 
     assert reference.certificate["audit"]["end_speed"] <= 10.0 + 1e-5
 
 
-def test_published_pseudospectral_solution() -> None:
+def test_published_pseudospectral_solution():
     """440.141 kWh at the line, efficiency 0.73 both ways, dynamic brake only, from 1 to 1 m/s."""
     train = replace(
         VIRM6,
@@ -58,9 +58,7 @@ def test_published_pseudospectral_solution() -> None:
     assert found.certificate["lower_bound"] / JOULES_PER_KWH <= 440.141
 
 
-def test_cruising_speed_and_braking_speed_are_those_of_optimal_control(
-    reference: Trajectory,
-) -> None:
+def test_cruising_speed_and_braking_speed_are_those_of_optimal_control(reference):
     """On level track: price of time ``V² R'(V)``; braking begins at ``V² R' / (R + V R')``."""
     resistance, phases = VIRM6.resistance, phases_of(reference, 0)
     cells = np.flatnonzero(phases == Phase.CRUISING)[5:-5]
@@ -73,7 +71,7 @@ def test_cruising_speed_and_braking_speed_are_those_of_optimal_control(
     assert reference.speeds[0, first] == pytest.approx(braking, rel=0.01)
 
 
-def test_phases_come_in_the_order_of_the_textbook(reference: Trajectory) -> None:
+def test_phases_come_in_the_order_of_the_textbook(reference):
     phases = phases_of(reference, 0)
     changes = [Phase(p) for p in phases[np.flatnonzero(np.diff(phases, prepend=-1))]]
     main = [p for p in changes if p is not Phase.PARTIAL_BRAKING]
@@ -85,7 +83,7 @@ def test_phases_come_in_the_order_of_the_textbook(reference: Trajectory) -> None
     ]
 
 
-def test_more_configurations_never_cost_less() -> None:
+def test_more_configurations_never_cost_less():
     configurations = drawn(FLIRT, 6, seed=3)
     certificates = [
         optimised(
@@ -102,7 +100,7 @@ def test_more_configurations_never_cost_less() -> None:
     assert energies[-1] > energies[0]
 
 
-def test_lossless_train_gets_its_kinetic_energy_back() -> None:
+def test_lossless_train_gets_its_kinetic_energy_back():
     """Without resistance and losses, and with a brake that returns all, nothing is spent."""
     train: Train = replace(
         VIRM6,
@@ -120,7 +118,7 @@ def test_lossless_train_gets_its_kinetic_energy_back() -> None:
     assert abs(found.certificate["line_energy"][0]) <= 1e-4 * top
 
 
-def test_traction_is_even_enough_to_be_driven() -> None:
+def test_traction_is_even_enough_to_be_driven():
     """No cell pulls alone between two that do not, but where full traction ends within a cell."""
     runs = [
         optimised(hilly_line(), FLIRT, observed(FLIRT, *spread), reserve=0.10, objective=objective)

@@ -55,14 +55,14 @@ def known_run(
     **question: object,
 ) -> tuple[Audit, list[str]]:
     """The audit of a run whose motion is known, and what it does not pass."""
-    problem = TrajectoryProblem(line, train, [configuration], sigmas=0.0, **question)  # type: ignore[arg-type]
+    problem = TrajectoryProblem(line, train, [configuration], sigmas=0.0, **question)
     positions = np.linspace(0.0, 2_000.0, 81)
     pulls, brakes = positions[:-1] < 500.0, positions[:-1] >= 1_000.0
     found = audit(problem, positions, traction * pulls, np.zeros(80), braking * brakes[None])
     return found, found.failures(problem, running_time)
 
 
-def test_audit_of_a_run_of_constant_efforts_is_known_in_closed_form() -> None:
+def test_audit_of_a_run_of_constant_efforts_is_known_in_closed_form():
     found, failures = known_run(condition_map=slippery(LEVEL))
     assert failures == []
     assert found.arrival[0] == pytest.approx(TIME, rel=1e-12)
@@ -80,7 +80,7 @@ def test_audit_of_a_run_of_constant_efforts_is_known_in_closed_form() -> None:
     assert found.line_energy[0] == pytest.approx(bought - regained)
 
 
-def test_a_cell_of_millimetres_far_along_the_line_has_the_gradient_of_its_own_side() -> None:
+def test_a_cell_of_millimetres_far_along_the_line_has_the_gradient_of_its_own_side():
     change = 93_036.8
     line = replace(level_line(100_000.0), gradients=steps((0.0, 0.02), (change, -0.01)))
     positions = np.array([93_000.0, change - 0.004, change, change + 0.002, 93_100.0])
@@ -89,7 +89,7 @@ def test_a_cell_of_millimetres_far_along_the_line_has_the_gradient_of_its_own_si
     assert found[1, 0] > 0.0 > found[2, 0]
 
 
-def test_a_train_whose_effort_just_balances_its_resistance_does_not_start() -> None:
+def test_a_train_whose_effort_just_balances_its_resistance_does_not_start():
     still = RunningResistance(2_000.0, 0.0, 0.0)
     held = replace(ONE, resistance=still)
     run = TrajectoryProblem(LEVEL, SMOOTH, [held])
@@ -99,7 +99,7 @@ def test_a_train_whose_effort_just_balances_its_resistance_does_not_start() -> N
     assert any("stops short" in each for each in found.failures(run, 1e6))
 
 
-def test_an_effort_of_a_table_is_that_of_the_curve() -> None:
+def test_an_effort_of_a_table_is_that_of_the_curve():
     """Between all of its rows, in the first of them as in the last, and beyond."""
     curve = EffortCurve(np.array([0.0, 4.0, 9.0, 20.0]), np.array([9e4, 8e4, 3e4, 2e4]))
     for speed in (0.5, 3.9, 4.0, 6.0, 12.0, 20.0, 31.0):
@@ -108,7 +108,7 @@ def test_an_effort_of_a_table_is_that_of_the_curve() -> None:
     assert _in_table(0.7, *_table(None)) == np.inf
 
 
-def test_energy_that_the_dynamic_brake_cannot_take_is_not_fed_back() -> None:
+def test_energy_that_the_dynamic_brake_cannot_take_is_not_fed_back():
     """By its power; by its effort; by the adhesion of the powered axles."""
     bought = TRACTION * 500.0 / SMOOTH.efficiency_traction
     weak = replace(SMOOTH, max_dynamic_braking_effort=0.4 * BRAKING)
@@ -132,7 +132,7 @@ def test_energy_that_the_dynamic_brake_cannot_take_is_not_fed_back() -> None:
     )
 
 
-def test_an_overspeed_where_a_lower_limit_ends_is_reported() -> None:
+def test_an_overspeed_where_a_lower_limit_ends_is_reported():
     """The train accelerates beyond the limit in its last metre alone."""
     limit = KMH * (FASTEST * np.sqrt(0.8) - 3.0 * SPEED_TOLERANCE)
     line = level_line(2_000.0, (0.0, limit), (400.0, 140.0))
@@ -142,13 +142,13 @@ def test_an_overspeed_where_a_lower_limit_ends_is_reported() -> None:
     assert "exceeds the permitted speed" in failures[0]
 
 
-def test_the_distance_to_the_end_of_a_train_that_stops_early_is_known() -> None:
+def test_the_distance_to_the_end_of_a_train_that_stops_early_is_known():
     found, failures = known_run(braking=1.25 * BRAKING)
     assert found.shortfall[0] == pytest.approx(200.0, rel=1e-9)
     assert any("stops short by [m] 200" in failure for failure in failures)
 
 
-def test_tapered_traction_is_audited_where_it_is_highest() -> None:
+def test_tapered_traction_is_audited_where_it_is_highest():
     """Traction that falls or rises by a tenth about its mean in each cell, from 1 m/s."""
     positions, taper = np.linspace(0.0, 2_000.0, 81), np.zeros(80)
     taper[:20] = 0.1 * TRACTION
@@ -173,9 +173,7 @@ def test_tapered_traction_is_audited_where_it_is_highest() -> None:
 
 
 @pytest.mark.parametrize(("excess", "reported"), [(3.0, 1), (0.3, 0)])
-def test_what_is_beyond_a_limit_by_more_than_its_tolerance_is_reported(
-    excess: float, reported: int
-) -> None:
+def test_what_is_beyond_a_limit_by_more_than_its_tolerance_is_reported(excess, reported):
     """Each limit is set so that the known run is beyond it by `excess` times its tolerance."""
     over = 1.0 + excess * EFFORT_TOLERANCE
     passing = 2.0 * 500.0 / FASTEST + 250.0 / FASTEST  # at 750 m, coasting
@@ -186,7 +184,7 @@ def test_what_is_beyond_a_limit_by_more_than_its_tolerance_is_reported(
         return {"windows": [TimingPoint(750.0, **bound)]}
 
     def of(**changes: float) -> dict[str, object]:
-        return {"train": replace(SMOOTH, **changes)}  # type: ignore[arg-type]
+        return {"train": replace(SMOOTH, **changes)}
 
     def slips(first: float, last: float, used: float) -> dict[str, object]:
         return {"condition_map": slippery(LEVEL, (first, last, used / over))}
@@ -218,6 +216,6 @@ def test_what_is_beyond_a_limit_by_more_than_its_tolerance_is_reported(
         ("exceeds the adhesion", slips(1_000.0, 2_000.0, grip[1])),
     ]
     for words, changes in cases:
-        _, failures = known_run(**changes)  # type: ignore[arg-type]
+        _, failures = known_run(**changes)
         assert len(failures) == reported, (words, failures)
         assert all(words in each for each in failures)

@@ -38,7 +38,7 @@ def planned(case: str, cells: int, tolerance: float = np.inf) -> Trajectory:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_finer_plan_lies_above_the_bound_of_all(case: str) -> None:
+def test_a_finer_plan_lies_above_the_bound_of_all(case):
     fine = planned(case, FINE).certificate
     for cells in (60, 150):
         coarse = planned(case, cells).certificate
@@ -50,7 +50,7 @@ def test_a_finer_plan_lies_above_the_bound_of_all(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_cells_follow_the_plan_until_the_gap_is_small(case: str) -> None:
+def test_cells_follow_the_plan_until_the_gap_is_small(case):
     first, renewed = planned(case, 100), planned(case, 100, 5e-4)
     assert first.certificate["gap"] > 5e-4
     assert renewed.certificate["gap"] <= 0.6 * first.certificate["gap"]
@@ -90,7 +90,7 @@ def solved(case: str) -> tuple[Any, ...]:
     st.integers(0, 2**31),
     st.sampled_from([1e-4, 1e-2, 0.3, 3.0]),
 )
-def test_no_multipliers_bound_a_finer_plan_from_above(case: str, seed: int, size: float) -> None:
+def test_no_multipliers_bound_a_finer_plan_from_above(case, seed, size):
     answer, part, fastest, time, energy = solved(case)
     random, known = np.random.default_rng(seed), answer.solution.multipliers
 
@@ -108,7 +108,7 @@ def test_no_multipliers_bound_a_finer_plan_from_above(case: str, seed: int, size
 
 
 @pytest.mark.parametrize("case", ["wheel", "timed wheel"])
-def test_the_excess_of_the_cells_adds_up_to_the_total(case: str) -> None:
+def test_the_excess_of_the_cells_adds_up_to_the_total(case):
     answer, part, fastest, time, _ = solved(case)
     multipliers, run = answer.solution.multipliers, answer.problem.run
     bound = continuous_bound(part, answer.solution.plan, multipliers, fastest, time, run)
@@ -118,7 +118,7 @@ def test_the_excess_of_the_cells_adds_up_to_the_total(case: str) -> None:
     assert total < 0.005 * bound.value
 
 
-def test_the_least_speed_is_that_of_its_closed_form() -> None:
+def test_the_least_speed_is_that_of_its_closed_form():
     """Slower by d on the way costs d² / 2v times what slowing down and speeding up each take."""
     mass, pull, brake, top = 100e3, 0.5, 0.8, 20.0
     train = Train(
@@ -137,7 +137,7 @@ def test_the_least_speed_is_that_of_its_closed_form() -> None:
     assert np.all(floor_of(run, fastest, [0], 2.0 * float(fastest.times[0])).z == 0.0)
 
 
-def test_the_highest_speed_is_that_of_its_closed_form() -> None:
+def test_the_highest_speed_is_that_of_its_closed_form():
     """Also where traction ends in braking for a limit, within a cell of any grid."""
     mass, pull, brake, power = 100e3, 0.5, 0.8, 6.0
     train = Train(
@@ -166,7 +166,7 @@ def test_the_highest_speed_is_that_of_its_closed_form() -> None:
         assert np.all(found <= exact * (1.0 + 3e-5) + 2e-6)
 
 
-def test_no_plan_in_time_is_below_the_least_speeds() -> None:
+def test_no_plan_in_time_is_below_the_least_speeds():
     answer, part, fastest, time, _ = solved("tight line")
     floor = floor_of(part.run, fastest, range(part.shape[0]), time)
     lowest, speeds = floor.at(part.positions), np.sqrt(2.0 * answer.solution.plan.z)
@@ -174,7 +174,7 @@ def test_no_plan_in_time_is_below_the_least_speeds() -> None:
     assert np.all(speeds >= lowest)
 
 
-def test_a_run_in_its_least_time_has_cells_until_it_is_certified() -> None:
+def test_a_run_in_its_least_time_has_cells_until_it_is_certified():
     """A second is worth a hundred times what it usually is, and so is a change of control."""
     run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.0)
     found = optimise(run, OptimiserOptions(60))

@@ -62,7 +62,7 @@ def within(train: Train, trajectory: Trajectory) -> FloatArray:
 @pytest.mark.parametrize(
     ("train", "line"), [("linear", "hilly"), ("stepped", "level"), ("bumped", "level")]
 )
-def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str) -> None:
+def test_plans_stay_within_the_curve_and_pass_their_audit(train, line):
     configurations = drawn(TRAINS[train], 2, seed=3, spread=0.05)
     trajectory = optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=80)
     certificate = trajectory.certificate
@@ -78,9 +78,7 @@ def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str)
 
 @pytest.mark.usefixtures("unrenewed")
 @pytest.mark.parametrize("kind", ["effort", "braking"])
-def test_what_an_audit_finds_beyond_a_curve_is_taken_off_it(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_an_audit_finds_beyond_a_curve_is_taken_off_it(kind, monkeypatch):
     """As for a train that gives a ten-thousandth less than its curve states."""
 
     def less(answer: active_set.Answer) -> Audit:
@@ -103,7 +101,7 @@ def test_what_an_audit_finds_beyond_a_curve_is_taken_off_it(
     assert 0.999 < used <= 1.0 / 1.0001 + 1e-6
 
 
-def test_a_common_brake_stops_a_train_whose_dynamic_brake_fades() -> None:
+def test_a_common_brake_stops_a_train_whose_dynamic_brake_fades():
     train = TRAINS["stepped"]
     trajectory = optimised(
         LINES["hilly"], train, [Configuration.of(train)], reserve=0.08, braking="common", cells=100
@@ -113,7 +111,7 @@ def test_a_common_brake_stops_a_train_whose_dynamic_brake_fades() -> None:
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives() -> None:
+def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives():
     """Effort and power alone ask this train for 54 kN where it gives 48."""
     known = replace(
         FLIRT,
@@ -142,7 +140,7 @@ def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives() -> No
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_a_curve_that_is_the_hyperbola_gives_what_effort_and_power_give() -> None:
+def test_a_curve_that_is_the_hyperbola_gives_what_effort_and_power_give():
     speeds = np.linspace(0.0, 50.0, 501)
     hyperbola = EffortCurve(speeds, FLIRT.tractive_effort_limit(speeds))
     same = replace(FLIRT, traction_curve=hyperbola, max_traction_power=3.0 * 2.6e6)
@@ -156,7 +154,7 @@ def test_a_curve_that_is_the_hyperbola_gives_what_effort_and_power_give() -> Non
     assert results[1] == pytest.approx(results[0], rel=2e-4)
 
 
-def test_the_fastest_run_of_a_linear_curve_is_that_of_its_closed_form() -> None:
+def test_the_fastest_run_of_a_linear_curve_is_that_of_its_closed_form():
     """Without resistance ``dv/dt = a (1 - v/w)``: after t the speed is ``w (1 - exp(-a t/w))``."""
     train = replace(
         FLIRT,

@@ -66,7 +66,7 @@ def of(case: str) -> tuple[Hamiltonian, FloatArray, FloatArray]:
     time, share = rng.uniform(0.5, 6.0, (q, n)), rng.dirichlet(np.ones(q + 1), n).T[:q]
     regained = rng.uniform(0.2, 0.5, q) * run.at_line
     dynamic = rng.uniform(0.0, 1.0, (q, n)) * regained[:, None]
-    prices = Prices(1.1, regained, time, share, dynamic, None)  # type: ignore[arg-type]
+    prices = Prices(1.1, regained, time, share, dynamic, None)
     segments = Segments.of(problem, POINTS)
     shape = (q, n, POINTS)
     costate, slope = rng.uniform(-0.6, 1.6, shape), rng.uniform(-1e-2, 1e-2, shape)
@@ -114,7 +114,7 @@ def alone(made: Hamiltonian, costate: FloatArray, speed: FloatArray) -> FloatArr
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_least_is_that_of_all_speeds_and_controls(case: str) -> None:
+def test_the_least_is_that_of_all_speeds_and_controls(case):
     made, costate, slope = of(case)
     problem, prices = made.problem, made.prices
     parts = np.concatenate(
@@ -148,7 +148,7 @@ def test_the_least_is_that_of_all_speeds_and_controls(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_costate_changes_as_the_least_does_with_the_speed(case: str) -> None:
+def test_the_costate_changes_as_the_least_does_with_the_speed(case):
     """The adjoint equation: with its slopes the Hamiltonian is level about the plan's speeds."""
     made, costate, _ = of(case)
     step = 1e-4
@@ -158,7 +158,7 @@ def test_the_costate_changes_as_the_least_does_with_the_speed(case: str) -> None
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_plan_costs_what_its_efforts_and_its_time_are_worth(case: str) -> None:
+def test_a_plan_costs_what_its_efforts_and_its_time_are_worth(case):
     made, costate, slope = of(case)
     problem, plan, run = made.problem, made.plan, made.problem.run
     place = made.segments.place
@@ -180,7 +180,7 @@ def test_a_plan_costs_what_its_efforts_and_its_time_are_worth(case: str) -> None
     np.testing.assert_allclose(made.of_plan(costate, slope), total, rtol=1e-10)
 
 
-def test_what_traction_is_worth_at_its_limit_is_shared_by_whose_power_limits_it() -> None:
+def test_what_traction_is_worth_at_its_limit_is_shared_by_whose_power_limits_it():
     """By all where the effort limits it less; a third of it where the effort has the rest."""
     problem = of("line")[0].problem
     q, n = problem.shape
@@ -199,7 +199,7 @@ def test_what_traction_is_worth_at_its_limit_is_shared_by_whose_power_limits_it(
     assert prices.traction == traction
 
 
-def test_quadrature_is_exact_for_what_time_and_costate_are_made_of() -> None:
+def test_quadrature_is_exact_for_what_time_and_costate_are_made_of():
     """Polynomials; and the root of the way from a standstill and to one."""
     made, _, _ = of("line")
     segments, length = made.segments, made.problem.step
@@ -224,7 +224,7 @@ def test_quadrature_is_exact_for_what_time_and_costate_are_made_of() -> None:
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_a_costate_joins_its_ends(even: bool) -> None:
+def test_a_costate_joins_its_ends(even):
     made, costate, _ = of("line")
     begin, end = costate[:, :, 0], costate[:, :, -1]
     line = Costate(made.segments, begin, end, np.full(begin.shape, even), 0.0)
@@ -249,7 +249,7 @@ def test_a_costate_joins_its_ends(even: bool) -> None:
         assert np.ptp(apart, axis=2).max() < 1e-9 * np.abs(slopes).max()
 
 
-def test_no_finer_run_is_faster_than_what_is_reached() -> None:
+def test_no_finer_run_is_faster_than_what_is_reached():
     """The envelope on its own cells, thinned out, bounds those between; and not by much."""
     run = TrajectoryProblem(hilly_line(), FLIRT, drawn(FLIRT, 2, seed=2))
     fine = fastest_run(run)
@@ -274,9 +274,7 @@ def test_no_finer_run_is_faster_than_what_is_reached() -> None:
 
 
 @pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0)])
-def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(
-    signs: tuple[int, int],
-) -> None:
+def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(signs):
     rng = np.random.default_rng(5)
     a, b, c = 10.0 ** rng.uniform(-2.0, 1.5, (3, 400)) * [[signs[0]], [1.0], [signs[1] * 0.01]]
     b *= rng.choice([-1.0, 1.0], 400)
@@ -290,7 +288,7 @@ def test_what_a_cell_costs_is_bounded_whatever_the_sizes_of_its_terms(
 
 
 @pytest.mark.parametrize("curve", [TRACTION, BRAKE], ids=["traction", "brake"])
-def test_an_effort_is_the_lowest_of_its_limits_at_each_speed(curve: EffortCurve) -> None:
+def test_an_effort_is_the_lowest_of_its_limits_at_each_speed(curve):
     """Beyond the curve's last point, too, where it goes on at the power of that."""
     share = np.array([1.0, 0.8])
     own = EffortCurve(curve.speeds, curve.efforts / 1e5)
@@ -305,7 +303,7 @@ def test_an_effort_is_the_lowest_of_its_limits_at_each_speed(curve: EffortCurve)
         np.testing.assert_allclose(_Piece.of(*limits, curves, speed).at(speed), expected)
 
 
-def test_between_two_nodes_a_run_may_turn_from_one_slope_to_the_other() -> None:
+def test_between_two_nodes_a_run_may_turn_from_one_slope_to_the_other():
     """By hand: slopes of 6, 4, 1, -2 and -5 of half the square of the speed, over 1 m each."""
     z = np.array([1.0, 7.0, 11.0, 12.0, 10.0, 5.0])
     run = replace(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import cvxpy as cp
 import pytest
@@ -40,7 +38,7 @@ def reported(words: str, error: pytest.ExceptionInfo[InfeasibleError]) -> float:
     return float(found.group(1))
 
 
-def test_too_little_time_names_the_slowest_and_what_is_missing() -> None:
+def test_too_little_time_names_the_slowest_and_what_is_missing():
     with pytest.raises(InfeasibleError, match=r"configuration 'x1\.1' needs at least") as error:
         optimised(hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), running_time=200.0)
     least = reported(r"at least (\d+\.\d) s", error)
@@ -52,7 +50,7 @@ def test_too_little_time_names_the_slowest_and_what_is_missing() -> None:
     assert found.certificate["audit"]["passed"]
 
 
-def test_trains_too_different_for_one_brake_are_refused_whatever_the_time() -> None:
+def test_trains_too_different_for_one_brake_are_refused_whatever_the_time():
     """No time helps, and the refusal does not ask for more: the relaxation proves it."""
     run = level_line(40_000.0, (0.0, 120.0), (20_000.0, 60.0)), FLIRT, observed(FLIRT, 0.5, 1.5)
     for reserve in (0.1, 1.5):
@@ -63,21 +61,21 @@ def test_trains_too_different_for_one_brake_are_refused_whatever_the_time() -> N
     assert found.certificate["audit"]["passed"]
 
 
-def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can() -> None:
+def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can():
     options = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 50}
     configurations = observed(VIRM6, 0.97, 1.0, 1.03)
     with pytest.raises(InfeasibleError, match="with one braking effort for all") as error:
-        optimised(level_line(), VIRM6, configurations, final_speed=0.0, **options)  # type: ignore[arg-type]
+        optimised(level_line(), VIRM6, configurations, final_speed=0.0, **options)
     assert not isinstance(error.value, UnprovenError)
     reachable = reported(r"the lowest speed found is (\d+\.\d) km/h", error) / KMH
     assert 5.0 < reachable < 10.0
     with pytest.raises(InfeasibleError):
-        optimised(level_line(), VIRM6, configurations, final_speed=reachable - 0.3, **options)  # type: ignore[arg-type]
-    found = optimised(level_line(), VIRM6, configurations, final_speed=reachable + 0.1, **options)  # type: ignore[arg-type]
+        optimised(level_line(), VIRM6, configurations, final_speed=reachable - 0.3, **options)
+    found = optimised(level_line(), VIRM6, configurations, final_speed=reachable + 0.1, **options)
     assert found.certificate["audit"]["passed"]
 
 
-def test_a_time_that_no_solver_found_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_time_that_no_solver_found_is_not_asked_for(monkeypatch):
     """The speed at the end is proven out of reach; that more time would help is not."""
     least_time = Relaxation.least_time
 
@@ -95,7 +93,7 @@ def test_a_time_that_no_solver_found_is_not_asked_for(monkeypatch: pytest.Monkey
     assert "inf" not in str(error.value)
 
 
-def test_a_start_too_fast_to_stop() -> None:
+def test_a_start_too_fast_to_stop():
     with pytest.raises(
         InfeasibleError, match=r"starts at 72\.0 km/h and cannot brake in time"
     ) as e:
@@ -160,22 +158,20 @@ LATE = {"line": hilly_line(), "running_time": 450.0}
         ),
     ],
 )
-def test_the_reason_and_its_place_are_named(question: dict[str, Any], words: str) -> None:
+def test_the_reason_and_its_place_are_named(question, words):
     asked = {"train": FLIRT, "configurations": observed(FLIRT, 1.0), "cells": 60} | question
     with pytest.raises(InfeasibleError, match=words):
         optimised(**asked)
 
 
 @pytest.mark.parametrize(("r1", "r2", "name"), [(-100.0, 30.0, "r1 = -100"), (2e2, -0.5, "r2 = -")])
-def test_a_resistance_that_falls_with_the_speed_is_refused(r1: float, r2: float, name: str) -> None:
+def test_a_resistance_that_falls_with_the_speed_is_refused(r1, r2, name):
     resistance = RunningResistance(FLIRT.resistance.r0, r1, r2)
     odd = replace(Configuration.of(FLIRT, name="odd"), resistance=resistance)
     refused(InputError, f"'odd' has a negative part, {name}", optimised, hilly_line(), FLIRT, [odd])
 
 
-def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(monkeypatch):
     def broken(*_: object, **__: object) -> None:
         raise cp.SolverError("Try another solver, or solve with verbose=True")
 
@@ -188,7 +184,7 @@ def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
     assert "verbose" not in str(refusal.value)
 
 
-def test_the_time_that_a_refusal_names_is_accepted() -> None:
+def test_the_time_that_a_refusal_names_is_accepted():
     asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.1))
     least = max(optimised(*asked, reserve=0.0, cells=40).certificate["least_time"])
     named = set()
@@ -203,7 +199,7 @@ def test_the_time_that_a_refusal_names_is_accepted() -> None:
     assert found.certificate["audit"]["lateness"] <= 1e-4
 
 
-def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:
+def test_limits_for_a_train_without_length_are_refused(tmp_path):
     content = json.loads(sample("CH_Stadler_FLIRT_TPF.train.json").read_text("utf-8"))
     del content["length"]
     (tmp_path / "short.train.json").write_text(json.dumps(content))

@@ -20,7 +20,7 @@ PLACE = 6_000.0
 
 def run(*windows: TimingPoint, **options: object) -> Trajectory:
     question: dict[str, object] = {**OPTIONS, **options}
-    return optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), windows=windows, **question)  # type: ignore[arg-type]
+    return optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), windows=windows, **question)
 
 
 def passing(found: Trajectory, place: float = PLACE) -> tuple[float, float]:
@@ -34,7 +34,7 @@ def free() -> Trajectory:
 
 
 @pytest.mark.parametrize("change", [-15.0, 15.0])
-def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> None:
+def test_windows_of_time_are_kept_and_cost(free, change):
     time = passing(free)[0] + change
     bound = {"latest": time} if change < 0.0 else {"earliest": time}
     window = TimingPoint(PLACE, **bound)
@@ -48,7 +48,7 @@ def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> N
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free: Trajectory) -> None:
+def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free):
     """Early at one point, late at the next: between them the train has to brake for nothing."""
     later = passing(free)[0] + 15.0
     found = run(TimingPoint(3_000.0, latest=150.0), TimingPoint(PLACE, earliest=later))
@@ -57,7 +57,7 @@ def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free: Trajectory) -> 
     assert found.certificate["lower_bound"] < found.certificate["energy"]
 
 
-def test_windows_of_speed_are_kept_and_certified(free: Trajectory) -> None:
+def test_windows_of_speed_are_kept_and_certified(free):
     speed = passing(free)[1]
     fast = run(TimingPoint(PLACE, lowest_speed=speed + 2.0))
     slow = run(TimingPoint(PLACE, highest_speed=speed - 5.0))
@@ -68,7 +68,7 @@ def test_windows_of_speed_are_kept_and_certified(free: Trajectory) -> None:
         assert found.certificate["gap"] <= 1e-3
 
 
-def test_a_point_is_passed_at_just_one_speed_while_the_train_pulls_with_all_its_power() -> None:
+def test_a_point_is_passed_at_just_one_speed_while_the_train_pulls_with_all_its_power():
     fastest = run()
     place = round(float(fastest.positions[np.argmax(fastest.tractive_effort_fall)])) + 20.0
     speed = float(fastest.speed_at(0, place)) - 1.0
@@ -77,7 +77,7 @@ def test_a_point_is_passed_at_just_one_speed_while_the_train_pulls_with_all_its_
     assert found.certificate["gap"] < 2e-3
 
 
-def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
+def test_every_configuration_keeps_the_windows(free):
     configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
     time = passing(free)[0]
     window = TimingPoint(PLACE, earliest=time, latest=time + 5.0)
@@ -97,9 +97,7 @@ def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
         ((TimingPoint(4_000.0, highest_speed=0.0),), "stands at km 4.000, in the run"),
     ],
 )
-def test_passing_points_that_are_none_are_refused(
-    windows: tuple[TimingPoint, ...], words: str
-) -> None:
+def test_passing_points_that_are_none_are_refused(windows, words):
     refused(InputError, words, run, *windows)
 
 
@@ -114,12 +112,12 @@ ASKED = (hilly_line(), FLIRT, drawn(FLIRT, 2, seed=3))
 @cache
 def with_stops(objective: str) -> JourneyPlan:
     options = {"dwell": 30.0, "reserve": 0.12, "cells": 40, "objective": objective}
-    return optimised_journey(*ASKED, STOPS, **options)  # type: ignore[arg-type]
+    return optimised_journey(*ASKED, STOPS, **options)
 
 
-def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> None:
+def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere():
     options = {"dwell": 30.0, "reserve": 0.12, "cells": 150}
-    plan = optimised_journey(hilly_line(), FLIRT, observed(FLIRT, 1.0), STOPS, **options)  # type: ignore[arg-type]
+    plan = optimised_journey(hilly_line(), FLIRT, observed(FLIRT, 1.0), STOPS, **options)
     assert plan.departures[1] >= plan.arrivals[0] + 30.0 - 1e-6
     least = sum(plan.certificate["least_running_times"])
     assert plan.arrivals[-1] == pytest.approx(30.0 + 1.12 * least)
@@ -142,7 +140,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_sections() -> None:
+def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_sections():
     """The worst of each section, added up, is more than any train takes."""
     plan = with_stops("line")
     certificate, times = plan.certificate, plan.arrivals - plan.departures
@@ -159,11 +157,11 @@ def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_section
     assert np.dot(mixture, together) >= certificate["lower_bound"]
 
 
-def test_the_worst_mixture_of_two_plans_is_where_they_cost_the_same() -> None:
+def test_the_worst_mixture_of_two_plans_is_where_they_cost_the_same():
     """A plan x costs x² + 1 or (x - 1)² + 1.5: at worst least where both are the same."""
     from analysis.trajectory.journey import worst_mixture
 
-    def energies(mixture: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def energies(mixture: np.ndarray) -> np.ndarray:
         x = float(mixture[1])  # least expected cost of mixture[0] x² + mixture[1] (x - 1)²
         return np.array([x**2 + 1.0, (x - 1.0) ** 2 + 1.5, 0.5])
 
@@ -172,7 +170,7 @@ def test_the_worst_mixture_of_two_plans_is_where_they_cost_the_same() -> None:
     assert found == pytest.approx([0.25, 0.75, 0.0], abs=5e-3)
 
 
-def test_arrivals_keep_their_windows_at_both_ends() -> None:
+def test_arrivals_keep_their_windows_at_both_ends():
     points = (stop(0.0, 0.0, 0.0), stop(5_000.0, 250.0, 260.0), stop(5_000.0, 290.0, 300.0),
               stop(8_000.0, None, 470.0))  # fmt: skip
     journey = Journey("timed", "hilly", points)
@@ -184,7 +182,7 @@ def test_arrivals_keep_their_windows_at_both_ends() -> None:
     assert plan.departures[1] + plan.sections[1].times[:, -1].max() <= 470.0 + 1e-3
 
 
-def test_journeys_that_cannot_be_are_explained() -> None:
+def test_journeys_that_cannot_be_are_explained():
     train = (hilly_line(), FLIRT, observed(FLIRT, 1.0))
     points = (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0, None, 300.0))
     with pytest.raises(InfeasibleError, match=r"is at km 8\.000 \(C\) after \d+\.\d s at the"):
@@ -197,7 +195,7 @@ def test_journeys_that_cannot_be_are_explained() -> None:
         sections_of(Journey("thrice", "hilly", (points[0], *[points[1]] * 3, points[2])))
 
 
-def test_two_points_at_one_position_are_a_stop_without_any_speed() -> None:
+def test_two_points_at_one_position_are_a_stop_without_any_speed():
     """As the template has them: arrival, then departure."""
     points = (TimingPoint(0.0), TimingPoint(4e3, latest=300.0), TimingPoint(4e3, earliest=330.0))
     journey = Journey("a stop", "level", (*points, TimingPoint(8e3)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from trainlog.formats.railway import read_trajectory, write_trajectory
 from trainlog.railway import Configuration, Line, TrackConditionMap
 
 
-def test_all_the_power_is_used_inside_the_cells() -> None:
+def test_all_the_power_is_used_inside_the_cells():
     """Traction that is constant in a cell would waste half of what the speed gains there."""
     train = Configuration.of(FLIRT)
     found = optimised(hilly_line(), FLIRT, [train], reserve=0.05, cells=120, tolerance=np.inf)
@@ -40,7 +39,7 @@ def test_all_the_power_is_used_inside_the_cells() -> None:
     assert np.all(1.0 - used[pulling] < 0.02 * gains[pulling])
 
 
-def test_the_map_limits_the_efforts_where_it_was_observed() -> None:
+def test_the_map_limits_the_efforts_where_it_was_observed():
     line = level_line(8_000.0, (0.0, 100.0))
     condition = slippery(line, (0.0, 400.0, 0.10), (7_800.0, 8_000.0, 0.06))
     nothing = np.zeros(condition.bins, dtype=bool)
@@ -61,18 +60,18 @@ def test_the_map_limits_the_efforts_where_it_was_observed() -> None:
     assert np.array_equal(unaware.tractive_effort, free.tractive_effort)
 
 
-def test_common_brakes_are_common_and_cost_no_less() -> None:
+def test_common_brakes_are_common_and_cost_no_less():
     options = {"running_time": 1541.0, "initial_speed": 1.0, "final_speed": 15.0, "cells": 150}
     configurations = observed(VIRM6, 0.97, 1.0, 1.03)
-    common = optimised(level_line(), VIRM6, configurations, braking="common", **options)  # type: ignore[arg-type]
-    own = optimised(level_line(), VIRM6, configurations, **options)  # type: ignore[arg-type]
+    common = optimised(level_line(), VIRM6, configurations, braking="common", **options)
+    own = optimised(level_line(), VIRM6, configurations, **options)
     assert np.array_equal(common.braking_effort[0], common.braking_effort[2])
     assert np.all(common.speeds[:, -1] <= 15.0 + 1e-5)
     assert common.certificate["energy"] >= own.certificate["energy"] * (1.0 - 1e-6)
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_limits_and_power_are_kept_and_few_configurations_decide() -> None:
+def test_limits_and_power_are_kept_and_few_configurations_decide():
     """From standstill to standstill, the power at both ends of every cell."""
     line, configurations = hilly_line(), drawn(FLIRT, 12, seed=1)
     found = optimised(line, FLIRT, configurations, reserve=0.1, cells=150)
@@ -102,7 +101,7 @@ def test_limits_and_power_are_kept_and_few_configurations_decide() -> None:
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_same_question_same_answer(tmp_path: Path) -> None:
+def test_same_question_same_answer(tmp_path):
     for name in ("a.json", "b.json"):
         found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 3, seed=2), cells=100)
         write_trajectory(found, tmp_path / name)
@@ -121,19 +120,19 @@ def unreadable(line: Line) -> TrackConditionMap:
     return replace(condition, layers={"wet": replace(layer, log_mean=log_mean)})
 
 
-def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs() -> None:
+def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs():
     line = level_line(8_000.0, (0.0, 80.0), (3_000.0, 0.04), (4_000.0, 80.0))
     with pytest.raises(InputError, match=r"0\.04 km/h permitted at km 3\.000 is not a speed"):
         optimised(line, FLIRT, observed(FLIRT, 1.0))
 
 
-def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
+def test_expected_energy_is_least_for_the_weights_that_are_given():
     options = {"reserve": 0.1, "cells": 120}
     configurations = observed(FLIRT, 0.9, 1.0, 1.1)
     found = {
         weights: optimised(
             hilly_line(), FLIRT, configurations, objective="expected", weights=weights, **options
-        )  # type: ignore[arg-type]
+        )
         for weights in ((), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     }
     energies = {key: np.array(each.certificate["line_energy"]) for key, each in found.items()}
@@ -144,7 +143,7 @@ def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
         assert all(share @ other >= least * (1.0 - 1e-6) for other in energies.values())
         assert answer.certificate["gap"] <= 2e-3
         assert answer.certificate["audit"]["passed"]
-    worst = optimised(hilly_line(), FLIRT, configurations, objective="line", **options)  # type: ignore[arg-type]
+    worst = optimised(hilly_line(), FLIRT, configurations, objective="line", **options)
     assert worst.certificate["energy"] <= energies[()].max() * (1.0 + 1e-6)
 
 
@@ -185,7 +184,7 @@ def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
         ({"objective": "expected", "weights": [0.0]}, "the weights add up to 0"),
     ],
 )
-def test_bad_input_is_refused(changes: dict[str, object], words: str) -> None:
+def test_bad_input_is_refused(changes, words):
     question: dict[str, object] = {"configurations": observed(FLIRT, 1.0), **changes}
     refused(InputError, words, optimised, hilly_line(), FLIRT, **question)
 
@@ -193,14 +192,14 @@ def test_bad_input_is_refused(changes: dict[str, object], words: str) -> None:
 OPTIONS = {"reserve": 0.1, "cells": 80}
 
 
-def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None:
+def test_weights_of_many_are_kept_and_those_without_weight_have_no_say():
     """Ten configurations of which three count: the same as the expected energy of these."""
     configurations = drawn(FLIRT, 10, seed=2)
     weights = np.zeros(10)
     weights[[3, 5, 8]] = 0.5, 0.3, 0.2
     found = optimised(
         hilly_line(), FLIRT, configurations, objective="expected", weights=weights.tolist(),
-        **OPTIONS,  # type: ignore[arg-type]
+        **OPTIONS,
     )  # fmt: skip
     certificate = found.certificate
     assert certificate["energy"] == pytest.approx(weights @ certificate["line_energy"])
@@ -208,7 +207,7 @@ def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None
     assert certificate["audit"]["passed"]
 
 
-def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak() -> None:
+def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak():
     """Whoever has time brakes early, without friction: no reason to optimise for all of them."""
     configurations = drawn(VIRM6, 8, seed=1)
     found = optimised(
@@ -221,7 +220,7 @@ def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak() -> None:
     assert found["gap"] < 5e-3
 
 
-def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(unrenewed: None) -> None:
+def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(unrenewed):
     problem = TrajectoryProblem(
         hilly_line(), VIRM6, drawn(VIRM6, 4, seed=1), objective="line", reserve=0.07
     )

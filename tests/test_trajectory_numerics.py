@@ -37,9 +37,7 @@ def same(found: Trajectory, usual: Trajectory) -> bool:
     return bool(abs(found.certificate["energy"] / least - 1.0) <= 3e-5)
 
 
-def test_the_answer_of_a_solver_that_stops_early_is_solved_again(
-    usual: Trajectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_answer_of_a_solver_that_stops_early_is_solved_again(usual, monkeypatch):
     monkeypatch.setitem(convex._SETTINGS, "max_iter", 3)
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert {word.split()[0] for word in found.certificate["solver"]["statuses"]} == {"CLARABEL"}
@@ -47,9 +45,7 @@ def test_the_answer_of_a_solver_that_stops_early_is_solved_again(
 
 
 @pytest.mark.parametrize("wrong", ["no solution", "not converged"])
-def test_iterations_that_fail_begin_again_from_the_cone_relaxation(
-    wrong: str, usual: Trajectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_iterations_that_fail_begin_again_from_the_cone_relaxation(wrong, usual, monkeypatch):
     minimise, seen = active_set.minimise, []
 
     def fails_first(*arguments: Any, **options: Any) -> Solution:
@@ -67,9 +63,7 @@ def test_iterations_that_fail_begin_again_from_the_cone_relaxation(
 @pytest.mark.parametrize(
     ("factor", "words"), [(0.98, "arrives late"), (1.05, "(is too fast|exceeds the)")]
 )
-def test_an_answer_that_was_tampered_with_is_not_returned(
-    factor: float, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_that_was_tampered_with_is_not_returned(factor, words, monkeypatch):
     search = active_set.search
 
     def tampered(*arguments: Any, **options: Any) -> Answer:
@@ -84,7 +78,7 @@ def test_an_answer_that_was_tampered_with_is_not_returned(
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
+def test_a_grid_too_coarse_for_the_timetable_is_made_finer():
     line, train = hilly_line(), observed(FLIRT, 1.0)
     least = optimised(line, FLIRT, train, reserve=0.0, cells=120).running_time
     found = optimised(line, FLIRT, train, running_time=least, cells=80)
@@ -93,7 +87,7 @@ def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_a_run_without_reserve_is_the_fastest_and_audited() -> None:
+def test_a_run_without_reserve_is_the_fastest_and_audited():
     times = []
     for cells in (60, 120):
         found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 2, seed=2), reserve=0.0, cells=cells)
@@ -103,7 +97,7 @@ def test_a_run_without_reserve_is_the_fastest_and_audited() -> None:
     assert 0.0 < times[1] < times[0] < 5e-3
 
 
-def test_a_run_on_next_to_no_energy_is_certified_all_the_same() -> None:
+def test_a_run_on_next_to_no_energy_is_certified_all_the_same():
     down = replace(level_line(3_000.0, (0.0, 43.2)), gradients=steps((0.0, -0.0234)))
     found = optimised(down, FLIRT, drawn(FLIRT, 2, seed=0), reserve=0.5, cells=80)
     certificate = found.certificate
@@ -113,7 +107,7 @@ def test_a_run_on_next_to_no_energy_is_certified_all_the_same() -> None:
     assert np.all(found.speeds[:, 1:-1] > 0.0)
 
 
-def test_cells_too_long_to_be_passed_within_their_limit_have_no_power() -> None:
+def test_cells_too_long_to_be_passed_within_their_limit_have_no_power():
     """At 5 km/h through a transition of 1.5 km in one cell: the train is faster inside."""
     bends = CurvatureProfile([0.0, 1_000.0, 2_500.0], [0.0, 0.0, 5e-3], [0.0, 5e-3, 5e-3])
     line = replace(level_line(3_000.0, (0.0, 5.0)), curvatures=bends)
@@ -123,7 +117,7 @@ def test_cells_too_long_to_be_passed_within_their_limit_have_no_power() -> None:
     assert power_cells(cells, 0.5, np.ones(5)).tolist() == [0, 1, 3, 4]
 
 
-def test_embedded_line_and_train_with_twelve_configurations() -> None:
+def test_embedded_line_and_train_with_twelve_configurations():
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     found = optimised(line, train, drawn(train, 12, seed=5), reserve=0.07)
@@ -135,7 +129,7 @@ def test_embedded_line_and_train_with_twelve_configurations() -> None:
     assert certificate["audit"]["power"] <= 1.0 + 1e-6
 
 
-def test_phases_by_control() -> None:
+def test_phases_by_control():
     traction = np.array([100.0, 60.0, 0.0, 0.0, 0.0, 40.0])
     braking = np.array([0.0, 0.0, 0.0, 30.0, 50.0, 25.0])
     phases = phases_by_control(traction, braking, np.full(6, 100.0), np.full(6, 50.0))
@@ -145,7 +139,7 @@ def test_phases_by_control() -> None:
     assert Phase.MAXIMUM_TRACTION.label == "maximum traction"
 
 
-def test_mesh_goes_through_every_breakpoint_and_is_fine_where_speed_changes() -> None:
+def test_mesh_goes_through_every_breakpoint_and_is_fine_where_speed_changes():
     positions = np.linspace(0.0, 1_000.0, 1_001)
     speeds = np.minimum(np.sqrt(2.0 * positions), 20.0)
     breakpoints = np.array([0.0, 333.3, 777.7, 1_000.0])

@@ -31,34 +31,34 @@ def answered(problem: TrajectoryProblem, cells: int = 200) -> Trajectory:
 
 
 @pytest.mark.parametrize("number", [1004, 1008])
-def test_random_problems_are_answered_and_the_answers_hold(number: int) -> None:
+def test_random_problems_are_answered_and_the_answers_hold(number):
     problem = random_problem(number)
     found = answered(problem)
     exact = least_time(problem, problem.configurations[0])
     assert found.certificate["least_time"][0] == pytest.approx(exact, rel=2e-4)
 
 
-def test_weak_trains_on_45_per_mille_are_answered() -> None:
+def test_weak_trains_on_45_per_mille_are_answered():
     """At 1.5 m/s: in long cells they would stand, or lose minutes."""
     problem = random_problem(32)
     few = replace(problem, configurations=problem.configurations[-3:], reserve=1.0)
     assert optimise(few, OptimiserOptions()).certificate["certified"]
 
 
-def test_one_that_all_but_stands_at_the_end_is_bounded() -> None:
+def test_one_that_all_but_stands_at_the_end_is_bounded():
     """It might pass the end at 13 km/h as the others do: its costate is not that of a stop."""
     problem = random_problem(9)
     few = replace(problem, configurations=problem.configurations[:4])
     assert optimise(few, OptimiserOptions(200)).certificate["gap"] <= 1e-3
 
 
-def test_cells_of_a_kilometre_do_not_add_up_to_a_train_that_never_stops() -> None:
+def test_cells_of_a_kilometre_do_not_add_up_to_a_train_that_never_stops():
     """Plan and audit part by 5e-5 m²/s² in a cell: by half a decimetre a second at the end."""
     problem = problem_of_kind(9102)
     answered(replace(problem, configurations=problem.configurations[1:]))
 
 
-def test_no_linear_resistance_and_much_time() -> None:
+def test_no_linear_resistance_and_much_time():
     """Where a train all but stands on the way, no time of its is infinite times no resistance."""
     train = replace(FLIRT, resistance=RunningResistance(9_000.0, 0.0, 12.0))
     line = replace(
@@ -80,7 +80,7 @@ def weak_train() -> Train:
     )
 
 
-def test_a_weak_train_climbs_at_walking_pace() -> None:
+def test_a_weak_train_climbs_at_walking_pace():
     """On cells as long as elsewhere it would stall on paper: it gains power as it slows down."""
     line = replace(
         level_line(4_000.0, (0.0, 75.0)),
@@ -91,7 +91,7 @@ def test_a_weak_train_climbs_at_walking_pace() -> None:
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_a_time_just_above_the_least_is_no_refusal() -> None:
+def test_a_time_just_above_the_least_is_no_refusal():
     """300 m with 3 W/kg, 0.1 per cent above the least time of its closed form."""
     mass = 100e3
     train = Train(
@@ -108,7 +108,7 @@ def test_a_time_just_above_the_least_is_no_refusal() -> None:
         optimise(replace(problem, running_time=0.9999 * least), OptimiserOptions(200))
 
 
-def test_seven_hours_are_kept_to_the_millisecond() -> None:
+def test_seven_hours_are_kept_to_the_millisecond():
     """The times of thousands of metres at walking pace add up; none is refused for the last one."""
     line = replace(
         level_line(60_000.0, (0.0, 30.0), (2_000.0, 8.0), (55_000.0, 30.0)),
@@ -152,9 +152,7 @@ def way_and_time(effort: float, power: float, speed: float) -> tuple[float, floa
 @pytest.mark.parametrize("length", [300.0, 3_000.0])
 @pytest.mark.parametrize(("effort", "power"), [(1.0, 3.0), (0.8, 12.0), (0.2, 1.5)])
 @pytest.mark.parametrize(("brake", "brake_power"), [(0.6, 1e3), (0.9, 4.0)])
-def test_least_time_of_power_and_brake_alone(
-    length: float, effort: float, power: float, brake: float, brake_power: float
-) -> None:
+def test_least_time_of_power_and_brake_alone(length, effort, power, brake, brake_power):
     """Accelerating to one speed and braking at once, no limit and no resistance: a closed form."""
     pull, stop = (effort, power), (brake, brake_power)
     peak = brentq(
@@ -166,7 +164,7 @@ def test_least_time_of_power_and_brake_alone(
     assert fastest_run(run).times[0] == pytest.approx(exact, rel=2e-5)
 
 
-def test_least_time_with_gradients_bends_and_a_tunnel() -> None:
+def test_least_time_with_gradients_bends_and_a_tunnel():
     """Against DOP853, which finds the instants at which one curve takes over from another."""
     short = replace(hilly_line(), tunnels=())
     for line in (hilly_line(), short):
@@ -183,7 +181,7 @@ published = pytest.mark.skipif(not LIBRARY.exists(), reason=f"{LIBRARY} is not h
 
 @published
 @pytest.mark.parametrize("track", ["CH_Stadelhofen_Altstetten", "00_var_gradient_plus_10"])
-def test_short_and_steep_tracks_with_three_configurations(track: str) -> None:
+def test_short_and_steep_tracks_with_three_configurations(track):
     line = read_track(LIBRARY / "tracks" / f"{track}.json")
     train = read_train(LIBRARY / "trains" / "CH_Stadler_FLIRT_TPF.json")
     found = optimised(line, train, drawn(train, 3, seed=8, spread=0.05), reserve=0.1)
@@ -194,14 +192,14 @@ def test_short_and_steep_tracks_with_three_configurations(track: str) -> None:
 @published
 @pytest.mark.parametrize("track", TRACKS or ["none"])
 @pytest.mark.parametrize("objective", ["wheel", "line"])
-def test_whole_library(track: str, objective: str) -> None:
+def test_whole_library(track, objective):
     line = read_track(LIBRARY / "tracks" / f"{track}.json")
     for path in sorted((LIBRARY / "trains").glob("*.json")):
         train = read_train(path)
         for reserve in (0.02, 0.05, 0.1, 0.3):
             found = optimised(
                 line, train, [Configuration.of(train)], reserve=reserve,
-                objective=objective,  # type: ignore[arg-type]
+                objective=objective,
             )  # fmt: skip
             certificate = found.certificate
             assert certificate["audit"]["passed"], path.stem
