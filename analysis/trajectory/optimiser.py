@@ -106,6 +106,9 @@ EFFORT, _LITTLE_LEFT, _LONGEST = 14.0, 10.0, 16.0
 """Processor time of programs after which nothing is begun that improves a plan, or one that is all
 but as good as it can be; and no first bound [s]."""
 
+_SHORT = 3.0
+"""Time of a cone program that does not wait for further cells, though they take less [s]."""
+
 
 def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
     """Trajectory of least worst-case energy that every configuration can follow.
@@ -333,7 +336,8 @@ def _renewed(
     # New cells lower the energy, too: a cone program that takes longer waits for them. For a common
     # brake its multipliers have to show where cells are too long.
     common = found.problem.common
-    bound = best_bound(found.answer, fastest, running_time, for_bound() if common else 0.0)
+    first = for_bound() if common else taken
+    bound = best_bound(found.answer, fastest, running_time, first)
     last, excess = found, bound.excess
     lower = False
     for number in itertools.count():
@@ -360,7 +364,7 @@ def _renewed(
         lower = again.energy < (1.0 - _LOWER) * found.energy
         taken = worked() - now
         # While the energy falls the bound only guides the cells; its cone program can wait.
-        left = 0.0 if lower else for_bound() if common else taken
+        left = 0.0 if lower else for_bound() if common else max(taken, _SHORT)
         other = best_bound(again.answer, fastest, running_time, left)
         last, excess = again, other.excess
         # On these cells the cone program that bounds best would take too long.
