@@ -291,7 +291,7 @@ def test_what_cannot_be_replayed_is_refused_and_leaves_what_there_was(trip, tmp_
         ([trip], "no/such/folder.rrd", InputError, "create its folder first", {}),
         ([], "replay.rrd", InputError, "no trip", {}),
         ([trip, Trip({})], "replay.rrd", LogError, "no samples", {}),
-        ([trip], "replay.rrd", InputError, r"of line 'dale'.*ran on 'hill'", dale),
+        ([trip], "replay.rrd", InputError, r"of line 'dale', .*not of 'hill'", dale),
     ):
         refused(error, said, write_replay, trips, tmp_path / name, **options)
         assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"older"]

@@ -18,7 +18,11 @@ from trainlog.railway import EffortCurve
 from trainlog.units import GRAVITY
 
 _PARTS, _FEWEST, _MOST = 12_000, 8, 24
-"""Runge-Kutta sub-steps over the whole grid, and the fewest and the most of a cell."""
+"""Runge-Kutta sub-steps over the whole grid, and the fewest and the most of a cell, at first."""
+
+_DOUBLINGS, _EXACT = 4, 1e-4
+"""How often sub-steps are halved, and the change of an arrival up to which they are short enough
+[s]. A train that creeps for minutes passes many changes of the gradient in a cell."""
 
 ARRIVAL_TOLERANCE = 1e-4
 """Lateness that an audited trajectory may have [s]."""
@@ -123,12 +127,6 @@ def audit(
     """
     train, line = run.train, run.line
     step = np.diff(positions)
-    substeps = int(np.clip(_PARTS // step.size, _FEWEST, _MOST))
-    track = line.track_acceleration(inside(positions, 2 * substeps), train.strip_length)
-    points = positions[:-1, None] + step[:, None] * (np.arange(substeps) + 0.5) / substeps
-    tunnel = train.tunnel_coefficient(line.tunnel_cross_section(points))
-    limit = run.permitted_speed(points)
-    adhesion = run.adhesion_at(points)
     # A limit of the train's own acceleration is no limit of its efforts.
     gross = 1.0 if train.acceleration_limits == "gross" else np.inf
     constants = np.array(
@@ -158,15 +156,25 @@ def audit(
     pull_speeds, pull_efforts = _table(train.traction_curve)
     shares = np.array([[c.max_power / train.max_traction_power] for c in run.configurations])
     brake_table = np.stack(_table(train.dynamic_braking_curve))
-    speeds, times, found = _roll(
-        run.initial_speed, step, traction, taper, braking, constants, brakes, track, tunnel, limit,
-        adhesion, shares * pull_speeds, pull_efforts, brake_table,
-    )  # fmt: skip
+    substeps, arrival = int(np.clip(_PARTS // step.size, _FEWEST, _MOST)) // 2, np.inf
+    for _ in range(_DOUBLINGS + 2):
+        track = line.track_acceleration(inside(positions, 2 * substeps), train.strip_length)
+        points = positions[:-1, None] + step[:, None] * (np.arange(substeps) + 0.5) / substeps
+        tunnel = train.tunnel_coefficient(line.tunnel_cross_section(points))
+        speeds, times, found = _roll(
+            run.initial_speed, step, traction, taper, braking, constants, brakes, track, tunnel,
+            run.permitted_speed(points), run.adhesion_at(points), shares * pull_speeds,
+            pull_efforts, brake_table,
+        )  # fmt: skip
+        before, arrival = arrival, times[:, -1]
+        if np.allclose(before, arrival, rtol=0.0, atol=_EXACT):
+            break
+        substeps *= 2
     early, tardy, slow = _passed(run, positions, speeds, times)
     wheel = np.full(len(run.configurations), float(traction @ step))
     regained = train.efficiency_regeneration * found[:, 6]
     return Audit(
-        substeps=substeps,
+        substeps=tunnel.shape[1],
         speeds=speeds,
         times=times,
         end_speed=speeds[:, -1],
