@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from trajectory_cases import (
     FLIRT,
     KMH,
@@ -78,6 +79,29 @@ def test_audit_of_a_run_of_constant_efforts_is_known_in_closed_form():
     regained = SMOOTH.efficiency_regeneration * BRAKING * 1_000.0
     bought = TRACTION * 500.0 / SMOOTH.efficiency_traction
     assert found.line_energy[0] == pytest.approx(bought - regained)
+
+
+def test_a_train_that_creeps_for_minutes_arrives_when_it_does():
+    """At 5 km/h in cells of 250 m, its mass spread over its length; the truth is scipy's."""
+    train = replace(SMOOTH, mass_model="homogeneous_strip")
+    creeping = Configuration.of(replace(train, resistance=RunningResistance(1_000.0, 300.0, 10.0)))
+    positions = np.arange(0.0, 2_001.0, 250.0)
+    rises = steps(*((at, (-1) ** k * 1e-4) for k, at in enumerate(positions[:-1])))
+    line = replace(LEVEL, gradients=rises)
+    effort, (r0, r1, r2) = float(creeping.resistance(1.389)), creeping.resistance.parabola
+    places = np.linspace(0.0, 2_000.0, 20_001)
+    slopes = creeping.mass * line.track_acceleration(places, train.strip_length)
+
+    def motion(at, state):
+        speed = np.sqrt(2.0 * state[0])
+        force = effort - r0 - (r1 + r2 * speed) * speed - np.interp(at, places, slopes)
+        return force / creeping.inertia, 1.0 / speed
+
+    start = (0.5 * 1.389**2, 0.0)
+    known = solve_ivp(motion, (0.0, 2_000.0), start, "DOP853", rtol=1e-9, max_step=1.0).y[1, -1]
+    run, none = TrajectoryProblem(line, train, [creeping], initial_speed=1.389), np.zeros(8)
+    found = audit(run, positions, np.full(8, effort), none, none[None])
+    assert found.arrival[0] == pytest.approx(known, abs=2e-4)
 
 
 def test_a_cell_of_millimetres_far_along_the_line_has_the_gradient_of_its_own_side():
