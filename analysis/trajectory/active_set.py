@@ -311,8 +311,7 @@ def _violators(
 
 def _excesses(problem: DiscreteProblem, plan: Plan, running_time: float) -> list[FloatArray]:
     """By how much each is late, early, too slow, short of power or brake, or too fast; (q,)."""
-    by_speed = problem.dynamic_by_speed(plan.z)
-    brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
+    brakes = problem.most_braking(plan.z)
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     late, soon = delays(problem, plan, running_time)
     return [

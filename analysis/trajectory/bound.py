@@ -664,16 +664,15 @@ def _bound(
     prices = Prices.of(problem, multipliers.convex())
     segments, times = Segments.of(problem, _POINTS), prices.of_times(problem, running_time)
     hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
-    found: list[ContinuousBound] = []
-    for near in (_NEAR_LEVEL, _LEVEL):
+    totals = []
+    for near in (_LEVEL, _NEAR_LEVEL):
         costate = costate_of(hamiltonian, multipliers, near)
         values, slopes = costate.along(hamiltonian)
-        least, spent = hamiltonian.least(values, slopes), hamiltonian.of_plan(values, slopes)
-        total = float((least * segments.weights).sum()) + costate.at_nodes - times
-        excess = ((spent - least) * segments.weights).sum(axis=1)
-        found.append(ContinuousBound(total, np.maximum(excess, 0.0)))
-    best = max(each.value for each in found)
-    return replace(found[0], value=best), _falls(hamiltonian, multipliers)
+        least = hamiltonian.least(values, slopes)
+        totals.append(float((least * segments.weights).sum()) + costate.at_nodes - times)
+    excess = ((hamiltonian.of_plan(values, slopes) - least) * segments.weights).sum(axis=1)
+    bound = ContinuousBound(max(totals), np.maximum(excess, 0.0))
+    return bound, _falls(hamiltonian, multipliers)
 
 
 def _falls(hamiltonian: Hamiltonian, multipliers: Multipliers) -> FloatArray:

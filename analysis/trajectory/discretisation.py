@@ -300,6 +300,14 @@ class DiscreteProblem:
                 found = np.minimum(found, self.dynamic_curves.at(speed))
         return np.asarray(found)
 
+    def most_braking(self, z: FloatArray, spare: float = 0.0) -> FloatArray:
+        """The most that all brakes together can do all through each cell, (q, n) [m/s²].
+
+        Parameters as for `dynamic_by_speed`.
+        """
+        dynamic = np.minimum(self.dynamic, self.dynamic_by_speed(z, spare))
+        return np.asarray(np.minimum(self.braking, self.friction + dynamic))
+
     def tapered(self, taper: Taper) -> DiscreteProblem:
         """The same problem with the common traction tapered so; this one must not be."""
         profile = 1.0 - 2.0 * np.linspace(0.0, 1.0, SUBSTEPS + 1)
@@ -392,8 +400,7 @@ def most_efforts(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, Floa
     """The most that common traction, (n,), and each brake, (q, n), can do in cells [m/s²]."""
     by_effort = problem.traction - np.abs(problem.taper.fall)
     pull = np.minimum(by_effort, problem.traction_by_power(plan.z + 1e-9).min(axis=0))
-    by_speed = problem.dynamic_by_speed(plan.z, 1e-9)
-    brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
+    brake = problem.most_braking(plan.z, 1e-9)
     if problem.common:
         brake = np.broadcast_to(brake.min(axis=0), brake.shape)
     return np.asarray(pull), np.asarray(brake)

@@ -199,10 +199,8 @@ def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTabl
     }
     of = f" {section}" if section else ""
     facts = facts_table(f"Robust trajectory{of} on {trajectory.line}, {trajectory.train}", rows)
-    every, wheel, drawn = (
-        trajectory.configurations,
-        *(np.asarray(certificate[name]) for name in ("wheel_energy", "line_energy")),
-    )
+    every = trajectory.configurations
+    wheel, drawn = (np.asarray(certificate[name]) for name in ("wheel_energy", "line_energy"))
     arrival = replace(DURATION, digits=2)
     table = new_table(
         f"Energy of each configuration{of and ','}{of}",
