@@ -76,6 +76,9 @@ _MANY = replace(EXACT, energy=2e-5)
 _RESPONSE = Tolerances(energy=1e-4, lateness=0.02)
 """Where the brakes of configurations are sought that are not in the program."""
 
+_NOT_SOON = replace(_RESPONSE, energy=2e-3)
+"""The same where some only have to brake in order not to be too soon."""
+
 _VIOLATION = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
 
@@ -239,25 +242,30 @@ def _deciding(problem: DiscreteProblem, solution: Solution, settled: Sequence[bo
 def _brake_gently(
     problem: DiscreteProblem, rows: list[int], driven: Plan, running_time: float
 ) -> Plan:
-    """The same traction; one that regains less than all in the program regains what it can.
+    """The same traction; one that is too soon, or regains less than all in the program, brakes so.
 
-    Only at the line, and where each brakes for itself. A configuration that brakes late regains
-    less than it could, no reason to optimise for it. First by what a rollout finds, then, where the
-    worst counts, by a program for the brakes of those that still seem to regain too little.
+    Only where each brakes for itself. A configuration that brakes late regains less than it could,
+    and passes a point earlier than it need: no reasons to optimise for it. First by what a rollout
+    finds, then, where the worst counts, by a program for the brakes of those that are still too
+    soon or seem to regain too little.
     """
-    if not problem.run.at_line or problem.common:
+    if problem.common:
         return driven
-    expected = problem.run.objective == "expected"
-    least = np.inf if expected else (driven.dynamic @ problem.step)[rows].min()
+    expected, least = problem.run.objective == "expected", -np.inf
+    if problem.run.at_line:
+        least = np.inf if expected else (driven.dynamic @ problem.step)[rows].min()
     for respond in (rollout_gently,) if expected else (rollout_gently, _best_responses):
-        little = driven.dynamic @ problem.step < least
+        soon = delays(problem, driven, running_time)[1] > LATE
+        little = (driven.dynamic @ problem.step < least) | (soon & (respond is _best_responses))
         little[rows] = False
         found = np.flatnonzero(little)
         if not found.size:
-            break
+            continue
         some, own = problem.select(found.tolist()), driven.select(found.tolist())
-        gentle = respond(some, own, running_time)
-        better = gentle.dynamic @ problem.step > own.dynamic @ problem.step
+        # As one in the program drives is nearer to what is sought than to pass too soon.
+        like = np.where(soon, np.array(rows)[problem.nearest(rows)], np.arange(soon.size))[found]
+        gentle = respond(some, driven.select(like), running_time)
+        better = soon[found] | (gentle.dynamic @ problem.step > own.dynamic @ problem.step)
         better &= np.max(_excesses(some, gentle, running_time), axis=0) <= _VIOLATION
         driven.put(found[better], gentle, better)
     return driven
@@ -272,8 +280,9 @@ def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float)
         weights=np.full(q, 1.0 / q),
     )
     sooner = running_time - _RESPONSE.lateness
+    near = _NOT_SOON if np.isfinite(problem.earliest).any() else _RESPONSE
     try:
-        best = minimise(apart, driven, np.zeros(q), sooner, _RESPONSE, iterations=15, given=True)
+        best = minimise(apart, driven, np.zeros(q), sooner, near, iterations=15, given=True)
     except NoSolutionError:
         return driven
     except OutOfTimeError as stop:
