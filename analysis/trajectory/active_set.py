@@ -70,8 +70,8 @@ _COARSE = Tolerances(energy=1e-4, lateness=0.05, smoothing=0.0)
 _STAND_IN = Tolerances(energy=1e-4, lateness=0.05)
 """Where some configurations stand for others in an expected energy."""
 
-_MANY = replace(EXACT, energy=2e-5)
-"""Where many configurations are in a program: each further one costs seconds."""
+_LARGE, _OF_LARGE = 5_000, replace(EXACT, energy=2e-5)
+"""Cells of all configurations in a program from which each further one costs seconds."""
 
 _RESPONSE = Tolerances(energy=1e-4, lateness=0.02)
 """Where the brakes of configurations are sought that are not in the program."""
@@ -134,8 +134,6 @@ def _searched(
 ) -> Answer:
     rows, plan, price = list(guess.rows), guess.plan, guess.price
     statuses, tolerances = list(guess.statuses), _COARSE if coarse else EXACT
-    if problem.run.objective == "expected" and problem.shape[0] > _REPRESENTATIVES and not coarse:
-        tolerances = _MANY
     again, even = set[int](), problem
     expected = problem.run.objective == "expected"
     counted = set(np.flatnonzero(problem.weights).tolist()) if expected else set[int]()
@@ -147,6 +145,8 @@ def _searched(
         start = partial(DrivenPlan.of_rows, together, tuple(rows))
         left_out = counted - set(rows)
         wide = _STAND_IN if left_out and not coarse else tolerances
+        if wide is EXACT and len(rows) * problem.shape[1] > _LARGE:
+            wide = _OF_LARGE
         try:
             solution = _optimum(part, plan, price, speeds[rows], running_time, wide, start)
         except OutOfTimeError as stop:

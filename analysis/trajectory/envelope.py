@@ -34,6 +34,10 @@ from trainlog.units import KMH
 _LOSS = 0.1
 """Part of its speed that a train at full traction may lose in a cell of the trajectory."""
 
+_STILL, _FIRST = 0.5, np.array([0.02, 0.06, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95])
+"""Part of its first acceleration that a train still has at the end of the first cell, else nodes
+follow at parts of the highest ``z`` in it."""
+
 _PACES = 16
 """How many top speeds are tried for a running time."""
 
@@ -81,7 +85,8 @@ class Envelope:
     def split_on_climbs(self, positions: FloatArray) -> FloatArray:
         """A grid with cells split where the slowest loses much of its speed at full traction.
 
-        The slower it is the more its power gives: within long cells it would stall on paper.
+        The slower it is the more its power gives: within long cells it would stall on paper. So it
+        would in a first cell in which most of its acceleration is lost.
         """
         row = int(np.argmax(self.times))
         v = np.maximum(self.speeds[row], 1e-3)
@@ -92,6 +97,12 @@ class Envelope:
             np.linspace(positions[k], positions[k + 1], int(parts[k]) + 1)[1:-1]
             for k in np.flatnonzero(parts > 1.0).tolist()
         ]
+        first = self.positions <= positions[1]
+        z, s = 0.5 * self.speeds[row][first] ** 2, self.positions[first]
+        if s.size > 2 and z[0] == 0.0 and self.pulling[row, 0]:
+            slopes = np.diff(z) / np.diff(s)
+            if slopes.min() < _STILL * slopes[0]:
+                inner.append(np.interp(_FIRST * z.max(), np.maximum.accumulate(z), s))
         return np.unique(np.concatenate((positions, *inner)))
 
     def times_at(self, positions: Sequence[float]) -> FloatArray:
