@@ -770,6 +770,24 @@ class Relaxation:
         time[self.longest] = 1.0
         return self._solved(time).value
 
+    def least_end(self, running_time: float) -> float:
+        """No trajectory within `running_time` [s] ends slower than at this ``z`` [m²/s²].
+
+        To be asked once, and where the speed at the end is left free.
+
+        Raises
+        ------
+        NoSolutionError
+            If no trajectory exists in that time, or the solver does not settle.
+        """
+        self.unknowns.high[self.longest] = running_time
+        half, highest = 0.5 * self.scale[:, -1] ** 2, int(self.unknowns.more((1,), 0.0)[0])
+        each = np.full(half.size, highest)
+        self.below.add(np.zeros(half.size), (self.unknowns.z[:, -1], half), (each, -half.max()))
+        cost = np.zeros(self.unknowns.size)
+        cost[highest] = 1.0
+        return self._solved(cost).value * float(half.max())
+
     def _solved(
         self, cost: FloatArray, settings: dict[str, float] | None = None
     ) -> ProgramSolution:

@@ -208,6 +208,9 @@ def check_speeds(run: TrajectoryProblem, fastest: Envelope) -> None:
 LATE = 5e-5
 """Lateness that counts [s]."""
 
+_FASTER = 0.1
+"""By which the relaxation ends faster than is asked where that is a proof [m/s]."""
+
 _SOUGHT = 4.0
 """Processor time after which no lower speed at the end is looked for [s]."""
 
@@ -278,9 +281,10 @@ def brakes_explained(
     least, status = _relaxed_time(Relaxation(problem, speeds, np.zeros_like(speeds)))
     if least <= running_time:
         return unsettled(problem, running_time, "one braking effort for all leaves little choice")
-    if status not in ("", "infeasible"):
+    fast = replace(problem, final=float(problem.ceiling[-1]))
+    if status not in ("", "infeasible") and not _ends_too_fast(fast, speeds, running_time, problem):
         return unsettled(problem, running_time, f"the relaxation is {status}")
-    free = Relaxation(replace(problem, final=float(problem.ceiling[-1])), speeds)
+    free = Relaxation(fast, speeds)
     time, status = _relaxed_time(free)
     if status == "infeasible":
         return InfeasibleError(
@@ -306,6 +310,20 @@ def brakes_explained(
     return InfeasibleError(
         words, remedy="let each configuration brake for itself (recourse), or end faster"
     )
+
+
+def _ends_too_fast(
+    free: DiscreteProblem, speeds: FloatArray, running_time: float, asked: DiscreteProblem
+) -> bool:
+    """Whether the relaxation, with its end `free`, never ends as slowly as is `asked`.
+
+    Where it is asked for, all but without an inside, solvers do not settle.
+    """
+    try:
+        least = Relaxation(free, speeds, np.zeros_like(speeds)).least_end(running_time)
+    except NoSolutionError as status:
+        return str(status) == "infeasible"
+    return bool(np.sqrt(2.0 * max(least, 0.0)) > np.sqrt(2.0 * asked.final_ceiling) + _FASTER)
 
 
 def _relaxed_time(relaxation: Relaxation) -> tuple[float, str]:
