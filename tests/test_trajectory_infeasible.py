@@ -75,6 +75,19 @@ def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can():
     assert found.certificate["audit"]["passed"]
 
 
+def test_a_common_brake_that_ends_too_fast_is_a_proof_where_solvers_do_not_settle(monkeypatch):
+    """Asked for a stop the relaxation has no inside; left to end as it may it never stops."""
+
+    def unsettled(relaxation):
+        raise NoSolutionError("infeasible_inaccurate")
+
+    monkeypatch.setattr(Relaxation, "least_time", unsettled)
+    question = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 50}
+    with pytest.raises(InfeasibleError, match=r"cannot all end at 0\.0 km/h") as error:
+        optimised(level_line(), VIRM6, observed(VIRM6, 0.97, 1.0, 1.03), **question)
+    assert not isinstance(error.value, UnprovenError)
+
+
 def test_a_time_that_no_solver_found_is_not_asked_for(monkeypatch):
     """The speed at the end is proven out of reach; that more time would help is not."""
     least_time = Relaxation.least_time

@@ -18,11 +18,12 @@ from trajectory_cases import (
     slippery,
 )
 
+from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_trajectory, write_trajectory
-from trainlog.railway import Configuration, Line, TrackConditionMap
+from trainlog.railway import Configuration, Line, TimingPoint, TrackConditionMap
 
 
 def test_all_the_power_is_used_inside_the_cells():
@@ -218,6 +219,19 @@ def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak():
     assert found["solver"]["iterations"] <= 40
     assert found["energy"] == max(found["line_energy"])
     assert found["gap"] < 5e-3
+
+
+@pytest.mark.parametrize("objective", ["wheel", "line"])
+def test_few_decide_where_a_point_is_passed_no_earlier(objective, unrenewed):
+    """Whoever would be too soon brakes by itself: no reason to optimise for all of them."""
+    line, configurations = hilly_line(), drawn(FLIRT, 12, seed=3)
+    free = TrajectoryProblem(line, FLIRT, configurations, reserve=0.5, objective=objective)
+    passed = 0.5 * line.length
+    times = fastest_run(free).times_at([passed])[:, 0]
+    points = (TimingPoint(passed, earliest=1.4 * times.max(), latest=1.4 * times.max() + 15.0),)
+    found = optimise(replace(free, windows=points), OptimiserOptions(150)).certificate
+    assert found["audit"]["passed"]
+    assert len(found["active"]) <= 4
 
 
 def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(unrenewed):

@@ -90,6 +90,13 @@ def test_a_weak_train_climbs_at_walking_pace():
     answered(TrajectoryProblem(line, train, observed(train, 0.9, 1.1), reserve=1.0))
 
 
+def test_a_heavy_train_that_starts_on_a_climb_is_planned_close_to_its_bound():
+    """At 2.7 m/s in the first cell of 226 m it would have no more power than it needs."""
+    problem = problem_of_kind(9661)
+    ahead = replace(problem, end=problem.start + 6_000.0, windows=())
+    assert answered(ahead, 60).certificate["gap"] <= 5e-3
+
+
 @pytest.mark.usefixtures("unrenewed")
 def test_a_time_just_above_the_least_is_no_refusal():
     """300 m with 3 W/kg, 0.1 per cent above the least time of its closed form."""

@@ -263,7 +263,8 @@ def _brake_gently(
             continue
         some, own = problem.select(found.tolist()), driven.select(found.tolist())
         # As one in the program drives is nearer to what is sought than to pass too soon.
-        like = np.where(soon, np.array(rows)[problem.nearest(rows)], np.arange(soon.size))[found]
+        nearest = np.array(rows)[problem.nearest(rows)]
+        like = np.where(soon, nearest, np.arange(soon.size))[found].tolist()
         gentle = respond(some, driven.select(like), running_time)
         better = soon[found] | (gentle.dynamic @ problem.step > own.dynamic @ problem.step)
         better &= np.max(_excesses(some, gentle, running_time), axis=0) <= _VIOLATION

@@ -68,7 +68,7 @@ def best_bound(
     floor = floor_of(problem.run, fastest, rows, running_time)
     if not stand_in:
         found = bound(solution.multipliers, floor=floor)
-    if gap_of(solution.energy, found.value) <= _CLOSE or relaxation_seconds(part) > seconds:
+    if gap_of(solution.energy, found.value) <= _CLOSE or not is_relaxed_within(answer, seconds):
         return found
     try:
         with time_limit(max(time_left(), _BOUND_TIME)):
@@ -82,6 +82,11 @@ def best_bound(
     best = max(others, key=lambda each: each.value)
     best = replace(best, excess=others[0].excess, source=f"cone relaxation: {relaxed.status}")
     return max(found, best, key=lambda each: each.value)
+
+
+def is_relaxed_within(answer: Answer, seconds: float) -> bool:
+    """Whether the cone relaxation for what is active is likely to end within so many seconds."""
+    return relaxation_seconds(answer.problem.select(list(answer.active))) <= seconds
 
 
 def _of_all(problem: DiscreteProblem, rows: list[int], multipliers: Multipliers) -> Multipliers:

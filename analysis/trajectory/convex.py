@@ -67,9 +67,9 @@ _NEAR_BOUND, _NEAR_ROW, _NEAR_EFFORT, _DENSE = 0.05, 0.2, 0.02, 4
 """Distances within which bounds of the speed count, relative, and rows: part of their right-hand
 side, and effort [m/s²]. Rows of more entries count always."""
 
-_LEFT = 0.7
-"""Largest part of the unknowns that may be left: a program of more takes about as long as the whole
-one, and several follow one another."""
+_FEW_NEAR = 4
+"""Configurations up to which bounds are left out: of more so little can be left out that one whole
+program takes less time than several that follow one another."""
 
 _ROUNDS, _EXCEEDED, _LOST = 3, 1e-7, 3e-7
 """How often what was fixed or left out wrongly is added; by how much bounds and rows may be
@@ -384,8 +384,7 @@ class _Program(NamedTuple):
         Returns
         -------
         _Optimum or None
-            None if there is none, little is fixed, or it is not the whole program's after some
-            rounds.
+            None if there is none, or it is not the whole program's after some rounds.
         """
         low, high, width = self.x_l, self.x_u, self.x_u - self.x_l
         rows, sizes, positive = self.G.tocsr(), abs(self.G).tocsr(), self.G.tocsr().maximum(0.0)
@@ -394,12 +393,13 @@ class _Program(NamedTuple):
             for each in efforts:
                 apart = np.any(away[each] > _AT_BOUND * width[each], axis=0)
                 side[each[:, ~_widened(apart)]] = sign
-        if np.count_nonzero((side == 0.0) & (width > 0.0)) > _LEFT * side.size:
-            return None
         bounded = np.minimum(near - low, high - near) < _NEAR_BOUND
         bounded[np.concatenate([each.ravel() for each in efforts])] = True
         kept = self.h_u - rows @ near < _NEAR_ROW * np.abs(self.h_u) + _NEAR_EFFORT
         kept |= np.diff(rows.indptr) > _DENSE
+        if z.shape[0] > _FEW_NEAR:
+            # All but what has one value: a traction that is given couples all configurations.
+            side[:], bounded[:], kept[:] = 0.0, True, True
         for _ in range(_ROUNDS):
             fixed = (side != 0.0) | (width <= 0.0)
             x, free = np.where(fixed, np.where(side > 0.0, high, low), 0.0), np.flatnonzero(~fixed)

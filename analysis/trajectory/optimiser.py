@@ -26,6 +26,7 @@ from analysis.trajectory.certificate import (
     certificate_of,
     energy_of_audit,
     gap_of,
+    is_relaxed_within,
     tolerated,
 )
 from analysis.trajectory.convex import time_left, time_limit, worked
@@ -332,7 +333,8 @@ def _renewed(
     def for_bound() -> float:
         return _LONGEST - (worked() - begun)
 
-    taken = 0.5 * (worked() - begun)
+    # One large program begun at the optimum takes as long as one begun elsewhere.
+    taken = (worked() - begun) / (1.0 + (len(found.answer.solution.statuses) > 1))
     # New cells lower the energy, too: a cone program that takes longer waits for them. For a common
     # brake its multipliers have to show where cells are too long.
     common = found.problem.common
@@ -385,7 +387,8 @@ def _renewed(
     missing = found.energy - bound.value
     asked = common or bound.source != MULTIPLIERS
     waits = number == 0 and missing > enough and not asked
-    if waits or ((lower or not asked) and missing > tolerated(bound.value, fastest)):
+    waits |= (lower or not asked) and missing > tolerated(bound.value, fastest)
+    if waits and is_relaxed_within(found.answer, for_bound()):
         other = best_bound(found.answer, fastest, running_time, for_bound())
         bound = max(bound, other, key=lambda each: each.value)
     return found, bound
