@@ -39,6 +39,7 @@ def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> P
     Unless long, its pictures are not painted, as they are in the tests of pictures.
     """
     changed = {} if request.param == 12 else {"12": str(request.param), "all": NONSTOP}
+    coarse = {"plan": ("--set", "cells=40")} if changed else {}
 
     def make(folder: Path) -> None:
         with (
@@ -48,7 +49,9 @@ def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> P
             demo.run_demo(
                 folder / "results",
                 Console(file=reported, width=110),
-                lambda step: cli.run([changed.get(word, word) for word in step]),
+                lambda step: cli.run(
+                    [*(changed.get(word, word) for word in step), *coarse.get(step[0], ())]
+                ),
             )
 
     return made_once(f"demo-{request.param}", make) / "results"

@@ -30,10 +30,10 @@ from topic_table import with_topics  # noqa: E402
 
 PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
 LONG = (
-    *("comparison.md", "engineer.md", "gallery.md", "network.md", "planner.md", "simulation.md"),
-    "track-condition-map.md",
+    *("catalogue.md", "comparison.md", "engineer.md", "gallery.md", "how-to.md", "network.md"),
+    *("planner.md", "sfera.md", "simulation.md", "track-condition-map.md", "trajectories.md"),
 )
-"""Pages whose code takes many seconds."""
+"""Pages whose code takes more than a second and a half, but the developer's tutorial."""
 TUTORIAL = DOCS / "tutorials" / "developer.md"
 PAINTED = Figure.savefig
 LINK = re.compile(r"\]\(([^)#\s]+)")

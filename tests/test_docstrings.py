@@ -27,10 +27,13 @@ def modules() -> list[str]:
 
 PACKAGES = ("trainlog", "analysis", "estimators")
 LONG = (
-    *("analysis.geometry.centre_line", "analysis.trajectory.journey", "trainlog.condition"),
-    *("analysis.trajectory.referee", "trainlog.formats.mapfile", "trainlog.simulation.fleet"),
+    *("analysis.adhesion.map_history", "analysis.control.follow", "analysis.estimates"),
+    *("analysis.geometry.centre_line", "analysis.network.maps", "analysis.trajectory.journey"),
+    *("analysis.trajectory.referee", "trainlog.catalogue.catalogue", "trainlog.condition"),
+    *("trainlog.formats.mapfile", "trainlog.ingest.proposal.proposal", "trainlog.mcap.convert"),
+    "trainlog.simulation.fleet",
 )
-"""Modules whose examples take more than a second."""
+"""Modules whose examples take more than half a second."""
 
 
 @pytest.fixture(scope="module")

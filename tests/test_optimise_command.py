@@ -75,12 +75,12 @@ def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(obser
 def test_a_map_read_with_more_caution_or_less_risk_leaves_less_adhesion(observed, tmp_path):
     at = ("--at", "2024-10-08T06:00Z")
     for read in (
-        (("--set", "sigmas=0"), (), ("--set", "sigmas=4")),
+        ((), ("--set", "sigmas=4")),
         ((*at, "--set", "risk=0.2"), (*at, "--set", "risk=0.001")),
     ):
         found = [asked(observed, tmp_path, "--km", ":4", *MAP, *words) for words in read]
-        for bold, careful in pairwise(found):
-            assert max(bold.certificate["least_time"]) < max(careful.certificate["least_time"])
+        bold, careful = (max(each.certificate["least_time"]) for each in found)
+        assert bold < careful
     stated = found[-1].provenance["settings"]["adhesion"]
     assert stated == {"layer": "wet", "risk": 0.001, "time": "2024-10-08T06:00:00+00:00"}
 
@@ -145,12 +145,12 @@ def test_values_are_taken_as_people_write_them(observed, tmp_path):
 
 def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(tmp_path, capsys):
     coarse = (*SAMPLES, "--set", "cells=20", "--set", "load=8t")
-    stops = ("--stops", "St.Gallen, Gossau SG", "--running-time", "8:30")
+    stops = ("--stops", "Gossau SG, Flawil", "--running-time", "4:40")
     assert cli.run(["plan", *coarse, *stops, "-o", str(tmp_path / "a.json")]) == 0
     found = read_trajectory(tmp_path / "a.json")
-    assert found.running_time == pytest.approx(510.0, abs=1.0)
+    assert found.running_time == pytest.approx(280.0, abs=1.0)
     capsys.readouterr()
-    three = ("--stops", "St.Gallen,Gossau SG,Wil", "--set", "dwell=30", "--reserve", "7%,3%")
+    three = ("--stops", "Gossau SG,Flawil,Uzwil", "--set", "dwell=30", "--reserve", "7%,3%")
     words = ["plan", *coarse, *three, "-o", str(tmp_path / "b"), "--json"]
     assert cli.run(words) == 0
     assert {each.name for each in (tmp_path / "b").iterdir()} == {
@@ -169,13 +169,15 @@ def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(t
     assert arrivals[-1] == pytest.approx(front[1]["running_time_s"], abs=0.1)
 
 
+JOURNEY = ("--stops", "Uzwil,Flawil,Gossau SG", "--reverse", "--set", "dwell=30")
+
+
 def test_a_table_has_the_whole_run_by_kilometre(tmp_path):
-    words = ("--stops", "Wil,Gossau SG,St.Gallen", "--reverse", "--set", "dwell=30", "--set",
-             "cells=20")  # fmt: skip
+    words = (*JOURNEY, "--set", "cells=20")
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run.csv"), "-q"]) == 0
     assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run")]) == 0
-    names = ["Wil to Gossau SG", "Gossau SG to St.Gallen"]
+    names = ["Uzwil to Flawil", "Flawil to Gossau SG"]
     table = pd.read_csv(tmp_path / "run.csv")
     assert table.columns.tolist() == [
         *("section", "km", "time [s]", "speed [km/h]", "tractive effort [kN]"),
@@ -188,7 +190,7 @@ def test_a_table_has_the_whole_run_by_kilometre(tmp_path):
     assert again.read_bytes() == (tmp_path / "run.csv").read_bytes()
     assert cli.run(["advice", folder, "-o", str(tmp_path / "advice.html")]) == 0
     stops = pd.read_csv(tmp_path / "advice.csv").query("event == 'departs'")["station"]
-    assert stops.tolist() == ["Wil", "Gossau SG"]
+    assert stops.tolist() == ["Uzwil", "Flawil"]
     (tmp_path / "none").mkdir()
     with pytest.raises(InputError, match="has no sections of a journey"):
         cli.run(["advice", str(tmp_path / "none"), "-o", str(tmp_path / "a.html")])
@@ -196,7 +198,7 @@ def test_a_table_has_the_whole_run_by_kilometre(tmp_path):
     energy = sum(each.certificate["wheel_energy"][0] for each in sections) / 3.6e6
     assert table["energy at the wheels [kWh]"].iloc[-1] == pytest.approx(energy, rel=1e-4)
     standing = table[table["speed [km/h]"] == 0.0]
-    assert standing["km"].tolist() == pytest.approx([0.0, 20.270, 20.270, 29.556], abs=1e-3)
+    assert standing["km"].tolist() == pytest.approx([9.470, 15.080, 15.080, 20.270], abs=1e-3)
     assert standing["time [s]"].diff().iloc[2] == pytest.approx(30.0, abs=0.02)
 
 
@@ -212,16 +214,15 @@ def test_what_ipopt_finds_on_the_same_cells_is_stated(observed, tmp_path):
 
 
 def test_the_plan_of_a_journey_is_followed_section_by_section(tmp_path):
-    stops = "Gossau SG,Flawil,Uzwil"
     plan = tmp_path / "plan"
-    words = [*SAMPLES, "--stops", stops, "--set", "cells=20", "-o", str(plan)]
+    words = [*SAMPLES, *JOURNEY, "--set", "cells=20", "-o", str(plan)]
     assert cli.run(["plan", *words]) == 0
     files = sections_in([plan])
     driven = ["--train", "sample", "-o", str(tmp_path / "driven")]
     assert cli.run(["simulate", "follow", str(plan), *driven]) == 0
     trips = sorted((read_log(log) for log in (tmp_path / "driven").glob("*.mcap")),
                    key=lambda trip: trip.start)  # fmt: skip
-    assert len(trips) == len(files) == stops.count(",")
+    assert len(trips) == len(files) == 2
     for trip, file in zip(trips, files, strict=True):
         section = read_trajectory(file)
         position = trip["/train/state"]["position"]

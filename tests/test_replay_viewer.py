@@ -115,9 +115,9 @@ def shown(recording: Path) -> Iterator[HeadlessViewer]:
 VIEWS = ["overview", "driving", "traction", "identification", "map", "recorder"]
 
 
+@pytest.mark.long
 def test_every_view_is_drawn(shown, tmp_path):
-    assert shown.views() == VIEWS
-    for view in VIEWS:
+    for view in shown.views():
         shown.show(view)
         for _ in range(10):  # a busy machine may need longer
             shown.picture(tmp_path / "view.png")
@@ -131,6 +131,7 @@ def test_every_view_is_drawn(shown, tmp_path):
 
 
 def test_a_picture_of_a_view_is_taken_whole_or_not_at_all(shown, tmp_path):
+    assert shown.views() == VIEWS
     shown.show("driving")
     shown.picture(tmp_path / "driving.png")
     with Image.open(tmp_path / "driving.png") as picture:
