@@ -211,8 +211,8 @@ def _configurations(train: Train) -> list[Configuration]:
     [
         ("hilly", "flirt", 0.04),
         ("hilly", "freight", 0.12),
-        ("CH_StGallen_Wil", "virm", 0.04),
-        ("CH_StGallen_Wil", "flirt", 0.4),
+        pytest.param("CH_StGallen_Wil", "virm", 0.04, marks=pytest.mark.long),
+        pytest.param("CH_StGallen_Wil", "flirt", 0.4, marks=pytest.mark.long),
         ("DE_Chemnitz_Cranzahl", "virm", 0.12),
     ],
 )
@@ -269,7 +269,7 @@ LINE = hilly_line()
 def plan_of(name: str, reserve: float = 0.1) -> Trajectory:
     train = TRAINS[name]
     configurations = [*observed(train, 0.85, 1.15), *drawn(train, 1, seed=3)]
-    return optimised(LINE, train, configurations, reserve=reserve, cells=100)
+    return optimised(LINE, train, configurations, reserve=reserve, cells=60)
 
 
 def outcomes(plan: Trajectory, train: Train, attention: Attention, seed: int = 1) -> FloatArray:
@@ -279,11 +279,16 @@ def outcomes(plan: Trajectory, train: Train, attention: Attention, seed: int = 1
     return np.array([outcome(each, drive(each))[:4] for each in scenarios])
 
 
+@cache
+def to_the_letter(train: str, reserve: float = 0.1) -> FloatArray:
+    return outcomes(plan_of(train, reserve), TRAINS[train], EXACT)
+
+
 @pytest.mark.parametrize(("train", "reserve"), [("flirt", 0.1), ("freight", 0.3)])
 def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train, reserve):
     """With brakes that take their time, which the plan does not know."""
     plan = plan_of(train, reserve)
-    late, energy, over, stop = outcomes(plan, TRAINS[train], EXACT).T
+    late, energy, over, stop = to_the_letter(train, reserve).T
     assert np.all(over < 2.0 / KMH)
     assert np.all(late < 0.1 * plan.running_time)  # freight slips at its start
     assert np.all(np.abs(stop) < 0.3)
@@ -292,7 +297,7 @@ def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train, reserve):
 
 def test_a_person_is_further_off_than_who_obeys_to_the_letter():
     plan = plan_of("flirt")
-    exact = outcomes(plan, FLIRT, EXACT)
+    exact = to_the_letter("flirt")
     persons = [outcomes(plan, FLIRT, Attention(), seed) for seed in range(2)]
     late, _, over, stop = np.concatenate(persons).T
     assert np.std([each[:, 0] for each in persons], axis=0).max() > 1.0
