@@ -173,6 +173,17 @@ def remembered(of_all_workers: Path) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
+def few_rounds() -> Iterator[None]:
+    """Conditions of lines are estimated in few rounds, less settled: a third of the time.
+
+    For tests of what is made of maps; how right they are is tested where they are estimated.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("estimators.condition_field.ROUNDS", 3)
+        yield
+
+
+@pytest.fixture(scope="module")
 def analysed_once() -> Iterator[None]:
     """What a log shows of adhesion is made once, however often a test gives it to a map.
 

@@ -62,6 +62,7 @@ class Remembered:
 def _digest(module: Any, given: tuple[Any, ...]) -> str:
     """Of the arguments, and of numbers of the module, which a test may change."""
     from analysis.view import TripView
+    from estimators.condition_field import ROUNDS
     from trainlog.railway import TrackConditionMap
 
     first, *others = given
@@ -75,4 +76,4 @@ def _digest(module: Any, given: tuple[Any, ...]) -> str:
         for name, value in vars(module).items()
         if name.isupper() and isinstance(value, int | float)
     }
-    return hashlib.sha256(pickle.dumps((first, others, numbers))).hexdigest()
+    return hashlib.sha256(pickle.dumps((first, others, numbers, ROUNDS))).hexdigest()

@@ -18,7 +18,7 @@ import pytest
 from trainlog.cli.commands import STATUSES
 from trainlog.formats.samples import copy_samples
 
-pytestmark = pytest.mark.usefixtures("remembered", "unpainted_page", "unrenewed")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted_page", "unrenewed")
 
 CHECKOUT = Path(__file__).parents[1]
 SCHEMAS = CHECKOUT / "docs" / "command-line.schemas.json"

@@ -29,7 +29,7 @@ from trainlog.presentation import WordTable
 from trainlog.railway import Edge, Network, Node
 from trainlog.units import JOULES_PER_KWH
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 REASON = "the wheels' diameters <b>cannot</b> be distinguished: 3.4 of 5 samples"
 

@@ -36,7 +36,7 @@ from trainlog.mcap import read_log, recover, write_log
 from trainlog.mcap.convert import convert
 from trainlog.mcap.reader import identity_of_log
 
-pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "analysed_once")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted", "analysed_once")
 
 AALTO = Path(__file__).parents[2] / "shared" / "data" / "aalto"
 LOG = sample("nonstop.mcap")

@@ -25,7 +25,7 @@ from trainlog.railway import Line, Station, StepProfile, TrackConditionMap
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 DAY = 20_600
 CHANGED = slice(150, 162)

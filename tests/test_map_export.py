@@ -39,7 +39,7 @@ from trainlog.railway.condition import ConditionChange, ConditionLayer, PassingS
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.trip import LINE_ATTACHMENT
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 AT = pd.Timestamp("2024-10-09T06:00", tz="UTC")
 SPOT = PassingSpot(9_675.0, 9_750.0, 0.07, 0.06, 0.08, 20_003, 20_003, 20_003, 0.9, 2.0)

@@ -29,7 +29,7 @@ from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
-pytestmark = pytest.mark.usefixtures("remembered", "analysed_once")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "analysed_once")
 
 SHORT = level_line(5_000.0)
 KILLED = Path(__file__).with_name("killed_updaters.py")

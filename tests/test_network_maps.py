@@ -40,7 +40,7 @@ WHOLE = read_line(sample("CH_StGallen_Wil.line.json")).section(0.0, 16_000.0)
 CUT = 10_000.0
 """A whole number of bins, so that edges have the bins of the whole line."""
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 
 def network() -> Network:

@@ -24,7 +24,7 @@ from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH
 
-pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "unrenewed")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted", "unrenewed")
 
 SAMPLES = ("--line", "sample", "--train", "sample")
 MAP = ("--map", sample("CH_StGallen_Wil.map"))

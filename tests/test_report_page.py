@@ -33,7 +33,7 @@ from trainlog.ingest.report import Report
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import kwh
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 
 class Outline(HTMLParser):

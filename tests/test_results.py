@@ -36,7 +36,7 @@ from trainlog.ingest import ingest_all, propose_profile
 from trainlog.presentation import Presented
 from trainlog.railway.adhesion import AdhesionPoints
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 LOG = trainlog.sample("nonstop.mcap")
 

@@ -21,7 +21,7 @@ from trainlog.formats.samples import copy_samples
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
-pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted")
 
 FORECAST = """line,layer,from [km],to [km],valid from,valid to,issued,quantile 0.05,quantile 0.5
 CH_StGallen_Wil,,0,15,2024-10-07,2024-10-08,2024-10-06T18:00Z,0.08,0.2

@@ -22,7 +22,7 @@ from trainlog.mcap import LogWriter, read_log, write_log
 from trainlog.mcap.reader import rows_of_log
 from trainlog.topics import GNSS_MOTION, TRAIN_STATE
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 
 @pytest.fixture(scope="module")
