@@ -207,9 +207,8 @@ def test_every_command_prints_one_object_of_its_documented_form(
         name = document["command"]
         found[name] = merged(found.get(name, {}), schema_of(document))
         if not renew:
-            jsonschema.validate(document, known[name])
-            for step in document.get("steps", []):
-                jsonschema.validate(step, known[step["command"]])
+            for each in (document, *document.get("steps", [])):
+                jsonschema.Draft202012Validator(known[each["command"]]).validate(each)
     if renew:
         text = json.dumps(dict(sorted(found.items())), indent=1, ensure_ascii=False)
         SCHEMAS.write_text(text + "\n", encoding="utf-8")
@@ -217,6 +216,7 @@ def test_every_command_prints_one_object_of_its_documented_form(
 
 def test_the_schemas_state_what_all_commands_have():
     for schema in json.loads(SCHEMAS.read_text("utf-8")).values():
+        jsonschema.Draft202012Validator.check_schema(schema)
         assert set(COMMON) <= set(schema["required"])
 
 
