@@ -98,6 +98,9 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:
         compared = fleet_diff(catalogue, "now", "now", analyses=["checks"], workers=0)
     rows = pd.read_parquet(DATA / "fleet_trips.parquet")
     fleet = fleet_trains(rows[rows["kind"] == "flirt"].head(40).reset_index(drop=True))
+    recorded = folder / "recorder.csv"
+    rows_of_it = trainlog.sample("recorder.csv").read_bytes().splitlines(True)[:2_000]
+    recorded.write_bytes(b"".join(rows_of_it))
     later = {
         name: frame.set_axis(frame.index + pd.Timedelta(days=2))
         for name, frame in trip.topics.items()
@@ -129,7 +132,7 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:
         analysis.report(folder),
         trainlog.Network("one", (start, end), (edge,)).route("St. Gallen", "Wil"),
         *(trip, trainlog.identity_of(trip), analysis.geometry_of([trip])),
-        propose_profile(trainlog.sample("recorder.csv")),
+        propose_profile(recorded),
     ]
     return {type(each): each for each in found}
 
