@@ -28,9 +28,11 @@ def modules() -> list[str]:
 PACKAGES = ("trainlog", "analysis", "estimators")
 LONG = (
     *("analysis.adhesion.map_history", "analysis.control.follow", "analysis.estimates"),
-    *("analysis.geometry.centre_line", "analysis.network.maps", "analysis.trajectory.journey"),
-    *("analysis.trajectory.referee", "trainlog.catalogue.catalogue", "trainlog.condition"),
-    *("trainlog.formats.mapfile", "trainlog.ingest.proposal.proposal", "trainlog.mcap.convert"),
+    *("analysis.fleet.update", "analysis.geometry.centre_line", "analysis.network.maps"),
+    *("analysis.trajectory.journey", "analysis.trajectory.optimiser"),
+    *("analysis.trajectory.referee", "trainlog.catalogue.catalogue"),
+    *("trainlog.catalogue.querying", "trainlog.condition", "trainlog.formats.mapfile"),
+    *("trainlog.formats.railway", "trainlog.ingest.proposal.proposal", "trainlog.mcap.convert"),
     "trainlog.simulation.fleet",
 )
 """Modules whose examples take more than half a second."""
