@@ -32,7 +32,6 @@ from trainlog.simulation.vehicles import kinds
 from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
 from trainlog.trip import TRAIN_ATTACHMENT, Trip, frame_of, seconds
 
-
 pytestmark = pytest.mark.usefixtures("remembered")
 
 
