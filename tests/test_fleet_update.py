@@ -33,7 +33,7 @@ from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import MapFile, read_map
 
-pytestmark = pytest.mark.usefixtures("remembered")
+pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 HERE = UpdateOptions(workers=0)
 HERE_FOLDER = Path(__file__).parent
