@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -666,6 +667,7 @@ def read_forecast(
     layers = table.cells("layer", check_condition, "")
     start, end = (table.quantity(each, required=True) for each in _FORECAST_LENGTHS)
 
+    @cache  # thousands of rows have a few times between them
     def time(cell: str) -> np.datetime64:
         try:
             return utc(cell).to_datetime64()
