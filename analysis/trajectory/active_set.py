@@ -249,7 +249,8 @@ def _brake_gently(
     finds, then, where the worst counts, by a program for the brakes of those that are still too
     soon or seem to regain too little.
     """
-    if problem.common:
+    timed = np.isfinite(problem.earliest).any()
+    if problem.common or not (problem.run.at_line or timed):
         return driven
     expected, least = problem.run.objective == "expected", -np.inf
     if problem.run.at_line:
