@@ -252,7 +252,7 @@ def drawn(seed: int) -> tuple[AdhesionPoints, float, float, float]:
 
 def test_bands_hold_the_truth_of_curves_of_another_form():
     held, found, refused = [], [], 0
-    for seed in range(6):
+    for seed in range(10):
         points, maximum, optimum, speed = drawn(seed)
         try:
             fit = fit_adhesion_characteristic(points, speed=speed)

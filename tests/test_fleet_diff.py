@@ -113,15 +113,15 @@ def test_a_shift_too_small_for_any_trip_is_found_in_the_mean_of_its_train_alone(
 
 
 def test_differences_that_scatter_around_zero_are_rarely_called_systematic():
-    """Of ten comparisons with 50 trains each, at a rate of one in twenty."""
+    """Of twenty comparisons with 50 trains each, at a rate of one in twenty."""
     called = 0
-    for seed in range(10):
+    for seed in range(20):
         table = made_up(trains=50, trips=6, seed=seed)
         generator = np.random.default_rng(1_000 + seed)
         noise = 0.2 * table["mass_std"] * generator.standard_t(3.0, len(table))
         found = difference(table, table.assign(mass=table["mass"] + noise))
         called += bool(found.means["systematic"].any())
-    assert called <= 2
+    assert called <= 4
 
 
 def test_trips_that_one_side_alone_accepts_are_listed_with_the_reason():

@@ -200,7 +200,7 @@ def test_what_the_data_do_not_show_of_efforts_and_tunnels_is_in_the_band(name):
     column = -size * exact.x[:, 1 + place]
     truth = np.append(RESISTANCE.coefficients, mass)
     z = []
-    for seed, deviate in enumerate(ndtri((np.arange(12) + 0.5) / 12.0)):
+    for seed, deviate in enumerate(ndtri((np.arange(16) + 0.5) / 16.0)):
         noise = np.random.default_rng(seed).standard_normal(exact.count + 1)
         sign = -1.0 if name == "tunnel" else 1.0
         wrong = deviate * std * column * sign
@@ -278,7 +278,7 @@ def residuals(value: FloatArray, speed: FloatArray | None = None) -> Residuals:
 def test_probabilities_of_good_residuals_are_spread_evenly():
     """Of few windows, too: half of the trips have less than one half."""
     found = [
-        diagnosed(residuals(np.random.default_rng(seed).standard_normal(40))) for seed in range(300)
+        diagnosed(residuals(np.random.default_rng(seed).standard_normal(40))) for seed in range(500)
     ]
     for name in ("independence", "flatness"):
         below = np.mean([getattr(each, name) < 0.5 for each in found])

@@ -283,13 +283,15 @@ def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float)
     )
     sooner = running_time - _RESPONSE.lateness
     near = _NOT_SOON if np.isfinite(problem.earliest).any() else _RESPONSE
+    best: Solution | None = None
     try:
         best = minimise(apart, driven, np.zeros(q), sooner, near, iterations=15, given=True)
     except NoSolutionError:
-        return driven
+        pass
     except OutOfTimeError as stop:
         best = stop.found
-    return driven if best is None else rollout_at(problem, driven, best.plan.z)
+    # The plan that it began from may be another's, whose speeds are not its own.
+    return rollout_at(problem, driven, driven.z if best is None else best.plan.z)
 
 
 def _roll_out(

@@ -388,18 +388,21 @@ class _Program(NamedTuple):
         """
         low, high, width = self.x_l, self.x_u, self.x_u - self.x_l
         rows, sizes, positive = self.G.tocsr(), abs(self.G).tocsr(), self.G.tocsr().maximum(0.0)
-        side = np.zeros(low.size)
-        for sign, away in ((-1.0, near - low), (1.0, high - near)):
-            for each in efforts:
-                apart = np.any(away[each] > _AT_BOUND * width[each], axis=0)
-                side[each[:, ~_widened(apart)]] = sign
-        bounded = np.minimum(near - low, high - near) < _NEAR_BOUND
-        bounded[np.concatenate([each.ravel() for each in efforts])] = True
-        kept = self.h_u - rows @ near < _NEAR_ROW * np.abs(self.h_u) + _NEAR_EFFORT
-        kept |= np.diff(rows.indptr) > _DENSE
-        if z.shape[0] > _FEW_NEAR:
-            # All but what has one value: a traction that is given couples all configurations.
-            side[:], bounded[:], kept[:] = 0.0, True, True
+        # Of many, all but what has one value: a traction that is given couples them.
+        side, bounded, kept = (
+            np.zeros(low.size),
+            np.full(low.size, True),
+            np.full(rows.shape[0], True),
+        )
+        if z.shape[0] <= _FEW_NEAR:
+            for sign, away in ((-1.0, near - low), (1.0, high - near)):
+                for each in efforts:
+                    apart = np.any(away[each] > _AT_BOUND * width[each], axis=0)
+                    side[each[:, ~_widened(apart)]] = sign
+            bounded = np.minimum(near - low, high - near) < _NEAR_BOUND
+            bounded[np.concatenate([each.ravel() for each in efforts])] = True
+            kept = self.h_u - rows @ near < _NEAR_ROW * np.abs(self.h_u) + _NEAR_EFFORT
+            kept |= np.diff(rows.indptr) > _DENSE
         for _ in range(_ROUNDS):
             fixed = (side != 0.0) | (width <= 0.0)
             x, free = np.where(fixed, np.where(side > 0.0, high, low), 0.0), np.flatnonzero(~fixed)
