@@ -241,6 +241,39 @@ def random_walk_slope(
     return transition, rate**2 * noise
 
 
+def corrected(
+    mean: FloatArray,
+    covariance: FloatArray,
+    row: FloatArray,
+    innovation: float,
+    noise: float,
+    gain: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and covariance of a state after one measurement, for filters that run sample by sample.
+
+    Parameters
+    ----------
+    mean, covariance : (d,), (d, d) array
+    row : (d,) array
+        What of the state the measurement shows.
+    innovation : float
+        How far it departs from its prediction.
+    noise : float
+        Variance of its noise.
+    gain : (d,) array
+        Any; the covariance is Joseph's, which holds for all.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corrected(np.zeros(1), np.eye(1), np.ones(1), 3.0, 2.0, np.ones(1) / 3.0)
+    (array([1.]), array([[0.66666667]]))
+    """
+    change = np.eye(mean.size) - gain[:, None] * row
+    spread = change.dot(covariance).dot(change.T) + (noise * gain)[:, None] * gain
+    return mean + gain * innovation, spread
+
+
 # Plain loops over scalars: each compiles in a tenth of the time that array expressions take, and
 # the matrices are too small for calls of BLAS to pay.
 

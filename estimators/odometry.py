@@ -5,8 +5,8 @@ satellites' speed and positions that are known to be passed (balises) correct it
 bridged, as satellites in a tunnel, and the standard deviations grow. The state is position, speed,
 the accelerometer's bias, and by how much the wheel shows too high a speed, over the speed.
 
-One sample comes at a time, ten times a second at most, so that the filter is filterpy's
-`KalmanFilter`; whole trips are smoothed by `estimators.motion`.
+One sample comes at a time, ten times a second at most; whole trips are smoothed by
+`estimators.motion`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from estimators.interface import Estimator, EstimatorResult
+from estimators.linear_gaussian import corrected
 from estimators.motion import WHEEL_ERROR_STD
-from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
 ACCELEROMETER_BIAS_STD = 0.03
@@ -164,27 +163,10 @@ class OdometryFilter(Estimator):
             value = getattr(self, f"_{name}")
             if not np.isfinite(value) or (name not in ("position", "speed") and value <= 0.0):
                 raise InputError(f"odometry: {name} must be positive and finite, got {value}")
-        self._filter = KalmanFilter(dim_x=4, dim_z=1)
         self._prior = np.square(
             [self._position_std, self._speed_std, ACCELEROMETER_BIAS_STD, WHEEL_ERROR_STD]
         )
         self.reset()
-
-    @property
-    def _mean(self) -> FloatArray:
-        return np.asarray(self._filter.x)
-
-    @_mean.setter
-    def _mean(self, mean: FloatArray) -> None:
-        self._filter.x = mean
-
-    @property
-    def _covariance(self) -> FloatArray:
-        return np.asarray(self._filter.P)
-
-    @_covariance.setter
-    def _covariance(self, covariance: FloatArray) -> None:
-        self._filter.P = covariance
 
     def reset(self) -> None:
         """Forget everything but what was known beforehand."""
@@ -231,8 +213,8 @@ class OdometryFilter(Estimator):
             self._predict(time - float(self._time), acceleration)
         step = 0.0 if math.isnan(self._time) else time - float(self._time)
         self._time, self._samples = np.array(time), self._samples + 1
-        expected = ROLLING + GATE * math.sqrt(max(self._filter.P[1, 1], 0.0))
-        stands = wheel_speed == 0.0 and self._filter.x[1] < expected
+        expected = ROLLING + GATE * math.sqrt(max(self._covariance[1, 1], 0.0))
+        stands = wheel_speed == 0.0 and self._mean[1] < expected
         self._zeros = np.array(self._zeros + 1 if stands else 0)
         refused = []
         if self._zeros >= STANDING:
@@ -240,12 +222,12 @@ class OdometryFilter(Estimator):
             self._refusing = np.array(0.0)
         else:
             # The wheel shows w = v (1 + e), linear about the state: w + v e = (1 + e) v + v e.
-            _, speed, _, error = self._filter.x.tolist()
+            _, speed, _, error = self._mean.tolist()
             row = (0.0, 1.0 + error, 0.0, speed)
             refused.append(self._correct(wheel_speed + speed * error, row, self._wheel_noise))
         clear = RECEIVER_STDS * self._satellite_noise
         alone = math.isnan(wheel_speed) and satellite_speed > expected + clear
-        if self._filter.x[1] > clear or any(refused) or alone:
+        if self._mean[1] > clear or any(refused) or alone:
             refused.append(self._correct(satellite_speed, _SPEED, self._satellite_noise))
         self._follow(refused, step, wheel_speed, satellite_speed)
         self._correct(balise, (1.0, 0.0, 0.0, 0.0), self._balise_noise, math.inf)
@@ -267,9 +249,9 @@ class OdometryFilter(Estimator):
         if self._refusing < (LOCKED_OUT if by_satellites else SLIDING):
             return
         shown = satellite_speed if by_satellites else wheel_speed
-        apart = shown - float(self._filter.x[1])
-        self._filter.P[1, 1] += apart**2
-        self._filter.P[0, 0] += (apart * float(self._refusing)) ** 2
+        apart = shown - float(self._mean[1])
+        self._covariance[1, 1] += apart**2
+        self._covariance[0, 0] += (apart * float(self._refusing)) ** 2
         self._refusing = np.array(0.0)
 
     def _predict(self, step: float, acceleration: float) -> None:
@@ -294,8 +276,9 @@ class OdometryFilter(Estimator):
                 (0.0, 0.0, 0.0, 0.0),
             )
         )
-        push = np.array((far, fast, 0.0, 0.0))
-        self._filter.predict(acceleration if known else 0.0, push, transition, noise)
+        push = np.array((far, fast, 0.0, 0.0)) * (acceleration if known else 0.0)
+        self._mean = transition.dot(self._mean) + push
+        self._covariance = transition.dot(self._covariance).dot(transition.T) + noise
 
     def _correct(
         self, value: float, shown: tuple[float, ...], std: float, gate: float = GATE
@@ -306,12 +289,14 @@ class OdometryFilter(Estimator):
         """
         if math.isnan(value):
             return None
-        row = np.array([shown])
-        if gate < math.inf:
-            spread = (row @ self._filter.P @ row[0]).item() + std**2
-            if abs(value - (row @ self._filter.x).item()) > gate * math.sqrt(spread):
-                return True
-        self._filter.update(value, std**2, row)
+        row = np.array(shown)
+        innovation, shared = value - float(row.dot(self._mean)), self._covariance.dot(row)
+        variance = float(row.dot(shared)) + std**2
+        if abs(innovation) > gate * math.sqrt(variance):
+            return True
+        self._mean, self._covariance = corrected(
+            self._mean, self._covariance, row, innovation, std**2, shared * (1.0 / variance)
+        )
         return False
 
     def result(self) -> OdometryResult:

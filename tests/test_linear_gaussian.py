@@ -7,7 +7,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings, strategies as st
 
-from estimators.linear_gaussian import LinearGaussian, random_walk_slope
+from estimators.linear_gaussian import LinearGaussian, corrected, random_walk_slope
 from estimators.motion import LastingError, smooth_motion
 from trainlog.arrays import FloatArray
 
@@ -66,6 +66,23 @@ def test_filter_and_smoother_give_filterpys_and_rauch_tung_striebels_numbers(see
         np.testing.assert_allclose(found.means, expected[0], atol=1e-9)
         np.testing.assert_allclose(found.covariances, expected[1], atol=1e-9)
     np.testing.assert_array_equal(np.isnan(found.used), np.isnan(measured))
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10_000))
+def test_a_step_is_the_filters_by_its_gain_and_knows_less_by_any_other(seed):
+    rng = np.random.default_rng(seed)
+    mean, row, root = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal((3, 3))
+    covariance, value, noise = root @ root.T + 0.1 * np.eye(3), rng.standard_normal(), 0.5
+    one = LinearGaussian(np.eye(3)[None], np.zeros((1, 3, 3)), row[None, None])
+    expected = one.filter([[value]], noise, mean, covariance)
+    gain = covariance @ row / (row @ covariance @ row + noise)
+    best = corrected(mean, covariance, row, value - row @ mean, noise, gain)
+    np.testing.assert_allclose(best[0], expected.means[0], atol=1e-9)
+    np.testing.assert_allclose(best[1], expected.covariances[0], atol=1e-9)
+    other = corrected(mean, covariance, row, 0.0, noise, gain + rng.standard_normal(3))
+    assert np.linalg.eigvalsh(other[1] - best[1]).min() > -1e-9
+    assert np.trace(other[1]) > np.trace(best[1])
 
 
 def test_the_smoother_is_the_regression_over_all_samples():

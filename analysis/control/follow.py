@@ -15,7 +15,6 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike
 
 from analysis.adhesion.axles import protection_onsets
@@ -33,6 +32,7 @@ from analysis.control.route import (
     value,
 )
 from analysis.trajectory.problem import TrajectoryProblem
+from estimators.linear_gaussian import corrected
 from estimators.odometry import OdometryFilter
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
@@ -508,14 +508,13 @@ class Observer:
         inertias, drags = limits.corners[:, 1], limits.corners[:, 2:] @ (1.0, 20.0, 400.0)
         spreads = [np.ptp(values) / values.sum() * values.size for values in (inertias, drags)]
         gain, drag = (0.5 * max(float(spread), LEAST_SPREAD) for spread in spreads)
-        self._filter = KalmanFilter(dim_x=3, dim_z=1)
-        self._filter.x = np.array([1.0, 0.0, 0.0])
-        self._filter.P = np.diag([gain**2, drag**2, DRIFT**2])
+        self._mean = np.array([1.0, 0.0, 0.0])
+        self._covariance = np.diag([gain**2, drag**2, DRIFT**2])
 
     @property
     def estimate(self) -> TrainEstimate:
         """What the train is estimated to be now."""
-        return TrainEstimate(*self._filter.x.tolist())
+        return TrainEstimate(*self._mean.tolist())
 
     def update(
         self, acceleration: float, effort: float, drag: float, track: float, span: float
@@ -534,21 +533,22 @@ class Observer:
             Deceleration by gradient and curves.
         span : float [s]
         """
-        x, keep = self._filter, float(np.exp(-span / DRIFT_LASTS))
-        x.predict(F=np.diag([1.0, 1.0, keep]), Q=np.diag([0.0, 0.0, (1.0 - keep**2) * DRIFT**2]))
-        row = np.array([[effort, -drag, 1.0]])
+        keep = float(np.exp(-span / DRIFT_LASTS))
+        fade = np.array([1.0, 1.0, keep])
+        self._mean = fade * self._mean
+        self._covariance = fade[:, None] * self._covariance * fade
+        self._covariance[2, 2] += (1.0 - keep**2) * DRIFT**2
+        row = np.array([effort, -drag, 1.0])
         value, noise = acceleration + drag + track, NOISE**2 + (UNSURE * effort) ** 2
-        spread = x.P @ row[0]
-        variance = float(row[0] @ spread) + noise
-        surprise, reach = value - float(row[0] @ x.x), SURPRISE * float(np.sqrt(variance))
-        if abs(surprise) <= reach:
-            x.update(value, noise, row)
-            return
-        # Wheels that slip show nothing of the train: what they show is drift, up to a limit.
-        gain = np.array([0.0, 0.0, spread[2] / variance])
-        change = np.eye(3) - np.outer(gain, row)
-        x.x = x.x + gain * np.clip(surprise, -reach, reach)
-        x.P = change @ x.P @ change.T + noise * np.outer(gain, gain)
+        shared, surprise = self._covariance @ row, value - float(row @ self._mean)
+        variance = float(row @ shared) + noise
+        gain, reach = shared * (1.0 / variance), SURPRISE * math.sqrt(variance)
+        if abs(surprise) > reach:
+            # Wheels that slip show nothing of the train: what they show is drift, up to a limit.
+            gain[:2], surprise = 0.0, math.copysign(reach, surprise)
+        self._mean, self._covariance = corrected(
+            self._mean, self._covariance, row, surprise, noise, gain
+        )
 
 
 MARGIN = Margin(position=2.0, speed=0.05)

@@ -31,6 +31,7 @@ from analysis.control.route import (
     RouteTables,
     TrainLimits,
     ceiling_square,
+    compiled,
     creep_momentum,
     cruising_square,
     dynamic_braking,
@@ -275,7 +276,7 @@ class Weights(NamedTuple):
     change: float
 
 
-@njit(cache=True)
+@compiled
 def expected_deceleration(
     p: float, v: float, estimate: TrainEstimate, route: RouteTables, limits: TrainLimits
 ) -> float:
@@ -286,7 +287,7 @@ def expected_deceleration(
     return ((1.0 + estimate.drag) * drag + along) / limits.inertia - estimate.drift
 
 
-@njit(cache=True)
+@compiled
 def split(u: float, v: float, limits: TrainLimits) -> tuple[float, float]:
     """What acts at once of a specific effort, and what the friction brake is asked for."""
     quick = dynamic_braking(v, limits) / limits.inertia
@@ -295,7 +296,7 @@ def split(u: float, v: float, limits: TrainLimits) -> tuple[float, float]:
     return -quick, -u - quick
 
 
-@njit(cache=True)
+@compiled
 def effort_bounds(
     p: float, v: float, q: float, route: RouteTables, limits: TrainLimits
 ) -> tuple[float, float]:
@@ -446,7 +447,7 @@ def condensed(
     return h, f, rows, upper, lower
 
 
-@njit(cache=True)
+@compiled
 def excess_over_ceiling(
     p: float, v: float, f: float, past: FloatArray, before: float, u: float, held: int,
     ticks: int, route: RouteTables, limits: TrainLimits,
@@ -494,7 +495,7 @@ def excess_over_ceiling(
     return excess
 
 
-@njit(cache=True)
+@compiled
 def guarded(
     p: float, v: float, f: float, past: FloatArray, before: float, u: float, held: int,
     ticks: int, route: RouteTables, limits: TrainLimits,
@@ -534,7 +535,7 @@ def guarded(
 # ---- how the remaining time is spread over the remaining way ------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def rollout(
     factor: float,
     p: float,
@@ -596,7 +597,7 @@ def rollout(
     return time, count + 1
 
 
-@njit(cache=True)
+@compiled
 def pace_to_arrive(
     left: float,
     guess: float,
