@@ -58,6 +58,22 @@ def test_cells_of_a_kilometre_do_not_add_up_to_a_train_that_never_stops():
     answered(replace(problem, configurations=problem.configurations[1:]))
 
 
+def test_where_an_effort_curve_is_level_rounding_does_not_stop_the_train():
+    """A program's effort is 1e-10 above the level part; up to which speed there is none of it."""
+    problem = problem_of_kind(9809)
+    found = answered(problem, 100)
+    assert found.certificate["gap"] < 1e-3
+    assert found.times[0, -1] == pytest.approx(found.running_time, abs=0.01)
+
+
+def test_one_brake_that_all_but_stops_a_train_is_refused_by_no_time_that_nobody_gave():
+    """By its fastest run together one would creep for an hour; no reserve was asked for."""
+    problem = problem_of_kind(9807)
+    few = replace(problem, configurations=problem.configurations[5:7])
+    with pytest.raises(InfeasibleError, match="cannot run together"):
+        optimise(few, OptimiserOptions(80))
+
+
 def test_no_linear_resistance_and_much_time():
     """Where a train all but stands on the way, no time of its is infinite times no resistance."""
     train = replace(FLIRT, resistance=RunningResistance(9_000.0, 0.0, 12.0))

@@ -149,6 +149,8 @@ _CURVE_PARTS, _SHORTEST = 32, 1.02
 """Parts of a cell in which a curve of effort is looked at, and times the least of it, that counts
 as short, too."""
 
+_LEVEL = 1e-8
+"""By which programs leave an effort above a curve's level part, relative."""
 
 _BESIDE = 0.05
 """Part of the speed within which a knot of a curve is next to it."""
@@ -743,8 +745,11 @@ class Curves:
         return self.kept(speed / self.share[:, None])
 
     def speed_at(self, effort: FloatArray) -> FloatArray:
-        """Highest speed [m/s] at which each configuration has efforts, (q, n)."""
-        return self.kept.speed_at(effort) * self.share[:, None]
+        """Highest speed [m/s] at which each configuration has efforts, (q, n).
+
+        Where the curve is level an effort that is above it by rounding is one of the level.
+        """
+        return self.kept.speed_at(effort * (1.0 - _LEVEL)) * self.share[:, None]
 
     def lines(self, row: int, speed: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Lines above a configuration's curve near speeds, (n,): effort there, and slope.

@@ -44,7 +44,7 @@ from analysis.trajectory.envelope import (
     least_paced_time,
     paced_envelope,
 )
-from analysis.trajectory.feasibility import UnprovenError, check_time
+from analysis.trajectory.feasibility import MOST_TIME, UnprovenError, check_time
 from analysis.trajectory.problem import (
     DEFAULT_OPTIONS,
     MOST_CELLS,
@@ -223,9 +223,15 @@ def _running_time(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> 
     least_time = float(fastest.times.max())
     if problem.reserve > 0.0:
         return (1.0 + problem.reserve) * least_time
-    together = least_time_together(_discretised(problem, fastest, cells))
+    together = _time_together(problem, fastest, cells)
     # Under one braking effort for all there may be no such time; the search states why.
     return max(together if np.isfinite(together) else 0.0, least_time * (1.0 + LEAST_TIME_MARGIN))
+
+
+def _time_together(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> float:
+    """Time in which all keep one common traction [s]; infinite if one would stand on the way."""
+    together = least_time_together(_discretised(problem, fastest, cells))
+    return together if together <= MOST_TIME * float(fastest.times.max()) else np.inf
 
 
 def _settings(problem: TrajectoryProblem, options: OptimiserOptions) -> dict[str, Any]:
@@ -265,7 +271,7 @@ def _with_time_to_allow(
     """The refusal; where time is missing, with a time that all keep under one common traction."""
     if running_time > 1.01 * float(fastest.times.max()) or run.windows:
         return refusal
-    together = least_time_together(_discretised(run, fastest, cells))
+    together = _time_together(run, fastest, cells)
     if not running_time < together < np.inf:
         return refusal
     return InfeasibleError(
