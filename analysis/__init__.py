@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from analysis.comparison.calculated import calculate as calculate
     from analysis.comparison.compare import compare as compare
     from analysis.comparison.groups import compare_groups as compare_groups
-    from analysis.control.follow import Follower as Follower, follow as follow
+    from analysis.control.follow import (
+        Follower as Follower,
+        following_scenarios as following_scenarios,
+    )
     from analysis.control.traction import (
         CooperativeTraction as CooperativeTraction,
         ReadhesionControl as ReadhesionControl,

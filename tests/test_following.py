@@ -20,8 +20,8 @@ from analysis.control.follow import (
     Observer,
     Odometry,
     effort_reversals,
-    follow,
     following_line,
+    following_scenarios,
 )
 from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
@@ -384,7 +384,8 @@ def test_a_train_with_curves_follows_within_them():
     for v in (0.0, 2.0, 11.0, 18.0, 30.0):
         most, _ = effort_limits(3_000.0, v, route, limits)
         assert most <= float(pull(v * 2.6 / 2.3)) * (1.0 + 1e-12)
-    for trip in follow(trajectory, hilly_line(), train, seed=4, configurations="weak"):
+    weak = following_scenarios(trajectory, hilly_line(), train, seed=4, configurations="weak")
+    for trip in map(simulate, weak):
         assert trip.metadata["configuration"] == "weak"
         controls, state = trip["/train/controls"], trip["/truth"]
         speed = np.interp(controls.index.asi8, state.index.asi8, state["speed"].to_numpy())
@@ -396,11 +397,11 @@ def test_a_train_with_curves_follows_within_them():
         assert abs(trip["/reference"]["lateness"].iloc[-1]) < 2.0
 
 
-def test_one_function_drives_the_trips_of_the_command():
+def test_simulated_scenarios_are_the_trips_of_the_command():
     train, line = flirt(), level_line(2_500.0, limit=22.0)
     problem = TrajectoryProblem(line, train, plan()[1].configurations, reserve=0.12)
     trajectory = optimise(problem, OptimiserOptions(cells=60))
-    trips = follow(trajectory, line, train, seed=3)
+    trips = [simulate(each) for each in following_scenarios(trajectory, line, train, seed=3)]
     driven_as = tuple(trip.metadata["configuration"] for trip in trips)
     assert driven_as == trajectory.chosen("hardest")
     assert all(abs(trip["/reference"]["lateness"].iloc[-1]) < 1.5 for trip in trips)
@@ -411,7 +412,7 @@ def test_one_function_drives_the_trips_of_the_command():
         words,
     )
     with pytest.raises(InputError, match="no configuration 'none'"):
-        follow(trajectory, line, train, configurations="none")
+        following_scenarios(trajectory, line, train, configurations="none")
 
 
 @pytest.mark.parametrize(

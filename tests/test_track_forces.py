@@ -244,6 +244,6 @@ def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with():
     found = optimise(TrajectoryProblem.nominal(WIL, strip, end=6e3), OptimiserOptions(cells=60))
     found.check_run(WIL, strip)
     with pytest.raises(InputError, match=r"mass_model 'homogeneous_strip', train .* 'mass_point'"):
-        following_scenarios({"": found}, WIL, FLIRT)
+        following_scenarios(found, WIL, FLIRT)
     with pytest.raises(InputError, match=r"curve_resistance 'proportional', line .* 'roeckl'"):
-        following_scenarios({"": found}, replace(WIL, curve_resistance="roeckl"), strip)
+        following_scenarios(found, replace(WIL, curve_resistance="roeckl"), strip)

@@ -543,9 +543,7 @@ class Cells:
 
 def _unknown(trip: DrivenTrip, nodes: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Cells in which efforts or speed are not known, and those in which speed is not."""
-    speedless = np.zeros(nodes.size - 1, dtype=np.bool_)
-    if "unknown_speed" in trip.flags:
-        speedless = trip.share_of("unknown_speed", nodes) > 0.0
+    speedless = trip.share_of("unknown_speed", nodes) > 0.0
     lacks = speedless.copy()
     for name in ("traction", "dynamic_braking", "pneumatic_braking"):
         if name in trip.sums:
@@ -728,8 +726,7 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
         shares[cause.name] = shares.get(cause.name, 0.0) + float(part @ residual) / total
         left -= part
     slipped = np.zeros(count, dtype=np.bool_)
-    if "slip" in inputs.driven.flags:
-        slipped[window[inputs.driven.share_of("slip", cells.nodes) > 0.0]] = True
+    slipped[window[inputs.driven.share_of("slip", cells.nodes) > 0.0]] = True
     shares["slip"] = float(left[slipped] @ residual[slipped]) / total
     shares["unexplained"] = float(left[~slipped] @ residual[~slipped]) / total
     return shares, float(np.sqrt(total / count))

@@ -448,26 +448,22 @@ class _Cells:
     limit: FloatArray
     slip: BoolArray
     full: BoolArray
+    doubtful: BoolArray
     stands: list[Stand]
 
     @staticmethod
     def of(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> _Cells:
         middle = 0.5 * (nodes[1:] + nodes[:-1])
-        none = np.zeros(middle.size, dtype=np.bool_)
-
-        def often(flag: str, share: float) -> BoolArray:
-            if flag not in trip.flags:
-                return none
-            return np.asarray(trip.share_of(flag, nodes) > share)
-
+        doubtful = np.cumsum(trip.flags.get("doubtful", np.zeros(trip.time.size)))
         return _Cells(
             trip,
             nodes,
             np.diff(running_times(trip, nodes, common)),
             trip.at(trip.speed, middle),
             trip.limit_at(middle),
-            often("slip", 0.2),
-            often("full_effort", 0.5),
+            trip.share_of("slip", nodes) > 0.2,
+            trip.share_of("full_effort", nodes) > 0.5,
+            np.diff(trip.at(doubtful, nodes)) > 0.0,  # also of a jump while the train stands
             counted_stands(trip, common),
         )
 
@@ -594,15 +590,9 @@ def _causes(mine: _Cells, other: _Cells, lost: FloatArray) -> NDArray[np.object_
     causes[~slower & other.full] = "full effort"
     for kind in ("slip", "limit", "held", "stop"):
         for each, against in ((other, mine), (mine, other)):
-            for first, last in _events(kind, each, against):
-                causes[_stretch(first, last, each, against, back=kind != "slip")] = kind
-    for each in (mine, other):
-        if "doubtful" in each.trip.flags:
-            edges = mine.nodes
-            places = each.trip.position[each.trip.flags["doubtful"]]
-            before = each.trip.position[np.flatnonzero(each.trip.flags["doubtful"]) - 1]
-            for low, high in zip(before.tolist(), places.tolist(), strict=True):
-                causes[(edges[1:] > low) & (edges[:-1] < high)] = "recording"
+            for event in _events(kind, each, against):
+                causes[_stretch(event, each, against, back=kind != "slip")] = kind
+    causes[mine.doubtful | other.doubtful] = "recording"
     return causes
 
 
@@ -614,25 +604,21 @@ def _smoothed(lost: FloatArray) -> FloatArray:
 
 
 def _events(kind: str, mine: _Cells, other: _Cells) -> Iterable[tuple[int, int]]:
-    """First and last cell of each event of one trip that the other does not have."""
+    """First cell and one past the last of each event that the other trip does not have."""
     if kind == "slip":
-        return _runs(mine.slip & ~other.slip & (mine.speed < other.speed - SAME_SPEED))
+        return runs_of(mine.slip & ~other.slip & (mine.speed < other.speed - SAME_SPEED))
     if kind == "limit":
         lower = mine.limit < other.limit - LIMIT_STEP
-        return _runs(lower & (other.speed > mine.limit - LIMIT_STEP))
+        return runs_of(lower & (other.speed > mine.limit - LIMIT_STEP))
     stations = kind == "stop"
     found = [
-        (cell, cell)
+        (cell, cell + 1)
         for stand in (mine.halts if stations else mine.stands)
         if bool(stand.station) == stations and not _stands_near(other, stand)
         for cell in [_cell(mine, stand.position)]
         if cell is not None
     ]
     return found if stations else [*found, *_crawls(mine, other)]
-
-
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
-    return [(begin, end - 1) for begin, end in runs_of(flags)]
 
 
 def _stands_near(cells: _Cells, stand: Stand) -> bool:
@@ -659,36 +645,34 @@ def _crawls(mine: _Cells, other: _Cells) -> list[tuple[int, int]]:
     slow = mine.speed < CRAWL_SHARE * allowed
     for stand in (*mine.halts, *other.halts):
         slow &= np.abs(middle - stand.position) > CRAWL_REACH
-    for first, last in _events("limit", mine, other):  # it is braked for a limit
-        slow[_stretch(first, last, mine, other, back=True)] = False
+    for event in _events("limit", mine, other):  # it is braked for a limit
+        slow[_stretch(event, mine, other, back=True)] = False
     found = []
-    for first, last in _runs(slow):
-        before = mine.speed[max(0, first - round(1500.0 / CELL)) : first + 1]
-        lowest = float(mine.speed[first : last + 1].min())
+    for begin, end in runs_of(slow):
+        before = mine.speed[max(0, begin - round(1500.0 / CELL)) : begin + 1]
+        lowest = float(mine.speed[begin:end].min())
         # It came faster and was slowed down, and it is no start from a stop.
-        if before.size and before.max() > 2.0 * lowest and lowest < before[-1]:
-            found.append((first, last))
+        if before.max() > 2.0 * lowest and lowest < before[-1]:
+            found.append((begin, end))
     return found
 
 
-def _stretch(first: int, last: int, mine: _Cells, other: _Cells, *, back: bool) -> slice:
-    """Cells that an event from `first` to `last` costs time in: slowing down, and recovering."""
-    speed, against = mine.speed, other.speed
-    begin, top = first, speed[first]
-    for cell in range(first - 1, -1, -1) if back else ():
-        if speed[cell] > top:
-            begin, top = cell, speed[cell]
-        if speed[cell] < top - REVERSAL or speed[cell] >= against[cell] - SAME_SPEED:
-            break
-    end, top = last, speed[last]
-    most = min(speed.size, last + 1 + round(RECOVERY / CELL))
-    for cell in range(last + 1, most):
-        if speed[cell] > top:
-            end, top = cell, speed[cell]
-        if speed[cell] < top - REVERSAL or speed[cell] >= against[cell] - SAME_SPEED:
-            break
-    risen = np.flatnonzero(speed[last : end + 1] >= top - REVERSAL)
-    return slice(begin, last + int(risen[0]) + 1)
+def _stretch(event: tuple[int, int], mine: _Cells, other: _Cells, *, back: bool) -> slice:
+    """Cells in which an event costs time: slowing down for it, and recovering."""
+    first, last = event[0], event[1] - 1
+    begin = first - _gaining(mine.speed[first::-1], other.speed[first::-1]) if back else first
+    behind = slice(last, last + 1 + round(RECOVERY / CELL))
+    speed = mine.speed[behind]
+    top = speed[_gaining(speed, other.speed[behind])]
+    return slice(begin, last + int(np.argmax(speed >= top - REVERSAL)) + 1)
+
+
+def _gaining(speed: FloatArray, against: FloatArray) -> int:
+    """How many cells from the first one a speed is at its highest, until it is the other's."""
+    over = (speed < np.maximum.accumulate(speed) - REVERSAL) | (speed >= against - SAME_SPEED)
+    over[0] = False
+    until = int(np.argmax(over)) if over.any() else speed.size
+    return int(np.argmax(speed[: until + 1]))
 
 
 NEARLY_ALL = 0.98

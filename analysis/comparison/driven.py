@@ -597,7 +597,12 @@ class DrivenTrip:
         return np.interp(self.sample_at(position), np.arange(values.size), values)
 
     def share_of(self, flag: str, edges: FloatArray) -> FloatArray:
-        """Share of the running time of each cell between `edges` (n + 1,) with a flag; (n,)."""
+        """Share of the running time of each cell between `edges` (n + 1,) with a flag; (n,).
+
+        None where the flag is not recorded.
+        """
+        if flag not in self.flags:
+            return np.zeros(edges.size - 1)
         step = np.diff(self.running, prepend=0.0)
         part = np.diff(self.at(np.cumsum(step * self.flags[flag]), edges))
         whole = np.diff(self.at(self.running, edges))

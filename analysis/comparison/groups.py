@@ -462,7 +462,7 @@ def _masses(driver: TripCost, followed: TripCost) -> str:
 
 def _that_followed(trips: Sequence[Candidate]) -> list[Candidate]:
     """The trips, each with its description first, that state the configuration they drove with."""
-    remedy = "give trips recorded by 'trainlog simulate follow' or analysis.follow"
+    remedy = "give trips recorded by 'trainlog simulate follow'"
     if not trips:
         raise LogError("no trip that followed a trajectory was given", remedy=remedy)
     followed = [each for each in trips if each[0].metadata.get("configuration")]

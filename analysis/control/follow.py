@@ -9,7 +9,6 @@ arrives last, which all can keep, and it arrives with that.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -38,7 +37,7 @@ from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
-from trainlog.simulation import Scenario, simulate, trajectory_scenarios
+from trainlog.simulation import Scenario, trajectory_scenarios
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
 from trainlog.simulation.plant import HOLDING
 from trainlog.simulation.sensors import Reading, Sensors
@@ -296,45 +295,6 @@ class Follower:
 
 
 def following_scenarios(
-    sections: Mapping[str, Trajectory],
-    line: Line,
-    train: Train,
-    *,
-    configurations: str = "hardest",
-    weather: str = "dry",
-    condition_map: TrackConditionMap | None = None,
-    risk: float | None = None,
-    time: pd.Timestamp | None = None,
-    late: float = 0.0,
-    seed: int = 1,
-) -> dict[str, list[Scenario]]:
-    """Scenarios of the trips that `follow` drives, for each section of a journey by its name.
-
-    Each section departs when the plan of the journey has it. Names of trips end in that of the
-    section where there are several. The other arguments are those of `follow`.
-    """
-    found = {}
-    for name, section in sections.items():
-        follows = partial(
-            Follower, section, line.travelled(section.direction), train, condition=condition_map,
-            layer=weather, risk=risk, time=time, departure=DEPARTURE + late, margin=MARGIN,
-        )  # fmt: skip
-        departure = float(section.provenance.get("journey", {}).get("departure", 0.0))
-        found[name] = [
-            replace(
-                each,
-                name=f"{each.name}-{name}" if len(sections) > 1 else each.name,
-                start=each.start + round(NANOSECONDS * departure),
-            )
-            for each in trajectory_scenarios(
-                section, line, train, section.chosen(configurations), follows, seed=seed,
-                weather=weather, locates=Odometry,
-            )
-        ]  # fmt: skip
-    return found
-
-
-def follow(
     trajectory: Trajectory,
     line: Line,
     train: Train,
@@ -346,12 +306,12 @@ def follow(
     time: pd.Timestamp | None = None,
     late: float = 0.0,
     seed: int = 1,
-) -> list[Trip]:
-    """Drive simulated trains along a trajectory by map-based model predictive control.
+) -> list[Scenario]:
+    """Trips of simulated trains along a trajectory by map-based model predictive control.
 
     Each trip is in one configuration, which its driver does not know; position and speed are known
-    as far as the train's own instruments measure them. ``trainlog simulate follow`` does the
-    same.
+    as far as the train's own instruments measure them. A section of a journey departs when its plan
+    has it. `trainlog.simulate` drives a scenario; ``trainlog simulate follow`` drives all.
 
     Parameters
     ----------
@@ -377,34 +337,39 @@ def follow(
 
     Returns
     -------
-    list of Trip
-        With ``/reference``, from which ``lateness`` shows how well the trajectory was followed.
+    list of Scenario
+        Their trips have ``/reference``, from which ``lateness`` shows how well the trajectory was
+        followed.
 
     Raises
     ------
     InputError
-        See `Follower`; or a configuration is unknown.
+        If a configuration is unknown, or the trajectory is of another line or train. What
+        `Follower` refuses is refused when a scenario is driven.
 
     Examples
     --------
     >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
-    >>> from trainlog.formats.railway import read_line
-    >>> from trainlog.formats.railway import read_train
-    >>> from trainlog.railway import Configuration
+    >>> from trainlog import Configuration, read_line, read_train, simulate
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> alone = [Configuration.of(train)]
     >>> problem = TrajectoryProblem(line, train, alone, end=2_500.0, reserve=0.2)
     >>> trajectory = optimise(problem, OptimiserOptions(cells=80))
-    >>> (trip,) = follow(trajectory, line, train)
+    >>> trip = simulate(following_scenarios(trajectory, line, train)[0])
     >>> bool(abs(trip["/reference"]["lateness"].iloc[-1]) < 2.0)
     True
     """
-    scenarios = following_scenarios(
-        {"": trajectory}, line, train, configurations=configurations, weather=weather,
-        condition_map=condition_map, risk=risk, time=time, late=late, seed=seed,
+    follows = partial(
+        Follower, trajectory, line.travelled(trajectory.direction), train, condition=condition_map,
+        layer=weather, risk=risk, time=time, departure=DEPARTURE + late, margin=MARGIN,
     )  # fmt: skip
-    return [simulate(scenario) for scenario in scenarios[""]]
+    departure = float(trajectory.provenance.get("journey", {}).get("departure", 0.0))
+    scenarios = trajectory_scenarios(
+        trajectory, line, train, trajectory.chosen(configurations), follows, seed=seed,
+        weather=weather, locates=Odometry,
+    )  # fmt: skip
+    return [replace(each, start=each.start + round(NANOSECONDS * departure)) for each in scenarios]
 
 
 def effort_reversals(tractive: ArrayLike, braking: ArrayLike) -> int:

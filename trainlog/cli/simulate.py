@@ -145,12 +145,17 @@ def follow(
         the_map, time = map_of_run(map_, at, the_line, planned.direction)
     words = counted_on(the_map, weather, risk, time)
     say(f"  {words}")
-    scenarios = following_scenarios(
-        sections, the_line, the_train,
-        configurations=configurations, weather=weather, late=late,
-        condition_map=the_map, seed=seed, risk=risk, time=time,
-    )  # fmt: skip
+    scenarios = {
+        name: following_scenarios(
+            section, the_line, the_train,
+            configurations=configurations, weather=weather, late=late,
+            condition_map=the_map, seed=seed, risk=risk, time=time,
+        )
+        for name, section in sections.items()
+    }  # fmt: skip
     for name, section in sections.items():
+        if len(sections) > 1:
+            scenarios[name] = [replace(s, name=f"{s.name}-{name}") for s in scenarios[name]]
         stated = partial(following_line, trajectory=section)
         trips = _drive(scenarios[name], output, characteristic, traction, the_map, stated)
         picture = output / (f"following-{name}.png" if len(sections) > 1 else "following.png")
