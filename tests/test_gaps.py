@@ -102,6 +102,14 @@ def test_work_over_a_gap_that_nothing_bridges_is_not_stated(lost, topics, words)
     assert words in compared._repr_html_()
 
 
+def test_energy_from_the_line_lacks_what_lacks_of_traction_or_brake():
+    trip = without(whole(), CONTROLS, "dynamic_braking_effort", first=600.0)
+    found = compare(trip).trip("trip-03")
+    assert found.recorded_energy("traction")[1] == pytest.approx(0.0, abs=1e-9)
+    share = 20.0 / found.trip.running[-1]
+    assert found.recorded_energy("line")[1] == pytest.approx(share, rel=0.02)
+
+
 def test_a_trip_with_position_alone_has_its_speed_from_there():
     trip = whole().with_topic(whole()["/train/state"].assign(speed=np.nan))
     assert trip_cost(trip).traction == pytest.approx(true_work(trip), rel=0.01)

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 CAUSES = {
-    "start": "later start",
-    "dwell": "longer dwell",
-    "stop": "stop that the reference does not make",
-    "held": "held: braked to a stand or a crawl off a station",
-    "limit": "lower speed limit",
-    "slip": "slip: limited by adhesion",
-    "full effort": "slower at full effort: load, power or wind",
-    "slower": "slower than needed",
-    "faster": "faster",
-    "recording": "position missing or corrected",
+    "start": ("later start", "earlier start"),
+    "dwell": ("longer dwell", "shorter dwell"),
+    "stop": ("stop that the reference does not make", "the reference stops here"),
+    "held": ("held: braked to a stand or a crawl off a station", "the reference was held"),
+    "limit": ("lower speed limit", "the reference had a lower limit"),
+    "slip": ("slip: limited by adhesion", "the reference slipped"),
+    "full effort": (
+        "slower at full effort: load, power or wind",
+        "the reference was slower at full effort",
+    ),
+    "slower": ("slower than needed", "slower than needed"),
+    "faster": ("faster", "faster"),
+    "recording": ("position missing or corrected", "position missing or corrected"),
 }
-"""Each cause in words."""
-
-GAINED = CAUSES | {
-    "start": "earlier start",
-    "dwell": "shorter dwell",
-    "stop": "the reference stops here",
-    "held": "the reference was held",
-    "limit": "the reference had a lower limit",
-    "slip": "the reference slipped",
-    "full effort": "the reference was slower at full effort",
-}
-"""The same where time was gained."""
+"""Each cause in words: where time was lost, and where it was gained."""
 
 LOST = {
     cause: f"lost_{cause.replace(' ', '_')}"

@@ -35,10 +35,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.comparison.causes import CAUSES, GAINED
+from analysis.comparison.causes import CAUSES
 from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, normalised_energy
-from analysis.comparison.groups import line_energy
 from analysis.view import Given, each_given
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
@@ -247,24 +246,20 @@ def _energies(
     trip: DrivenTrip, between: Callable[[FloatArray], FloatArray]
 ) -> dict[str, FloatArray]:
     """Work at the wheels and energy from the line of each section [J]."""
-    sums, train, none = trip.sums, trip.train, np.nan * between(trip.running)
+    sums = trip.sums
 
     def known(name: str) -> FloatArray:
         if name not in sums:
-            return none
+            return np.nan * between(trip.running)
         gaps = between(sums[f"unknown_{name}"]) > UNKNOWN_TIME
         return np.where(gaps, np.nan, between(sums[name]))
 
-    traction, dynamic, line = known("traction"), known("dynamic_braking"), known("supply")
-    if "supply" not in sums and train is not None and not trip.planned:
-        line = line_energy(
-            train, traction, dynamic if "dynamic_braking" in sums else np.zeros(none.size)
-        )
+    dynamic = known("dynamic_braking")
     return {
-        "traction": traction,
+        "traction": known("traction"),
         "braking": dynamic + known("pneumatic_braking"),
         "dynamic_braking": dynamic,
-        "line": line,
+        "line": known("line"),
     }
 
 
@@ -454,7 +449,7 @@ class _Cells:
     @staticmethod
     def of(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> _Cells:
         middle = 0.5 * (nodes[1:] + nodes[:-1])
-        doubtful = np.cumsum(trip.flags.get("doubtful", np.zeros(trip.time.size)))
+        doubtful = trip.flags.get("doubtful", np.zeros(trip.time.size))
         return _Cells(
             trip,
             nodes,
@@ -463,7 +458,8 @@ class _Cells:
             trip.limit_at(middle),
             trip.share_of("slip", nodes) > 0.2,
             trip.share_of("full_effort", nodes) > 0.5,
-            np.diff(trip.at(doubtful, nodes)) > 0.0,  # also of a jump while the train stands
+            np.diff(trip.at(np.cumsum(doubtful, dtype=np.float64), nodes))
+            > 0.0,  # also of a jump while the train stands
             counted_stands(trip, common),
         )
 
@@ -519,8 +515,7 @@ def lost_time(
     losses = losses.sort_values(
         ["lost", "first", "cause"], ascending=[False, True, True], ignore_index=True
     )
-    words = losses["cause"].map(CAUSES), losses["cause"].map(GAINED)
-    losses["words"] = words[0].where(losses["lost"] >= 0.0, words[1])
+    losses["words"] = [CAUSES[cause][s < 0.0] for s, cause in losses[["lost", "cause"]].to_numpy()]
     behind = started + np.concatenate(([0.0], np.cumsum(lost)))
     for each, sign in ((mine, 1.0), (other, -1.0)):
         for stand in each.stands:
@@ -753,18 +748,11 @@ class ComparedTrip:
 
         The share is of the running time; None where none is recorded.
         """
-        sums, train = self.trip.sums, self.trip.train
-        work = "supply" if column == "line" and "supply" in sums else "traction"
-        if work not in sums or self.table[column].dropna().empty:
+        sums, whole = self.trip.sums, self.sum(column)
+        if column not in sums or self.table[column].dropna().empty:
             return None, None
-        missing = float(np.ptp(sums[f"unknown_{work}"]) / self.trip.running[-1])
-        whole = self.sum(column)
-        if not math.isfinite(whole):
-            whole = float(sums[work][-1])
-            if work != "supply" and column == "line" and train is not None:
-                dynamic = sums.get("dynamic_braking", np.zeros(1))[-1]
-                whole = line_energy(train, whole, float(dynamic))
-        return whole, missing
+        missing = float(np.ptp(sums[f"unknown_{column}"]) / self.trip.running[-1])
+        return whole if math.isfinite(whole) else float(sums[column][-1]), missing
 
     def section_words(self, name: str) -> str:
         """What the trip took in a section, in words."""

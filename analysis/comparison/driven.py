@@ -16,9 +16,10 @@ known: neither is the work there, and a calculation starts anew behind it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -483,8 +484,9 @@ class DrivenTrip:
         Between the lowest and the highest position recorded.
     sums : dict of str to array
         Cumulated since the recording began: work ``traction``, ``dynamic_braking``,
-        ``pneumatic_braking`` at the wheel rims and ``supply`` from the line [J], time in motion of
-        ``unknown_traction`` or braking [s]; what is not recorded is missing.
+        ``pneumatic_braking`` at the wheel rims, ``supply`` from the line as recorded, and ``line``:
+        that, or what follows from the train's efficiencies [J]; time in motion of
+        ``unknown_traction`` and the like [s]; what is not recorded is missing.
     flags : dict of str to bool array
         ``coasting``, ``full_effort``, ``slip``, ``doubtful`` (position), ``unknown_speed``
         (neither recorded nor bridged before the sample); what is not recorded is missing.
@@ -780,6 +782,7 @@ class _Reduction:
             unknown = list(works)
             flags = {name: flag for name, flag in flags.items() if name in _OF_MOTION}
         sums = {n: v for n, v in sums.items() if n.removeprefix("unknown_") not in unknown}
+        sums |= _from_line(sums, self.train)
         return DrivenTrip(
             name=self.bare.name,
             direction=self.bare.metadata.get("direction", "forward"),
@@ -923,6 +926,26 @@ class _Reduction:
             full |= effort >= FULL_EFFORT * self.train.tractive_effort_limit(speed)
         found["full_effort"] = full & (effort > 0.0)
         return found
+
+
+Energy = TypeVar("Energy", float, FloatArray)
+
+
+def line_energy(train: Train, traction: Energy, dynamic_braking: Energy) -> Energy:
+    """Energy from the line [J]: traction over its efficiency, less what braking feeds back."""
+    return traction / train.efficiency_traction - train.efficiency_regeneration * dynamic_braking
+
+
+def _from_line(sums: Mapping[str, FloatArray], train: Train | None) -> dict[str, FloatArray]:
+    """Energy from the line, recorded or by the train's efficiencies, and time without it."""
+    if "supply" in sums:
+        return {"line": sums["supply"], "unknown_line": sums["unknown_supply"]}
+    if "traction" not in sums or train is None:
+        return {}
+    none = np.zeros(sums["traction"].size)
+    unknown = sums["unknown_traction"], sums.get("unknown_dynamic_braking", none)
+    energy = line_energy(train, sums["traction"], sums.get("dynamic_braking", none))
+    return {"line": energy, "unknown_line": np.maximum(*unknown)}
 
 
 _OF_MOTION = ("slip", "doubtful", "unknown_speed")

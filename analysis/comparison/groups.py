@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from analysis.adhesion.axles import protection_onsets
-from analysis.comparison.driven import TOPICS, driven_trip
+from analysis.comparison.driven import TOPICS, driven_trip, line_energy
 from analysis.view import Given, TripView, each_given, trip_of, view_of
-from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import LogError
 from trainlog.formats.railway import line_of, train_of
@@ -26,7 +24,7 @@ from trainlog.presentation import (
     kwh,
     new_table,
 )
-from trainlog.railway import Line, Train
+from trainlog.railway import Line
 from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
 from trainlog.trip import LINE_ATTACHMENT, RECORDED_BRAKE, Trip
@@ -98,8 +96,6 @@ class TripCost:
 RECORDED_PART = "where efforts are recorded"
 """What of an energy is known though efforts are missing."""
 
-
-Energy = TypeVar("Energy", float, FloatArray)
 
 Candidate = tuple[Trip, Trip | TripView | Path]
 """A trip, or its log without rows, and what was given."""
@@ -190,11 +186,6 @@ def _late(trip: Trip) -> float | None:
         return None
     known = trip[REFERENCE.name]["lateness"].dropna()
     return float(known.iloc[-1]) if len(known) else None
-
-
-def line_energy(train: Train, traction: Energy, dynamic_braking: Energy) -> Energy:
-    """Energy from the line [J]: traction over its efficiency, less what braking feeds back."""
-    return traction / train.efficiency_traction - train.efficiency_regeneration * dynamic_braking
 
 
 def fastest_nonstop(trips: Sequence[Given], line: Line) -> float:

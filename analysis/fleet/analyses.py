@@ -120,7 +120,7 @@ DRIVING: tuple[Column, ...] = (
     Column("mass", "kg", "mass of the loaded train, as the log or its passport states it"),
     Column("mass_std", "kg", "its standard deviation"),
     Column("shortest_time", "s", "running time of the shortest run with the same stops"),
-    *(Column(column, "s", CAUSES[cause]) for cause, column in LOST.items()),
+    *(Column(column, "s", CAUSES[cause][0]) for cause, column in LOST.items()),
 )
 
 CHECKS: tuple[Column, ...] = (

@@ -453,7 +453,7 @@ def _lost(rows: pd.DataFrame) -> WordTable:
         if known.any():
             time = float(rows["running_time"].to_numpy(np.float64)[known].sum())
             mean, share = float(values[known].mean()), float(values[known].sum()) / time
-            table.add_cells(cause, mean, share, CAUSES[cause].removeprefix(f"{cause}: "))
+            table.add_cells(cause, mean, share, CAUSES[cause][0].removeprefix(f"{cause}: "))
     return table
 
 
