@@ -319,16 +319,162 @@ TOPICS = (
 """What is read of a log."""
 
 
+NOTED_SETBACK = 2.0
+"""Metres by which recorded chainage runs backwards that are stated."""
+
+SPIKE, SPIKE_SAMPLES = 50.0, 51
+"""A position so far [m] off the median of so many around it, less what the speed explains, is no
+position."""
+
+JUMP = 20.0
+"""Metres by which a position advances more than the speed explains: it was corrected."""
+
+FULL_EFFORT, FULL_LEVER = 0.97, 0.99
+"""Share of the train's largest effort, and lever position, from which all there is was used."""
+
+COASTING_SHARE = 0.01
+"""Of the largest tractive effort: with less effort of either sign the train coasts."""
+
+UNKNOWN_TIME = 1.0
+"""Time without a recorded effort [s] from which the energy of a section is not stated."""
+
+LISTED_GAPS = 6
+"""Gaps of a recording that are listed one by one."""
+
+SLIP_LASTS = 2.0
+"""Time after an onset [s] that counts as slip where only onsets are recorded."""
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Thinned samples; works are cumulated over all samples."""
+    """Thinned samples of a trip; works are cumulated over all samples."""
 
+    trip: str
     origin: int
     estimated: bool
     time: FloatArray
     values: dict[str, FloatArray]
     sums: dict[str, FloatArray]
     gaps: tuple[Gap, ...] = ()
+
+    def chainage(self, recorded: FloatArray, line: Line) -> tuple[FloatArray, list[str]]:
+        """Non-decreasing chainage, and what had to be moved for it."""
+        position = forward_chainage(recorded)
+        moved = np.abs(position - np.maximum(recorded, 0.0))
+        worst = int(np.argmax(moved))
+        if moved[worst] > LARGEST_SETBACK:
+            raise LogError(
+                f"trip '{self.trip}' runs backwards by {2.0 * moved[worst]:.0f} m",
+                place=km_words(line, float(recorded[worst])),
+                remedy="cut it into trips of one direction (trainlog convert --from --to), or"
+                " ingest it again with its line: a counter that starts anew is repaired there",
+            )
+        notes = []
+        if moved[worst] > NOTED_SETBACK:
+            notes.append(
+                f"chainage set back at {km_words(line, float(recorded[worst]))}:"
+                f" moved by up to {moved[worst]:.1f} m"
+            )
+        beyond = float(position[-1] - line.length)
+        if beyond > STATION_REACH:
+            notes.append(
+                f"ends {beyond:.0f} m beyond the line's end: chainage or line may be wrong"
+            )
+        return position, notes
+
+    def without_spikes(self, line: Line) -> tuple[FloatArray, list[str]]:
+        """Chainage without samples far off their neighbours, and how many there were."""
+        recorded = self.values["position"]
+        run = cumulative_trapezoid(self.speed, self.time, initial=0.0)
+        offset = recorded - run
+        usual = median_filter(offset, SPIKE_SAMPLES, mode="reflect")
+        spikes = np.abs(offset - usual) > SPIKE
+        if not spikes.any():
+            return recorded, []
+        place = km_words(line, float(run[spikes][0] + usual[spikes][0]))
+        samples = counted(int(spikes.sum()), "sample")
+        note = f"chainage: {samples} far off left out, first at {place}"
+        return np.where(spikes, run + usual, recorded), [note]
+
+    @cached_property
+    def speed(self) -> FloatArray:
+        """Recorded speed; where it is not known, between its neighbours."""
+        time, speed = self.time, self.values["speed"]
+        known = np.isfinite(speed)
+        if known.sum() < 2:
+            position = forward_chainage(self.values["position"])
+            return np.nan_to_num(np.gradient(position, time))
+        return np.interp(time, time[known], np.maximum(speed[known], 0.0))
+
+    def stands(self, position: FloatArray) -> list[tuple[int, int]]:
+        """First and last sample of each stand that lasts."""
+        time = self.time
+        slow = self.speed <= (STANDING_ESTIMATE if self.estimated else STANDSTILL)
+        merged: list[tuple[int, int]] = []
+        for begin, end in runs_of(slow):
+            near = merged and position[begin] - position[merged[-1][1]] < 2.0
+            if near and time[begin] - time[merged[-1][1]] < SHORTEST_STOP:
+                begin = merged.pop()[0]
+            merged.append((begin, end - 1))
+        return [each for each in merged if time[each[1]] - time[each[0]] >= SHORTEST_STOP]
+
+    def doubtful(self, recorded: FloatArray, line: Line) -> tuple[BoolArray, list[str]]:
+        """Samples before which a position is missing or jumps, and what they are."""
+        step, moved = np.diff(self.time), np.diff(recorded)
+        gap = (step > LONGEST_GAP) & (moved > GAP_DISTANCE)
+        expected = 0.5 * (self.speed[1:] + self.speed[:-1]) * step
+        jump = ~gap & (np.abs(moved - expected) > JUMP + 0.2 * expected)
+        notes = [
+            f"no position for {step[row]:.0f} s before {km_words(line, float(recorded[row + 1]))}"
+            for row in np.flatnonzero(gap)[:3].tolist()
+        ] + [
+            f"chainage jumps by {moved[row] - expected[row]:+.0f} m at"
+            f" {km_words(line, float(recorded[row + 1]))}"
+            for row in np.flatnonzero(jump)[:3].tolist()
+        ]
+        return np.concatenate(([False], gap | jump)), notes
+
+    def gap_notes(self, position: FloatArray, line: Line) -> list[str]:
+        """What was not recorded for longer while the train moved, and what stands for it."""
+        found = []
+        for gap in self.gaps:
+            place = np.interp([gap.first, gap.last], self.time, position)
+            silent = gap.missing == "sample" and gap.seconds > LONGEST_GAP  # stated as no position
+            if place[1] - place[0] > GAP_DISTANCE and not silent:
+                first, last = in_km(line, place).tolist()
+                found.append(f"{gap.words}: km {first:.3f} to {last:.3f}")
+        rest = len(found) - LISTED_GAPS
+        return found[:LISTED_GAPS] + ([f"and {counted(rest, 'more gap')}"] if rest > 0 else [])
+
+    def unknown_speed(self) -> BoolArray:
+        """Samples before which the speed is neither recorded nor bridged."""
+        time, found = self.time, np.zeros(self.time.size, dtype=np.bool_)
+        for gap in self.gaps:
+            if not gap.bridge and gap.missing in ("speed", "sample"):
+                found |= (time > gap.first) & (time <= gap.last + 1e-6)
+        return found
+
+    def flags(self, train: Train | None) -> dict[str, BoolArray]:
+        """What the train did at each sample."""
+        values, speed, found = self.values, self.speed, dict[str, BoolArray]()
+        active = values.get("active")
+        if active is not None and np.isfinite(active).any():
+            found["slip"] = np.nan_to_num(active) > 0.0
+        effort = values.get("tractive_effort")
+        if effort is None or not np.isfinite(effort).any():
+            return found
+        effort = np.nan_to_num(effort)
+        braking = [np.nan_to_num(values[name]) for name in [*EFFORTS][1:] if name in values]
+        largest = float(np.max(effort)) if train is None else train.max_tractive_effort
+        idle = np.maximum.reduce([np.abs(effort), *map(np.abs, braking)]) < COASTING_SHARE * largest
+        found["coasting"] = idle & (speed > 1.0)
+        full = np.nan_to_num(values.get("lever", np.zeros(effort.size))) >= FULL_LEVER
+        if "tractive_effort_demand" in values:
+            full |= (np.nan_to_num(values["tractive_effort_demand"]) > 1.02 * effort) & ~idle
+        if train is not None:
+            full |= effort >= FULL_EFFORT * train.tractive_effort_limit(speed)
+        found["full_effort"] = full & (effort > 0.0)
+        return found
 
 
 def samples_of(trip: Trip) -> Samples:
@@ -387,7 +533,8 @@ def _thinned(trip: Trip, state: str, frame: pd.DataFrame) -> Samples:
     if known.size and 0.5 <= known.mean() < 1.0:  # recorded otherwise
         gaps += [Gap(*_sides(time, *each), "effort") for each in _long_gaps(time, known)]
     estimated = state != TRAIN_STATE.name
-    return Samples(int(origin.as_unit("ns").value), estimated, time, columns, sums, tuple(gaps))
+    start = int(origin.as_unit("ns").value)
+    return Samples(trip.name, start, estimated, time, columns, sums, tuple(gaps))
 
 
 def _short(name: str) -> str:
@@ -410,31 +557,6 @@ def _integrals(frame: pd.DataFrame, time: FloatArray) -> dict[str, FloatArray]:
             found[key] = cumulative_trapezoid(values, time, initial=0.0)
     return found
 
-
-NOTED_SETBACK = 2.0
-"""Metres by which recorded chainage runs backwards that are stated."""
-
-SPIKE, SPIKE_SAMPLES = 50.0, 51
-"""A position so far [m] off the median of so many around it, less what the speed explains, is no
-position."""
-
-JUMP = 20.0
-"""Metres by which a position advances more than the speed explains: it was corrected."""
-
-FULL_EFFORT, FULL_LEVER = 0.97, 0.99
-"""Share of the train's largest effort, and lever position, from which all there is was used."""
-
-COASTING_SHARE = 0.01
-"""Of the largest tractive effort: with less effort of either sign the train coasts."""
-
-UNKNOWN_TIME = 1.0
-"""Time without a recorded effort [s] from which the energy of a section is not stated."""
-
-LISTED_GAPS = 6
-"""Gaps of a recording that are listed one by one."""
-
-SLIP_LASTS = 2.0
-"""Time after an onset [s] that counts as slip where only onsets are recorded."""
 
 UNKNOWN = Quantity(float("nan"), float("nan"), "assumed", "nothing states it")
 
@@ -547,11 +669,8 @@ class DrivenTrip:
     @property
     def drawn_speed(self) -> FloatArray:
         """Speed [m/s] with breaks (NaN) where it is not known."""
-        unknown = self.flags.get("unknown_speed")
-        if unknown is None:
-            return self.speed
         # The line from a sample to the one behind a gap is no speed.
-        return np.where(unknown, np.nan, self.speed)
+        return np.where(self.flags.get("unknown_speed", False), np.nan, self.speed)
 
     @property
     def drawn_work(self) -> FloatArray:
@@ -573,10 +692,9 @@ class DrivenTrip:
 
     def permitted(self, position: ArrayLike) -> FloatArray:
         """Speed limit of the line over the train's length [m/s] at each position [m]."""
-        if self.train is None:
-            return self.line.limits_over(0.0)(position)
-        limits = self.line.limits_over(self.train.length)(position)
-        return np.asarray(np.minimum(limits, self.train.max_speed))
+        train = self.train
+        length, most = (0.0, np.inf) if train is None else (train.length, train.max_speed)
+        return np.minimum(self.line.limits_over(length)(position), most)
 
     def sample_at(self, position: ArrayLike) -> FloatArray:
         """Number of the sample, with its fraction, at which each position is reached.
@@ -644,8 +762,7 @@ def _driven(view: TripView, line: Line | None = None) -> DrivenTrip:
     trip = view.trip
     travelled = _line_as_travelled(trip, line)
     train = view.train if TRAIN_ATTACHMENT in trip.attachments else None
-    mass, gain = _mass_and_gain(trip, train)
-    parts = _Reduction(trip, travelled, train, mass, gain, samples_of(trip)).reduced()
+    parts = _reduced(trip, travelled, train)
     slips, onsets, flags = None, protection_onsets(trip), dict(parts.flags)
     if onsets is not None:
         slips = (np.asarray(onsets, dtype=np.int64) - parts.departure) / NANOSECONDS
@@ -732,200 +849,70 @@ def _line_as_travelled(bare: Trip, line: Line | None) -> Line:
     return line.travelled(bare.metadata.get("direction"))
 
 
-@dataclass(frozen=True, eq=False)
-class _Reduction:
-    """From thinned samples to a trip between its first departure and last arrival."""
-
-    bare: Trip
-    line: Line
-    train: Train | None
-    mass: Quantity
-    gain: Quantity
-    table: Samples
-
-    def reduced(self) -> DrivenTrip:
-        table, speed = self.table, self.speed
-        recorded, spikes = self._without_spikes()
-        position, notes = self._chainage(recorded)
-        stands = self._stands(position)
-        first, last = 0, table.time.size - 1
-        if stands and stands[0][0] == 0:
-            first = min(stands[0][1] + 1, last)
-        if stands and stands[-1][1] == last:
-            last = stands[-1][0]
-        if first >= last:
-            raise LogError(
-                f"trip '{self.bare.name}' never moves: there is nothing to compare",
-                remedy="leave it out",
-            )
-        rest, step, listed = np.zeros(table.time.size), np.diff(table.time), list[Stand]()
-        for begin, end in stands:
-            where, lasts = float(position[begin]), 0.0
-            if first <= begin and end <= last:
-                rest[begin + 1 : end + 1] = step[begin:end]
-                lasts = float(table.time[end] - table.time[begin])
-            listed.append(Stand(where, lasts, station_at(self.line, where)))
-        kept = slice(first, last + 1)
-        time = table.time[kept] - table.time[first]
-        standing = np.cumsum(rest[kept])
-        doubtful, more = self._doubtful(recorded)
-        more += self._gap_notes(position)
-        flags = self._flags() | {"doubtful": doubtful, "unknown_speed": self._unknown_speed()}
-        gain = self.gain.value if self.gain.known else 1.0
-        sums = {
-            name: values[kept] / (1.0 if "supply" in name or "unk" in name else gain)
-            for name, values in table.sums.items()
-        }
-        works, most = EFFORTS.values(), 0.5 * (time[-1] - standing[-1])
-        unknown = [work for work in works if work in sums and sums[f"unknown_{work}"][-1] > most]
-        if "traction" in unknown:
-            unknown = list(works)
-            flags = {name: flag for name, flag in flags.items() if name in _OF_MOTION}
-        sums = {n: v for n, v in sums.items() if n.removeprefix("unknown_") not in unknown}
-        sums |= _from_line(sums, self.train)
-        return DrivenTrip(
-            name=self.bare.name,
-            direction=self.bare.metadata.get("direction", "forward"),
-            line=self.line,
-            train=self.train,
-            mass=self.mass,
-            departure=table.origin + round(float(table.time[first]) * NANOSECONDS),
-            time=time,
-            running=time - standing,
-            position=position[kept],
-            speed=speed[kept],
-            stands=tuple(listed),
-            distance=float(np.ptp(recorded)),
-            sums=sums,
-            flags={name: flag[kept] for name, flag in flags.items()},
-            signals={
-                name: table.values[column][kept]
-                for name, column in _SIGNALS.items()
-                if column in table.values and np.isfinite(table.values[column]).any()
-            },
-            gain=self.gain,
-            notes=(*spikes, *notes, *more),
+def _reduced(trip: Trip, line: Line, train: Train | None) -> DrivenTrip:
+    """From samples to the motion between first departure and last arrival."""
+    table, (mass, gain) = samples_of(trip), _mass_and_gain(trip, train)
+    recorded, spikes = table.without_spikes(line)
+    position, notes = table.chainage(recorded, line)
+    stands = table.stands(position)
+    first, last = 0, table.time.size - 1
+    if stands and stands[0][0] == 0:
+        first = min(stands[0][1] + 1, last)
+    if stands and stands[-1][1] == last:
+        last = stands[-1][0]
+    if first >= last:
+        raise LogError(
+            f"trip '{trip.name}' never moves: there is nothing to compare",
+            remedy="leave it out",
         )
-
-    def _chainage(self, recorded: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Non-decreasing chainage, and what had to be moved for it."""
-        position = forward_chainage(recorded)
-        moved = np.abs(position - np.maximum(recorded, 0.0))
-        worst = int(np.argmax(moved))
-        if moved[worst] > LARGEST_SETBACK:
-            raise LogError(
-                f"trip '{self.bare.name}' runs backwards by {2.0 * moved[worst]:.0f} m",
-                place=km_words(self.line, float(recorded[worst])),
-                remedy="cut it into trips of one direction (trainlog convert --from --to), or"
-                " ingest it again with its line: a counter that starts anew is repaired there",
-            )
-        notes = []
-        if moved[worst] > NOTED_SETBACK:
-            notes.append(
-                f"chainage set back at {km_words(self.line, float(recorded[worst]))}:"
-                f" moved by up to {moved[worst]:.1f} m"
-            )
-        beyond = float(position[-1] - self.line.length)
-        if beyond > STATION_REACH:
-            notes.append(
-                f"ends {beyond:.0f} m beyond the line's end: chainage or line may be wrong"
-            )
-        return position, notes
-
-    def _without_spikes(self) -> tuple[FloatArray, list[str]]:
-        """Chainage without samples far off their neighbours, and how many there were."""
-        recorded = self.table.values["position"]
-        run = cumulative_trapezoid(self.speed, self.table.time, initial=0.0)
-        offset = recorded - run
-        usual = median_filter(offset, SPIKE_SAMPLES, mode="reflect")
-        spikes = np.abs(offset - usual) > SPIKE
-        if not spikes.any():
-            return recorded, []
-        place = km_words(self.line, float(run[spikes][0] + usual[spikes][0]))
-        samples = counted(int(spikes.sum()), "sample")
-        note = f"chainage: {samples} far off left out, first at {place}"
-        return np.where(spikes, run + usual, recorded), [note]
-
-    @cached_property
-    def speed(self) -> FloatArray:
-        """Recorded speed; where it is not known, between its neighbours."""
-        time, speed = self.table.time, self.table.values["speed"]
-        known = np.isfinite(speed)
-        if known.sum() < 2:
-            position = forward_chainage(self.table.values["position"])
-            return np.nan_to_num(np.gradient(position, time))
-        return np.interp(time, time[known], np.maximum(speed[known], 0.0))
-
-    def _stands(self, position: FloatArray) -> list[tuple[int, int]]:
-        """First and last sample of each stand that lasts."""
-        time = self.table.time
-        slow = self.speed <= (STANDING_ESTIMATE if self.table.estimated else STANDSTILL)
-        merged: list[tuple[int, int]] = []
-        for begin, end in runs_of(slow):
-            near = merged and position[begin] - position[merged[-1][1]] < 2.0
-            if near and time[begin] - time[merged[-1][1]] < SHORTEST_STOP:
-                begin = merged.pop()[0]
-            merged.append((begin, end - 1))
-        return [each for each in merged if time[each[1]] - time[each[0]] >= SHORTEST_STOP]
-
-    def _doubtful(self, recorded: FloatArray) -> tuple[BoolArray, list[str]]:
-        """Samples before which a position is missing or jumps, and what they are."""
-        step, moved = np.diff(self.table.time), np.diff(recorded)
-        gap = (step > LONGEST_GAP) & (moved > GAP_DISTANCE)
-        expected = 0.5 * (self.speed[1:] + self.speed[:-1]) * step
-        jump = ~gap & (np.abs(moved - expected) > JUMP + 0.2 * expected)
-        notes = [
-            f"no position for {step[row]:.0f} s before"
-            f" {km_words(self.line, float(recorded[row + 1]))}"
-            for row in np.flatnonzero(gap)[:3].tolist()
-        ] + [
-            f"chainage jumps by {moved[row] - expected[row]:+.0f} m at"
-            f" {km_words(self.line, float(recorded[row + 1]))}"
-            for row in np.flatnonzero(jump)[:3].tolist()
-        ]
-        return np.concatenate(([False], gap | jump)), notes
-
-    def _gap_notes(self, position: FloatArray) -> list[str]:
-        """What was not recorded for longer while the train moved, and what stands for it."""
-        found = []
-        for gap in self.table.gaps:
-            place = np.interp([gap.first, gap.last], self.table.time, position)
-            silent = gap.missing == "sample" and gap.seconds > LONGEST_GAP  # stated as no position
-            if place[1] - place[0] > GAP_DISTANCE and not silent:
-                first, last = in_km(self.line, place).tolist()
-                found.append(f"{gap.words}: km {first:.3f} to {last:.3f}")
-        rest = len(found) - LISTED_GAPS
-        return found[:LISTED_GAPS] + ([f"and {counted(rest, 'more gap')}"] if rest > 0 else [])
-
-    def _unknown_speed(self) -> BoolArray:
-        """Samples before which the speed is neither recorded nor bridged."""
-        time, found = self.table.time, np.zeros(self.table.time.size, dtype=np.bool_)
-        for gap in self.table.gaps:
-            if not gap.bridge and gap.missing in ("speed", "sample"):
-                found |= (time > gap.first) & (time <= gap.last + 1e-6)
-        return found
-
-    def _flags(self) -> dict[str, BoolArray]:
-        """What the train did at each sample."""
-        values, speed, found = self.table.values, self.speed, dict[str, BoolArray]()
-        active = values.get("active")
-        if active is not None and np.isfinite(active).any():
-            found["slip"] = np.nan_to_num(active) > 0.0
-        effort = values.get("tractive_effort")
-        if effort is None or not np.isfinite(effort).any():
-            return found
-        effort = np.nan_to_num(effort)
-        braking = [np.nan_to_num(values[name]) for name in [*EFFORTS][1:] if name in values]
-        largest = float(np.max(effort)) if self.train is None else self.train.max_tractive_effort
-        idle = np.maximum.reduce([np.abs(effort), *map(np.abs, braking)]) < COASTING_SHARE * largest
-        found["coasting"] = idle & (speed > 1.0)
-        full = np.nan_to_num(values.get("lever", np.zeros(effort.size))) >= FULL_LEVER
-        if "tractive_effort_demand" in values:
-            full |= (np.nan_to_num(values["tractive_effort_demand"]) > 1.02 * effort) & ~idle
-        if self.train is not None:
-            full |= effort >= FULL_EFFORT * self.train.tractive_effort_limit(speed)
-        found["full_effort"] = full & (effort > 0.0)
-        return found
+    rest, step, listed = np.zeros(table.time.size), np.diff(table.time), list[Stand]()
+    for begin, end in stands:
+        where, lasts = float(position[begin]), 0.0
+        if first <= begin and end <= last:
+            rest[begin + 1 : end + 1] = step[begin:end]
+            lasts = float(table.time[end] - table.time[begin])
+        listed.append(Stand(where, lasts, station_at(line, where)))
+    kept = slice(first, last + 1)
+    time = table.time[kept] - table.time[first]
+    standing = np.cumsum(rest[kept])
+    doubtful, more = table.doubtful(recorded, line)
+    more += table.gap_notes(position, line)
+    flags = table.flags(train) | {"doubtful": doubtful, "unknown_speed": table.unknown_speed()}
+    factor = gain.value if gain.known else 1.0
+    sums = {
+        name: values[kept] / (1.0 if "supply" in name or "unk" in name else factor)
+        for name, values in table.sums.items()
+    }
+    works, most = EFFORTS.values(), 0.5 * (time[-1] - standing[-1])
+    unknown = [work for work in works if work in sums and sums[f"unknown_{work}"][-1] > most]
+    if "traction" in unknown:
+        unknown = list(works)
+        flags = {name: flag for name, flag in flags.items() if name in _OF_MOTION}
+    sums = {n: v for n, v in sums.items() if n.removeprefix("unknown_") not in unknown}
+    sums |= _from_line(sums, train)
+    return DrivenTrip(
+        name=trip.name,
+        direction=trip.metadata.get("direction", "forward"),
+        line=line,
+        train=train,
+        mass=mass,
+        departure=table.origin + round(float(table.time[first]) * NANOSECONDS),
+        time=time,
+        running=time - standing,
+        position=position[kept],
+        speed=table.speed[kept],
+        stands=tuple(listed),
+        distance=float(np.ptp(recorded)),
+        sums=sums,
+        flags={name: flag[kept] for name, flag in flags.items()},
+        signals={
+            name: table.values[column][kept]
+            for name, column in _SIGNALS.items()
+            if column in table.values and np.isfinite(table.values[column]).any()
+        },
+        gain=gain,
+        notes=(*spikes, *notes, *more),
+    )
 
 
 Energy = TypeVar("Energy", float, FloatArray)

@@ -29,7 +29,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from analysis.control.prediction import UNBOUNDED, QPSubproblem, solve
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import FloatArray
 from trainlog.declaration import POSITIVE_FINITE, NotNegative, Number, PositiveFinite, check
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
@@ -138,12 +138,10 @@ class Prediction(NamedTuple):
 
 @njit(cache=True)
 def creep(slip, curve):  # type: ignore[no-untyped-def]
-    """Adhesion coefficient and its slope over slip speed; eq. (10), made odd."""
+    """Adhesion coefficient at a slip speed; eq. (10), made odd."""
     a, b, c = curve
-    size = abs(slip)
-    one, other = np.exp(-a * size), np.exp(-b * size)
-    value = c * (one - other)
-    return (value if slip >= 0.0 else -value), c * (b * other - a * one)
+    value = c * (np.exp(-a * abs(slip)) - np.exp(-b * abs(slip)))
+    return value if slip >= 0.0 else -value
 
 
 LARGEST_EXPONENT = 2.0
@@ -279,7 +277,7 @@ def tracking_plan(state, begun, reference, rail, loads, constants, how, limits, 
         v = now[0]
         pull = 0.0
         for i in range(n):
-            pull += loads[i] * creep(how.direction * (now[1 + i] - v), rail[j, i])[0]
+            pull += loads[i] * creep(how.direction * (now[1 + i] - v), rail[j, i])
         gain = (pull - how.direction * (still + (linear + square * v) * v)) / mass
         if v <= 0.0 and how.direction * gain < 0.0:
             gain = 0.0
@@ -287,7 +285,7 @@ def tracking_plan(state, begun, reference, rail, loads, constants, how, limits, 
         for i in range(n):
             s = how.direction * (now[1 + i] - v)
             aim = 0.5 * (s + reference[j * n + i])
-            bearing = loads[i] * creep(aim, rail[j, i])[0]
+            bearing = loads[i] * creep(aim, rail[j, i])
             wanted = bearing + rotating * ((aim - s) / how.period + gain)
             one[0, i] = min(max(wanted / ratio, 0.0), limits[i])
             total_given += one[0, i]
@@ -432,26 +430,6 @@ class Task:
     at_work: FloatArray
     how: Prediction
     constants: tuple[float, float, float, float, float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class Quadratic:
-    """Its cost about a plan, without the bounds of the slip speeds.
-
-    Hessian and gradient in changes of the levels (torques over the torque limit); errors of slip
-    [m/s] and how they change.
-    """
-
-    hessian: FloatArray
-    gradient: FloatArray
-    change: FloatArray
-    error: FloatArray
-    levels: FloatArray
-
-
-def excess_of(error: FloatArray, margins: FloatArray) -> IntArray:
-    """Which errors of slip are beyond their margins: 1 above, -1 below, 0 within."""
-    return (error > margins).astype(np.int64) - (error < -margins)
 
 
 @njit(cache=True)
@@ -604,47 +582,42 @@ class CooperativeController:
         found = float(tracking_cost(error, *weights, levels, tuning.torque, tuning.slack))
         return found if np.isfinite(found) else np.inf
 
-    def _quadratic(self, task: Task, plan: FloatArray) -> Quadratic:
-        error, change, levels = self._errors(task, plan, sensitive=True)
-        hessian, gradient = normal_equations(change, 2.0 * task.weights, error)
-        hessian[np.diag_indices_from(hessian)] += 2.0 * self.tuning.torque
-        gradient += 2.0 * self.tuning.torque * levels
-        return Quadratic(hessian, gradient, change, error, levels)
-
-    def _subproblem(
-        self, task: Task, plan: FloatArray, known: Quadratic, outside: IntArray
-    ) -> QPSubproblem:
-        hessian, gradient = known.hessian, known.gradient
-        beyond = np.flatnonzero(outside)
-        if beyond.size:
-            excess = known.error[beyond] - outside[beyond] * task.margins[beyond]
-            more = normal_equations(
-                known.change[beyond], 2.0 * self.tuning.slack * task.weights[beyond], excess
-            )
-            hessian, gradient = hessian + more[0], gradient + more[1]
-        demand, levels = task.demand, known.levels
-        caps = np.tile(demand.limits / self.locomotive.torque_limit, len(plan))
-        remaining = demand.total / self.locomotive.torque_limit - self._sums @ levels
-        upper = np.concatenate([caps - levels, remaining])
-        lower = np.concatenate([-levels, np.full(len(plan), -UNBOUNDED)])
-        return QPSubproblem(hessian, gradient, self._sums, upper, lower, plan, soft=False)
-
     def _step(self, task: Task, plan: FloatArray) -> FloatArray | None:
         """Change of the plan's torques over the torque limit; None: no program was solved."""
-        known = self._quadratic(task, plan)
-        if not np.all(np.isfinite(known.hessian)):
+        tuning, demand, limit = self.tuning, task.demand, self.locomotive.torque_limit
+        error, change, levels = self._errors(task, plan, sensitive=True)
+        hessian, gradient = normal_equations(change, 2.0 * task.weights, error)
+        hessian[np.diag_indices_from(hessian)] += 2.0 * tuning.torque
+        gradient += 2.0 * tuning.torque * levels
+        if not np.all(np.isfinite(hessian)):
             return None
+        caps, remaining = np.tile(demand.limits / limit, len(plan)), demand.total / limit
+        upper = np.concatenate([caps - levels, remaining - self._sums @ levels])
+        lower = np.concatenate([-levels, np.full(len(plan), -UNBOUNDED)])
         outside = self._excess
         for _ in range(ROUNDS):
-            change, status = solve(self._subproblem(task, plan, known, outside))
-            if status <= 0 or not np.all(np.isfinite(change)):
+            beyond = np.flatnonzero(outside)
+            more = normal_equations(
+                change[beyond],
+                2.0 * tuning.slack * task.weights[beyond],
+                error[beyond] - outside[beyond] * task.margins[beyond],
+            )
+            step, status = solve(
+                QPSubproblem(
+                    hessian + more[0], gradient + more[1], self._sums, upper, lower, plan,
+                    soft=False,
+                )
+            )  # fmt: skip
+            if status <= 0 or not np.all(np.isfinite(step)):
                 return None
-            found = excess_of(known.error + known.change @ change, task.margins)
-            if np.array_equal(found, outside):
+            found = error + change @ step
+            known = outside
+            # 1 above the margin, -1 below, 0 within.
+            outside = (found > task.margins).astype(np.int64) - (found < -task.margins)
+            if np.array_equal(outside, known):
                 break
-            outside = found
-        self._excess = outside.copy()
-        return change
+        self._excess = outside
+        return step
 
     def _shortened(
         self, task: Task, plan: FloatArray, cost: float, step: FloatArray
@@ -671,18 +644,12 @@ class CooperativeController:
         return best, least, float(moved)
 
     def _state(self, speed: float, wheel_speeds: ArrayLike) -> FloatArray:
-        wheels = np.asarray(wheel_speeds, dtype=np.float64)
-        if wheels.shape != (self.locomotive.axles,):
+        state = np.append(speed, np.asarray(wheel_speeds, dtype=np.float64))
+        if state.size != 1 + self.locomotive.axles or not np.all(np.isfinite(state)):
             raise InputError(
-                f"cooperative control: wheel speeds of shape {wheels.shape} for"
-                f" {self.locomotive.axles} axles",
-                remedy="give one wheel speed per axle",
-            )
-        state = np.concatenate([[speed], wheels])
-        if not np.all(np.isfinite(state)):
-            raise InputError(
-                f"cooperative control: speeds {state} are not all numbers",
-                remedy="replace values that are missing",
+                f"cooperative control: train speed {state[0]} and wheel speeds {state[1:]} are not"
+                f" all numbers, one per axle of {self.locomotive.axles}",
+                remedy="give one wheel speed per axle, and replace values that are missing",
             )
         return state
 

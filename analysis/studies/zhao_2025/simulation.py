@@ -86,7 +86,7 @@ def rates(state, torque, rail, loads, constants, out):  # type: ignore[no-untype
     v = state[0]
     pull = 0.0
     for i in range(loads.size):
-        force = loads[i] * creep(state[1 + i] - v, rail[i])[0]
+        force = loads[i] * creep(state[1 + i] - v, rail[i])
         pull += force
         out[1 + i] = (ratio * torque[i] - force) / rotating
     out[0] = (pull - still - (linear + square * v) * v) / mass
