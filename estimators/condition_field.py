@@ -16,6 +16,7 @@ precision matrix is tridiagonal.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dptsv, dpttrf
@@ -79,13 +80,15 @@ def normal_on_grid(mean: float, std: float, levels: FloatArray) -> FloatArray:
     return np.asarray(density / density.sum())
 
 
-def level_kernel(mean: float, std: float, rho: float, levels: FloatArray) -> FloatArray:
-    """Transition of an Ornstein-Uhlenbeck process from bin to bin."""
+@lru_cache(maxsize=4)
+def level_kernel(mean: float, std: float, rho: float, grid: LevelGrid) -> FloatArray:
+    """Transition of an Ornstein-Uhlenbeck process from bin to bin; not to be changed."""
+    levels = grid.levels
     spread = std * np.sqrt(1.0 - rho**2)
     target = mean + rho * (levels[:, None] - mean)
     away = (levels[None, :] - target) / spread
-    inside = np.abs(away) < 3.7
-    matrix = np.where(inside, np.exp(-0.5 * away**2), 0.0)
+    inside, matrix = np.abs(away) < 3.7, np.zeros(away.shape)
+    matrix[inside] = np.exp(-0.5 * away[inside] ** 2)
     matrix[np.arange(levels.size), np.argmin(np.abs(away), axis=1)] += 1e-300
     return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
 
@@ -479,10 +482,10 @@ def passes_along(
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
     """`estimators.condition_passes.along_line` with these parameters."""
     rho = float(np.exp(-bin_length / now.length))
-    normal = level_kernel(now.mean, now.std, rho, grid.levels)
+    normal = level_kernel(now.mean, now.std, rho, grid)
     # In a slippery place the level changes as slowly as the place is long.
     rho_low = float(np.exp(-bin_length / now.slippery_length))
-    low = level_kernel(now.slippery_mean, now.slippery_std, rho_low, grid.levels)
+    low = level_kernel(now.slippery_mean, now.slippery_std, rho_low, grid)
     start = [normal_on_grid(now.mean, now.std, grid.levels)] * 2
     start += [normal_on_grid(now.slippery_mean, now.slippery_std, grid.levels)]
     half, diagonals = diagonals_of(np.array([normal, normal, low]))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.lib.stride_tricks import as_strided
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 
@@ -24,24 +25,27 @@ FAST = {"reassoc", "contract", "nsz"}
 def diagonals_of(kernels: FloatArray) -> tuple[IntArray, FloatArray]:
     """Half band width of each kernel; diagonals of the kernels, and of the kernels transposed.
 
-    Diagonal ``d`` of class ``c`` holds ``kernels[c, j + d - half[c], j]`` at ``j``.
+    Diagonal ``d`` of class ``c`` holds ``kernels[c, j + d - edge, j]`` at ``j``; `edge` is the
+    largest half width.
     """
     classes, size, _ = kernels.shape
-    c, i, j = np.nonzero(kernels)
-    half = np.zeros(classes, dtype=np.int64)
-    np.maximum.at(half, c, np.abs(i - j))
-    diagonals = np.zeros((2, classes, 2 * int(half.max()) + 1, size))
-    diagonals[0, c, i - j + half[c], j] = kernels[c, i, j]
-    diagonals[1, c, j - i + half[c], i] = kernels[c, i, j]
-    return half, diagonals
+    cells = np.arange(size)
+    half = np.max(np.abs(cells[:, None] - cells) * (kernels > 0.0), axis=(1, 2))
+    edge = int(half.max())
+    bands = np.zeros((2, classes, size + 2 * edge, size))
+    bands[:, :, edge : edge + size] = kernels, kernels.transpose(0, 2, 1)
+    *others, down, right = bands.strides
+    shape = (2, classes, 2 * edge + 1, size)
+    return half, as_strided(bands, shape, (*others, down, down + right)).copy()
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
 def _banded(diagonals: FloatArray, half: int, given: FloatArray, out: FloatArray) -> None:
-    """``out[j] = sum_d diagonals[d, j] given[j + d]``; `given` begins `half` cells before `out`."""
+    """``out[j] = sum_d diagonals[d, j] given[j + d]`` over the diagonals of half a band width."""
+    edge = diagonals.shape[0] // 2
     for j in range(out.size):
         out[j] = 0.0
-    for d in range(2 * half + 1):
+    for d in range(edge - half, edge + half + 1):
         row, shifted = diagonals[d], given[d : d + out.size]
         for j in range(out.size):
             out[j] += row[j] * shifted[j]
@@ -114,7 +118,7 @@ def along_line(
         into = 0 if likelihood_only else b
         for c in range(classes):
             if b > 0:
-                _banded(diagonals[0, c], half[c], now[c, edge - half[c] :], moved[c])
+                _banded(diagonals[0, c], half[c], now[c], moved[c])
         for c in range(classes):
             drawn, here = 0.0 if b > 0 else share[c], ahead[into, c]
             here[:] = 0.0
@@ -149,7 +153,7 @@ def along_line(
         if b == 0:
             break
         for c in range(classes):
-            _banded(diagonals[1, c], half[c], behind[c, edge - half[c] :], back[c])
+            _banded(diagonals[1, c], half[c], behind[c], back[c])
         for c in range(classes):
             given, drawn = behind[c, inner], 0.0
             given[:] = 0.0
