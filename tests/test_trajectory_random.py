@@ -227,4 +227,5 @@ def test_whole_library(track, objective):
             certificate = found.certificate
             assert certificate["audit"]["passed"], path.stem
             assert -1e-6 <= certificate["gap"] <= 2e-3, (path.stem, reserve, certificate["gap"])
-            assert len(certificate["solver"]["statuses"]) <= 10
+            # Three programs on each of the coarse cells, the first ones and three laid anew.
+            assert len(certificate["solver"]["statuses"]) <= 15

@@ -575,7 +575,10 @@ class _Scan:
             kind = source.read(at, 1)[0]
             try:
                 behind = self._step(at)
-                doubtful = behind if kind in _SURE else at
+                if kind in _SURE:
+                    doubtful = behind
+                elif kind in KINDS:
+                    doubtful = at
             except LogError as error:
                 if found.indexed:
                     raise
