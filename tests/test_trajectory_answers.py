@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
+from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised, steps
 
+from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.instructions import Phase, phases_of
-from trainlog.railway import RunningResistance, Train, Trajectory
+from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
 from trainlog.units import JOULES_PER_KWH
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
@@ -98,6 +100,17 @@ def test_more_configurations_never_cost_less():
     assert max(each["gap"] for each in certificates) < 2e-3
     assert np.all(np.diff(energies) >= -1e-4 * energies[0])
     assert energies[-1] > energies[0]
+
+
+def test_the_least_time_together_is_hardly_above_that_of_the_slowest():
+    """Those who can run ahead brake: at a speed below the slowest one's none takes its power."""
+    line = replace(level_line(20_000.0), gradients=steps((0.0, 0.015)))
+    train = replace(FLIRT, max_traction_power=0.25 * FLIRT.max_traction_power)
+    runs = [Configuration.of(train, load, f"{load:g} kg") for load in (0.0, 12e3)]
+    alone = fastest_run(TrajectoryProblem(line, train, runs)).times.max()
+    found = optimised(line, train, runs, reserve=0.0, cells=100)
+    assert alone <= found.running_time <= 1.005 * alone
+    assert found.certificate["gap"] < 0.01
 
 
 def test_lossless_train_gets_its_kinetic_energy_back():

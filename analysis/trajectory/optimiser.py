@@ -230,7 +230,8 @@ def _running_time(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> 
 
 def _time_together(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> float:
     """Time in which all keep one common traction [s]; infinite if one would stand on the way."""
-    together = least_time_together(_discretised(problem, fastest, cells))
+    discrete = _discretised(problem, fastest, cells)
+    together = least_time_together(discrete, fastest.at(discrete.positions))
     return together if together <= MOST_TIME * float(fastest.times.max()) else np.inf
 
 

@@ -89,15 +89,24 @@ def run_together(problem: DiscreteProblem, speeds: FloatArray) -> tuple[Discrete
     return tapered, plan
 
 
-def least_time_together(problem: DiscreteProblem) -> float:
+def least_time_together(problem: DiscreteProblem, speeds: FloatArray) -> float:
     """Time [s] in which all arrive under one common traction.
 
     Slightly above that of the fastest run of the slowest by itself, whose traction follows the
     power from metre to metre.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        Not tapered.
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
     """
     fastest = paced_run(problem, 0.0)
     tapered = problem.tapered(taper_along(problem, fastest))
     times = [duration(each, paced_run(each, 0.0)) for each in (problem, tapered)]
+    # One that runs ahead of the slowest would leave it less power.
+    times.append(duration(*run_together(problem, speeds)))
     return min(times) * (1.0 + _ROUNDING)
 
 
