@@ -35,6 +35,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from trainlog.arrays import UintArray
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
 from trainlog.mcap.records import (
@@ -575,18 +576,21 @@ class _Scan:
             kind = source.read(at, 1)[0]
             try:
                 behind = self._step(at)
-                if kind in _SURE:
-                    doubtful = behind
-                elif kind in KINDS:
-                    doubtful = at
+                doubtful = behind if self._is_sure(kind, behind) else at
             except LogError as error:
                 if found.indexed:
                     raise
                 # Where bytes are missing, the record before may have taken the head of a chunk.
-                doubtful = max(doubtful, *(loss.end for loss in found.losses[-1:]), 0)
+                last = found.losses[-1] if found.losses else Loss(0, 0, "")
+                if not last.start <= doubtful < last.end:
+                    doubtful = max(doubtful, last.end)
                 behind = search(source, doubtful + 1, at)
                 if behind < at:
                     at = doubtful
+                    found.attachments = [each for each in found.attachments if each[1] <= at]
+                    if last.end > at:
+                        found.losses.pop()
+                        at = last.start
                 else:
                     behind = self._next(at + 1)
                 self._lose(at, behind, error.problem)
@@ -597,6 +601,13 @@ class _Scan:
         if found.indexed and found.losses:
             raise damaged(found.losses[0].start, found.losses[0].reason)
         return found
+
+    def _is_sure(self, kind: int, behind: int) -> bool:
+        """Whether the record that was taken up to `behind` is bound to end there."""
+        if kind != Opcode.ATTACHMENT:
+            return kind in _SURE
+        lost = bool(self._found.losses) and self._found.losses[-1].end == behind
+        return any(self._source.read(behind - 4, 4)) and not lost
 
     def _next(self, start: int) -> int:
         """Where to go on behind damage."""
@@ -644,8 +655,18 @@ class _Scan:
         elif opcode in KINDS:
             if end - at > _LONGEST_RECORD:
                 raise damaged(at, f"a record of {end - at:,} bytes begins")
-            self._take(at, parsed(KINDS[opcode], source.read, at, end))
+            try:
+                record = parsed(KINDS[opcode], source.read, at, end, exact=True)
+            except LogError:
+                self._check_longer(at, end)
+                record = parsed(KINDS[opcode], source.read, at, end)
+            self._take(at, record)
         return end
+
+    def _check_longer(self, at: int, end: int) -> None:
+        """Refuse a record that is longer than its fields, as one of a later version, by a chunk."""
+        if search(self._source, at + 1, end) < end:
+            raise damaged(at, "a record reaches into the next one")
 
     def _take(self, at: int, record: object) -> None:
         """Take a record that has no checksum of its own."""
@@ -744,7 +765,7 @@ class _Scan:
         places: dict[int, int] = {}
         with suppress(LogError):
             while self._source.read(at, 1) == bytes([Opcode.MESSAGE_INDEX]):
-                channel, entries, end = stored_index(self._source, at)
+                channel, entries, end = self._index(at)
                 if channel in places:
                     break
                 if len(entries):
@@ -752,9 +773,16 @@ class _Scan:
                 at = end
         return index, places, at
 
+    def _index(self, at: int) -> tuple[int, UintArray, int]:
+        """Channel and entries of the message index at `at`, and its end."""
+        channel, entries, end = stored_index(self._source, at)
+        if end - at > _INDEX_HEAD + 16 * len(entries):
+            self._check_longer(at, end)
+        return channel, entries, end
+
     def _pass_index(self, at: int, end: int) -> None:
         """Pass over a message index that does not follow its chunk at once."""
-        channel, entries, _ = stored_index(self._source, at)
+        channel, entries, _ = self._index(at)
         counts = self._found.chunks[-1].counts if self._found.chunks else {}
         listed = self._found.chunks[-1].indexes if counts else {}
         if len(entries) and (channel in listed or counts.get(channel) != len(entries)):

@@ -580,7 +580,7 @@ def attachment_at(source: Source, at: int) -> Attachment:
     LogError
         If there is none, or it fails its checksum.
     """
-    found: Attachment = parsed(Attachment, source.read, at, source.head(at)[1])
+    found: Attachment = parsed(Attachment, source.read, at, source.head(at)[1], exact=True)
     texts = f"{found.name}{found.media_type}".encode()
     start = at + RECORD_HEAD
     end = start + _ATTACHMENT_NUMBERS + len(texts) + len(found.data)
