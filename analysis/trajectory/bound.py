@@ -25,7 +25,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from analysis.trajectory.convex import Multipliers
+from analysis.trajectory.convex import Multipliers, work
 from analysis.trajectory.discretisation import (
     Curves,
     DiscreteProblem,
@@ -44,6 +44,9 @@ _REACH, _ROUNDING = 1e-5, 1e-6
 """By which the fastest run may be faster than its grid has it, relative and [m/s]."""
 
 LEAST_SPEED = 1e-6
+
+_ROUNDED = 1e-9
+"""Of a Hamiltonian that is computed, relative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,13 +225,20 @@ class Hamiltonian:
     def least(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
         """The least Hamiltonian over all speeds and controls, (n, p) [J/(kg m)]."""
         edges, found = self._edges(costate.shape), np.full(costate.shape, np.inf)
+        a, b, c, constant = self.along(costate, self.speed)
+        v = self.speed
+        enough = a / v + b * v + (c - 0.5 * slope) * v**2 + constant
+        enough += _ROUNDED * (1.0 + np.abs(enough))
         for low, high in pairwise(edges):
-            within = high > low
-            if not within.any():
-                continue
             a, b, c, constant = self.along(costate, 0.5 * (low + high))
-            value = _least(a, b, c - 0.5 * slope, (low, high), self.speed) + constant
-            found = np.where(within, np.minimum(found, value), found)
+            c = c - 0.5 * slope
+            # Each term at its better end: a piece of a curve that has more than the plan is passed.
+            ends = a / np.where(a > 0.0, high, low) + b * np.where(b > 0.0, low, high)
+            ends += c * np.where(c > 0.0, low, high) ** 2 + constant
+            near = (high > low) & (ends <= enough)
+            span = low[near], high[near]
+            value = _least(a[near], b[near], c[near], span, v[near]) + constant[near]
+            found[near] = np.minimum(found[near], value)
         worth = (costate * self.gain).sum(axis=0) - self.prices.traction
         alone = np.maximum(1.0 - self.share.sum(axis=0), 0.0) * self.traction
         total = found.sum(axis=0) - alone * np.maximum(worth, 0.0)
@@ -611,6 +621,7 @@ class ContinuousBound:
     source: str = MULTIPLIERS
 
 
+@work()
 def continuous_bound(
     problem: DiscreteProblem,
     plan: Plan,

@@ -122,7 +122,7 @@ def time_limit(seconds: float | None) -> Iterator[None]:
 
 
 def worked() -> float:
-    """Processor time that programs have taken so far [s]; what is compiled once does not count."""
+    """Processor time of programs and bounds so far [s]; what is compiled once does not count."""
     return _WORKED.get()
 
 
@@ -239,8 +239,8 @@ class ProgramSolution:
 
 
 @contextmanager
-def _counted() -> Iterator[None]:
-    """Count the processor time that a program takes."""
+def work() -> Iterator[None]:
+    """Count the processor time that a program or a bound takes; see `worked`."""
     begun = time.process_time()
     try:
         yield
@@ -248,7 +248,7 @@ def _counted() -> Iterator[None]:
         _WORKED.set(_WORKED.get() + time.process_time() - begun)
 
 
-@_counted()
+@work()
 def solve(
     unknowns: Unknowns,
     cost: FloatArray,

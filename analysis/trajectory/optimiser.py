@@ -97,8 +97,9 @@ TOGETHER = 6_000
 _FINE = 4_000
 """Cells of all active configurations of several, up to which cells are laid anew."""
 
-_CUT, _LOWER = 0.7, 2e-4
-"""Times what is missing before, up to which more is tried; and the part of the energy."""
+_CUT, _STALLED, _LOWER = 0.7, 0.95, 2e-4
+"""Times what is missing before, up to which more is tried, and beyond which two times are the last;
+and the part of the energy."""
 
 _LONGER = 2.5
 """Times the time that twice as many cells take."""
@@ -348,7 +349,7 @@ def _renewed(
     first = for_bound() if common else taken
     bound = best_bound(found.answer, fastest, running_time, first)
     last, excess = found, bound.excess
-    lower = False
+    lower, stalled = False, 0
     for number in itertools.count():
         missing = found.energy - bound.value
         enough = options.tolerance * max(abs(bound.value), NEGLIGIBLE_ENERGY)
@@ -380,14 +381,16 @@ def _renewed(
         given_up = not lower and other.source == MULTIPLIERS != bound.source
         bound = max(bound, other, key=lambda each: each.value)
         found = min(found, again, key=lambda each: each.energy)
-        if lower or found.energy - bound.value <= _CUT * missing:
+        left_over = found.energy - bound.value
+        stalled = stalled + 1 if not lower and left_over > _STALLED * missing else 0
+        if lower or left_over <= _CUT * missing:
             if number % 2 == 1 and 2 * cells <= finest:
                 cells, taken = 2 * cells, _LONGER * taken
             continue
-        if given_up:
+        if given_up or stalled > 1:
             break
         if 2 * cells > finest:
-            if found.energy - bound.value <= tolerated(bound.value, fastest):
+            if left_over <= tolerated(bound.value, fastest):
                 break
             continue
         cells, taken = 2 * cells, _LONGER * taken

@@ -1,7 +1,8 @@
 """Random problems, each solved in a process of its own and judged by an independent integrator.
 
     python benchmarks/trajectory/benchmark_random.py [--problems 60] [--first 0] [--limit 60]
-        [--jobs 1] [--kinds] [--library LIBRARY [--sample 40]] [-o runs.csv]
+        [--jobs 1] [--kinds] [--library LIBRARY [--sample 40] [--curves] [--states 3]]
+        [-o runs.csv]
 
 Lines of 0.3 to 200 km, limits down to 5 km/h, gradients to 60 per mille, heavy weak trains,
 reserves of 0 to 200 per cent, 1 to 50 configurations, energy at the wheel, at the line and
@@ -12,7 +13,9 @@ passing times, sections of 5 km/h, slack runs, a common brake near the least tim
 
 With LIBRARY, the folder of TTOBench that holds ``tracks`` and ``trains``, its runs instead, with
 reserves of 0, 2, 10, 50 and 200 per cent and energy at the wheel and at the line; `--sample` of
-them, drawn with a fixed seed, or all (0), or those of some numbers (`--only`).
+them, drawn with a fixed seed, or all (0), or those of some numbers (`--only`). With --curves the
+trains are those of TrainRuns and OSRD beside it, whose effort over speed is a published curve; with
+--states each is loaded in a head wind, too, and empty with the wind.
 
 Every answer is driven by scipy's DOP853 (`independent`): late by 1e-3 s, over a limit by 1e-6 m/s
 or wrong in energy by 1e-3 counts as wrong. A refusal is right where the independent fastest run
@@ -46,8 +49,10 @@ from analysis.trajectory.feasibility import UnprovenError
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, TrainlogError
+from trainlog.formats import osrd
 from trainlog.formats.files import atomic_write
 from trainlog.formats.imports import with_curves
+from trainlog.formats.railtoolkit import read_any
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import (
     Configuration,
@@ -272,10 +277,14 @@ def _configurations(
     )
 
 
-def library_problems(folder: Path, sample: int) -> list[TrajectoryProblem]:
-    """Every track with every train, or some."""
+def library_problems(
+    folder: Path, sample: int, *, curves: bool = False, states: int = 1
+) -> list[TrajectoryProblem]:
+    """Every track with every train, or some; in so many states of load and resistance."""
     tracks = [read_track(path) for path in sorted((folder / "tracks").glob("*.json"))]
     trains = [read_train(path) for path in sorted((folder / "trains").glob("*.json"))]
+    if curves:
+        trains = curved_trains(folder.parent)
     questions = list(product(tracks, trains, (0.0, 0.02, 0.1, 0.5, 2.0), ("wheel", "line")))
     if 0 < sample < len(questions):
         drawn = np.random.default_rng(SEED).choice(len(questions), sample, replace=False)
@@ -284,11 +293,30 @@ def library_problems(folder: Path, sample: int) -> list[TrajectoryProblem]:
         TrajectoryProblem(
             track,
             train,
-            [Configuration.of(train)],
+            states_of(train)[:states],
             reserve=reserve,
             objective=objective,  # type: ignore[arg-type]
         )
         for track, train, reserve, objective in questions
+    ]
+
+
+def curved_trains(folder: Path) -> list[Train]:
+    """Trains whose effort is a published curve over speed: of TrainRuns and of OSRD."""
+    runs = sorted((folder / "trainruns" / "trains").glob("*.yaml"))
+    stocks = sorted((folder / "osrd" / "rolling_stocks").glob("*.json"))
+    found = [train for path in runs for _, train, _ in read_any(path, 1.0)]
+    return [each for each in found if isinstance(each, Train)] + [
+        osrd.read_train(path)[0] for path in stocks
+    ]
+
+
+def states_of(train: Train) -> list[Configuration]:
+    """A train as it is, loaded in a head wind, and empty with the wind."""
+    own = Configuration.of(train)
+    return [own] + [
+        replace(own, name=name, mass=mass * own.mass, resistance=own.resistance.scaled(factor))
+        for name, mass, factor in (("loaded", 1.08, 1.15), ("empty", 0.95, 0.9))
     ]
 
 
@@ -415,6 +443,8 @@ def main() -> None:
     parser.add_argument("--kinds", action="store_true", help="twelve kinds in turn")
     parser.add_argument("--library", type=Path)
     parser.add_argument("--sample", type=int, default=40, help="runs of the library; 0: all")
+    parser.add_argument("--curves", action="store_true", help="trains of TrainRuns and OSRD")
+    parser.add_argument("--states", type=int, default=1, help="of each train, at most 3")
     parser.add_argument("-o", "--output", type=Path, help="every run, as CSV")
     arguments = parser.parse_args()
     numbers = arguments.only or range(arguments.first, arguments.first + arguments.problems)
@@ -422,7 +452,12 @@ def main() -> None:
         problem_of_kind if arguments.kinds else random_problem
     )
     if arguments.library:
-        runs = library_problems(arguments.library, 0 if arguments.only else arguments.sample)
+        runs = library_problems(
+            arguments.library,
+            0 if arguments.only else arguments.sample,
+            curves=arguments.curves,
+            states=arguments.states,
+        )
         numbers, make = arguments.only or range(len(runs)), runs.__getitem__
     warmed()
     rows = []
