@@ -104,9 +104,9 @@ and the part of the energy."""
 _LONGER = 2.5
 """Times the time that twice as many cells take."""
 
-EFFORT, _LITTLE_LEFT, _LONGEST = 14.0, 10.0, 16.0
-"""Processor time of programs after which nothing is begun that improves a plan, or one that is all
-but as good as it can be; and no first bound [s]."""
+EFFORT, _LITTLE_LEFT, _LONGEST = 17.0, 12.0, 19.0
+"""Processor time of programs and bounds after which nothing is begun that improves a plan, or a
+certified one; and no first bound [s]."""
 
 _SHORT = 3.0
 """Time of a cone program that does not wait for further cells, though they take less [s]."""
@@ -360,7 +360,8 @@ def _renewed(
         elif number >= RENEWALS:
             enough = max(enough, tolerated(bound.value, fastest))
         now = worked()
-        least = _LITTLE_LEFT if missing <= 2.0 * enough else EFFORT
+        certified = missing <= tolerated(bound.value, fastest)
+        least = _LITTLE_LEFT if certified else EFFORT
         if missing <= enough or time_left() <= 0.0 or now - begun + taken > least:
             break
         note(f"the gap is {gap_of(found.energy, bound.value):.3%}; cells are laid anew")
