@@ -62,6 +62,20 @@ def test_what_is_lost_is_stated_by_topic(whole, tmp_path):
     assert account_of(put(tmp_path, whole.data)).topics == ()
 
 
+@pytest.mark.parametrize("name", [b"acceleration", TRAIN_STATE.name.encode(), b"TrainState"])
+@pytest.mark.parametrize("first", [True, False])
+def test_of_two_copies_of_a_declaration_the_one_that_is_right_counts(name, first, whole, tmp_path):
+    """Neither part of the file holds its checksum: each has lost something else as well."""
+    data = bytearray(zeroed(whole.data, *spans_of(whole.data)[1]))
+    data[-12] ^= 1  # of the summary's own checksum
+    at = data.find(name) if first else data.rfind(name, 0, data.rfind(b"meaning."))
+    data[at] ^= 2
+    with pytest.warns(DamageWarning):
+        trip = read_log(put(tmp_path, bytes(data)))
+    written = whole.trip.topics[TRAIN_STATE.name]
+    assert trip.topics[TRAIN_STATE.name].equals(written.drop(written.index[20:40]))
+
+
 def test_random_byte_flips_are_accounted_for_to_the_message(tmp_path):
     """What comes back was written, and the account knows how many messages do not.
 

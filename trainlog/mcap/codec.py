@@ -541,6 +541,25 @@ def channel_of(topic: Topic, channel_id: int, schema_id: int, axles: dict[str, i
     )
 
 
+def is_as_written(record: Schema | Channel) -> bool:
+    """Whether trainlog declares one of its topics with just this record, but for the numbers.
+
+    Examples
+    --------
+    >>> from trainlog.topics import TRAIN_STATE
+    >>> is_as_written(schema_of(TRAIN_STATE, 7))
+    True
+    """
+    if isinstance(record, Schema):
+        messages = {topic.message: topic for topic in TOPICS.values()}
+        topic = messages.get(record.name)
+        return topic is not None and record == schema_of(topic, record.id)
+    topic = TOPICS.get(record.topic)
+    return topic is not None and record == channel_of(
+        topic, record.id, record.schema_id, axles_of(record)
+    )
+
+
 def topic_of(channel: Channel, schema: Schema | None) -> Topic | None:
     """The topic that a file's channel carries, of the table or described by the channel itself.
 

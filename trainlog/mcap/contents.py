@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -38,6 +38,7 @@ from mcap.writer import MCAP0_MAGIC
 from trainlog.arrays import UintArray
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
+from trainlog.mcap.codec import is_as_written
 from trainlog.mcap.records import (
     DECLARATIONS,
     KINDS,
@@ -170,11 +171,15 @@ class Contents:
     profile: str = ""
 
     def declare(self, record: Schema | Channel) -> None:
-        """Add a schema or channel; of several with the same number the first counts."""
-        if isinstance(record, Schema):
-            self.schemas.setdefault(record.id, record)
-        else:
-            self.channels.setdefault(record.id, record)
+        """Add a schema or channel.
+
+        Of several with the same number the first counts, or the one that is as trainlog writes it:
+        the copies outside of chunks have no checksum of their own.
+        """
+        known: dict[int, Any] = self.schemas if isinstance(record, Schema) else self.channels
+        first = known.setdefault(record.id, record)
+        if first != record and is_as_written(record) and not is_as_written(first):
+            known[record.id] = record
 
     def counts(self) -> Counter[int]:
         """Number of messages by channel id."""
