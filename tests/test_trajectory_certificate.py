@@ -101,7 +101,7 @@ def test_no_multipliers_bound_a_finer_plan_from_above(case, seed, size):
     names = ("pull", "time", "power", "dynamic_power", "passing", "opening")
     wrong = replace(known, **{name: disturbed(getattr(known, name)) for name in names})
     run = answer.problem.run
-    floor = floor_of(part.run, fastest, range(part.shape[0]), time)
+    floor = floor_of(part.run, fastest, tuple(range(part.shape[0])), time)
     for slowest in (None, floor):
         bound = continuous_bound(part, answer.solution.plan, wrong, fastest, time, run, slowest)
         assert bound.value <= energy * (1.0 + 1e-6)
@@ -128,13 +128,13 @@ def test_the_least_speed_is_that_of_its_closed_form():
     )  # fmt: skip
     run = TrajectoryProblem(level_line(6_000.0, (0.0, 3.6 * top)), train, observed(train, 1.0))
     fastest, in_hand = fastest_run(run), 3.0
-    floor = floor_of(run, fastest, [0], float(fastest.times[0]) + in_hand)
+    floor = floor_of(run, fastest, (0,), float(fastest.times[0]) + in_hand)
     least = top - np.sqrt(2.0 * top * in_hand / (1.0 / pull + 1.0 / brake))
     found = floor.at(np.array([2_000.0, 3_000.0, 4_000.0]))
     # What the solver may err by is given to the train, and the speed is found to a part in 128.
     assert np.all(found <= least)
     assert np.all(found >= least - 1.2)
-    assert np.all(floor_of(run, fastest, [0], 2.0 * float(fastest.times[0])).z == 0.0)
+    assert np.all(floor_of(run, fastest, (0,), 2.0 * float(fastest.times[0])).z == 0.0)
 
 
 def test_the_highest_speed_is_that_of_its_closed_form():
@@ -168,7 +168,7 @@ def test_the_highest_speed_is_that_of_its_closed_form():
 
 def test_no_plan_in_time_is_below_the_least_speeds():
     answer, part, fastest, time, _ = solved("tight line")
-    floor = floor_of(part.run, fastest, range(part.shape[0]), time)
+    floor = floor_of(part.run, fastest, tuple(range(part.shape[0])), time)
     lowest, speeds = floor.at(part.positions), np.sqrt(2.0 * answer.solution.plan.z)
     assert np.median(lowest) > 0.5 * np.median(speeds)
     assert np.all(speeds >= lowest)

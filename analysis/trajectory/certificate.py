@@ -65,7 +65,7 @@ def best_bound(
     found = bound(solution.multipliers)
     if gap_of(solution.energy, found.value) <= _CLOSE:
         return found
-    floor = floor_of(problem.run, fastest, rows, running_time)
+    floor = floor_of(problem.run, fastest, answer.active, running_time)
     if not stand_in:
         found = bound(solution.multipliers, floor=floor)
     if gap_of(solution.energy, found.value) <= _CLOSE or not is_relaxed_within(answer, seconds):

@@ -146,10 +146,7 @@ def closer(run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...]) -> 
     rows : tuple of int
         Which of them.
     """
-    # The lightest has the least traction, which all have in common.
-    lightest = int(np.argmin([each.inertia for each in run.configurations]))
-    some = [*rows, *{lightest}.difference(rows)]
-    run = replace(run, configurations=[run.configurations[row] for row in some], weights=())
+    run, some = _part_of(run, rows)
     fastest = fastest.select(some)
     problem = discretise(run, fastest.positions)
     for _ in range(_SPLITS):
@@ -170,6 +167,14 @@ def closer(run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...]) -> 
         problem = discretise(run, np.append(s[cell] + share * step[cell], s[-1]))
         fastest = _fastest_on(problem)
     return fastest.select(range(len(rows)))
+
+
+def _part_of(run: TrajectoryProblem, rows: tuple[int, ...]) -> tuple[TrajectoryProblem, list[int]]:
+    """The run of some configurations under the traction that all have, and which those are."""
+    # The lightest has the least traction.
+    lightest = int(np.argmin([each.inertia for each in run.configurations]))
+    some = [*rows, *{lightest}.difference(rows)]
+    return replace(run, configurations=[run.configurations[row] for row in some], weights=()), some
 
 
 def _fastest_on(problem: DiscreteProblem, cruising: float = np.inf) -> Envelope:
@@ -235,8 +240,9 @@ _IN_HAND, _INEXACT = (1.01, 0.05), 2e-4
 """Times what a run has in hand and seconds more, and part of the time, that it may lose."""
 
 
+@lru_cache(maxsize=4)
 def floor_of(
-    run: TrajectoryProblem, fastest: Envelope, rows: Sequence[int], running_time: float
+    run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...], running_time: float
 ) -> Floor:
     """The least speeds of some of the configurations that still keep the running time.
 
@@ -249,11 +255,12 @@ def floor_of(
     run : TrajectoryProblem
     fastest : Envelope
         Of all its configurations.
-    rows : sequence of int
+    rows : tuple of int
         Which of them.
     running_time : float [s]
     """
-    problem = discretise(run, fastest.positions).select(rows)
+    part, _ = _part_of(run, rows)
+    problem = discretise(part, fastest.positions).select(range(len(rows)))
     traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
     if problem.curves is not None:
         traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)

@@ -127,7 +127,7 @@ def phases_of(trajectory: Trajectory, row: int) -> IntArray:
 
 def phase_letters(phases: IntArray) -> str:
     """The phases as letters, one a cell."""
-    return "".join(LETTERS[phase] for phase in phases.tolist())
+    return "".join(map(LETTERS.__getitem__, phases.tolist()))
 
 
 HELD = 2.0 / KMH
