@@ -6,10 +6,8 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from analysis.resistance.logs import fit
+from analysis import OptimiserOptions, TrajectoryProblem, fit, optimise
 from analysis.studies.report import as_markdown
-from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.formats.railway import (
     line_from_bytes,
     line_to_bytes,

@@ -29,11 +29,9 @@ from analysis.comparison.compare import compare
 from analysis.control.advised import EXACT, AdvisedDriver, Attention, obeyed_trip
 from analysis.trajectory.advice import journey_advice, limits_of, write_journey_advice
 from analysis.trajectory.instructions import Phase
+from trainlog import Configuration, Line, Train, Trajectory, read_line, sample, trajectory_scenarios
 from trainlog.arrays import FloatArray
-from trainlog.formats.railway import read_line
-from trainlog.formats.samples import sample
-from trainlog.railway import Configuration, Line, Train, Trajectory
-from trainlog.simulation import drive, trajectory_scenarios
+from trainlog.simulation import drive
 from trainlog.units import JOULES_PER_KWH, KMH
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "control"))

@@ -11,12 +11,10 @@ from satellite_trips import Receiver, curve_of, drive, errors, winding
 
 from analysis.geometry.centre_line import CentreLine, geometry_of, line_of
 from estimators.centre_line import CURVATURE_CHANGE, fitted_curve
-from trainlog.errors import InputError
+from trainlog import Geometry, InputError, Trip
 from trainlog.ingest import ingest_each, profile_of
 from trainlog.ingest.chainage import estimated_state
-from trainlog.railway import Geometry
 from trainlog.railway.geometry import beside, nearest_on, track_of
-from trainlog.trip import Trip
 
 PLAIN = profile_of(HEAD)
 

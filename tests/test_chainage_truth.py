@@ -27,13 +27,11 @@ from satellite_trips import (
 )
 from simulated_line import level_line
 
-from trainlog.errors import InputError
-from trainlog.ingest import Profile, ingest, profile_of, repairs_of, report_of
+from trainlog import Geometry, InputError, Line, Trip, repairs_of, report_of
+from trainlog.ingest import Profile, ingest, profile_of
 from trainlog.ingest.chainage import Estimate, estimated_state
 from trainlog.ingest.frozen import without_frozen
-from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
-from trainlog.trip import Trip
 
 
 def line_on(geometry: Geometry) -> Line:

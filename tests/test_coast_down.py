@@ -10,12 +10,8 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from analysis.resistance.coast_down import (
-    CoastDown,
-    coast_down,
-    coast_down_without_gradient,
-    lever_at_rest,
-)
+from analysis import coast_down, coast_down_without_gradient
+from analysis.resistance.coast_down import CoastDown, lever_at_rest
 from analysis.resistance.coasting_detection import motion_of
 from analysis.truth import truth_of
 from trainlog.arrays import FloatArray

@@ -12,12 +12,9 @@ from typing import Annotated, Any
 import pytest
 from refusals import refused
 
+from trainlog import InputError, Line, Train, read_line, read_train, sample
 from trainlog.declaration import NOT_NEGATIVE, Quantity, check_plausible, entries, meanings
-from trainlog.errors import InputError
 from trainlog.formats.declared import file_content, read_thing, write_thing
-from trainlog.formats.railway import read_line, read_train
-from trainlog.formats.samples import sample
-from trainlog.railway import Line, Train
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,13 +18,11 @@ from test_cli_help import commands as every_command, context_of
 import trainlog
 from analysis.comparison.groups import compare_groups, punctuality
 from analysis.truth import curve_error, map_error, truth_of
+from trainlog import InputError, describe, read_map, read_parameters, read_trajectory
 from trainlog.cli import demo, main as cli
 from trainlog.cli.commands import DEFAULT
 from trainlog.display import at_most
-from trainlog.errors import InputError
-from trainlog.formats.mapfile import read_map
-from trainlog.formats.railway import line_of, read_parameters, read_trajectory
-from trainlog.mcap import describe
+from trainlog.formats.railway import line_of
 
 pytestmark = pytest.mark.usefixtures("remembered")
 

@@ -10,12 +10,10 @@ from format_examples import effort_curves
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
-from trainlog.errors import InputError
+from trainlog import DEFAULT_TRAIN, InputError, read_train, sample, write_train
 from trainlog.formats import osrd, railtoolkit
 from trainlog.formats.csv_tables import read_effort_curve
 from trainlog.formats.imports import import_file
-from trainlog.formats.railway import read_train, write_train
-from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.railway import EffortCurve
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -22,11 +22,9 @@ from analysis.fleet.unlike import Cause, Explanation, Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
 from analysis.reports.fleet import FleetFacts, FleetReportOptions, attention_parts, fleet_page
 from analysis.reports.page import Page, Section
+from trainlog import DEFAULT_LINE, Edge, Network, Node, read_line, sample, write_network
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
-from trainlog.formats.railway import read_line, write_network
-from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.presentation import WordTable
-from trainlog.railway import Edge, Network, Node
 from trainlog.units import JOULES_PER_KWH
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")

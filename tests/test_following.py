@@ -13,16 +13,9 @@ from hypothesis import given, settings, strategies as st
 from refusals import refused
 from simulated_line import flirt, hilly_line, level_line, steps
 
+from analysis import Follower, OptimiserOptions, TrajectoryProblem, following_scenarios, optimise
 from analysis.control import prediction as prediction
-from analysis.control.follow import (
-    MARGIN,
-    Follower,
-    Observer,
-    Odometry,
-    effort_reversals,
-    following_line,
-    following_scenarios,
-)
+from analysis.control.follow import MARGIN, Observer, Odometry, effort_reversals, following_line
 from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from analysis.control.route import (
@@ -34,8 +27,6 @@ from analysis.control.route import (
     route_tables,
     train_limits,
 )
-from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError, LogError
 from trainlog.railway import (
     Brake,

@@ -10,11 +10,7 @@ import pytest
 
 from analysis.verification.forecasts import forecast_of, stated_forecast
 from analysis.verification.scores import climatology
-from trainlog.errors import InputError
-from trainlog.formats.csv_tables import read_forecast, write_forecast
-from trainlog.formats.mapfile import read_map
-from trainlog.formats.samples import sample
-from trainlog.railway.condition import TrackConditionMap
+from trainlog import InputError, TrackConditionMap, read_forecast, read_map, sample, write_forecast
 
 pytestmark = pytest.mark.usefixtures("remembered")
 

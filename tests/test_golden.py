@@ -19,13 +19,10 @@ from numpy.typing import ArrayLike
 from same_values import first_difference
 
 import trainlog
+from analysis import coast_down, fit_trip, slip, with_estimates
 from analysis.adhesion.condition_map import empty_map, update
 from analysis.adhesion.evidence import evidence_of
-from analysis.adhesion.slip import slip
 from analysis.comparison.groups import trip_cost
-from analysis.estimates import with_estimates
-from analysis.resistance.coast_down import coast_down
-from analysis.resistance.fit import fit_trip
 from trainlog.errors import TrainlogError
 from trainlog.formats.railway import line_of
 from trainlog.formats.samples import folder

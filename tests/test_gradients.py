@@ -9,9 +9,7 @@ import pytest
 from refusals import refused
 from satellite_trips import Receiver, drive, winding
 
-from analysis.geometry.centre_line import geometry_of, line_of
-from analysis.resistance import TripRefusedError, fit_trip
-from analysis.resistance.coast_down import coast_down
+from analysis import TripRefusedError, coast_down, fit_trip, geometry_of, line_of
 from estimators.altitude import OVER, Ride, height_profile
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.railway import line_to_bytes, read_line, write_line

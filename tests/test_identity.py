@@ -14,25 +14,14 @@ from hypothesis import given, settings, strategies as st
 from ingest_logs import profile as recorder_profile
 from refusals import refused
 
-from analysis.adhesion.condition_map import adhesion_map
+from analysis import adhesion_map, coast_down, fit, geometry_of
 from analysis.estimates import estimate_log
-from analysis.geometry.centre_line import geometry_of
-from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE
-from analysis.resistance.logs import fit
-from trainlog.errors import InputError
+from trainlog import InputError, identity_of, recover, sample
 from trainlog.formats.mapfile import MapFile, map_to_bytes, merged
-from trainlog.formats.samples import sample
-from trainlog.identity import (
-    SHARED,
-    Known,
-    TripIdentity,
-    identity_from_text,
-    identity_of,
-    same_drives,
-)
+from trainlog.identity import SHARED, Known, TripIdentity, identity_from_text, same_drives
 from trainlog.ingest import ingest, ingest_each
-from trainlog.mcap import read_log, recover, write_log
+from trainlog.mcap import read_log, write_log
 from trainlog.mcap.convert import convert
 from trainlog.mcap.reader import identity_of_log
 

@@ -12,14 +12,11 @@ import pandas as pd
 import pytest
 from simulated_line import flirt, hilly_line, level_line
 
-from trainlog import __version__
-from trainlog.errors import InputError
+from trainlog import InputError, Trip, __version__, draw_scenarios, report_of, sample, simulate
 from trainlog.formats.railway import line_of, train_of
-from trainlog.formats.samples import sample
-from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
+from trainlog.ingest import PROFILE_ATTACHMENT, ingest
 from trainlog.mcap import read_log, write_log
-from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
 from foreign_recorders import write_recorder_csv, write_ublox_csv

@@ -14,11 +14,9 @@ from satellite_trips import winding
 from scipy.integrate import cumulative_trapezoid
 from simulated_line import flirt, hilly_line
 
+from trainlog import InputError, Trip, draw_scenarios, repairs_of, report_of, simulate
 from trainlog.cli.options import pairs
-from trainlog.errors import InputError
-from trainlog.ingest import Profile, ingest, ingest_all, propose_profile, repairs_of, report_of
-from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import Trip
+from trainlog.ingest import Profile, ingest, ingest_all, propose_profile
 
 LINE, TRAIN = replace(hilly_line(), geometry=winding(11_000.0)), flirt()
 POSITION = "/train/state.position"

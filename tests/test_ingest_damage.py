@@ -12,11 +12,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from ingest_logs import SECOND, Run, clean_run, plain_profile, ublox, write
 
-from trainlog.errors import InputError
-from trainlog.formats.railway import read_train
-from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.ingest import ingest, repairs_of, report_of
-from trainlog.trip import Trip
+from trainlog import DEFAULT_TRAIN, InputError, Trip, read_train, repairs_of, report_of, sample
+from trainlog.ingest import ingest
 
 FILES = settings(max_examples=10)
 

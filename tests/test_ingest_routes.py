@@ -31,16 +31,13 @@ from route_networks import (
     y_junction,
 )
 
-from trainlog.errors import InputError
+from trainlog import InputError, LineReference, Network, Station, Trip, report_of, write_network
 from trainlog.formats.imports import networks_in
-from trainlog.formats.railway import line_of, write_network
-from trainlog.ingest import Profile, ingest, ingest_each, report_of
+from trainlog.formats.railway import line_of
+from trainlog.ingest import Profile, ingest, ingest_each
 from trainlog.ingest.live import LiveIngest, LiveOptions
 from trainlog.ingest.pipeline import Given
 from trainlog.ingest.routes import NetworkRoutes
-from trainlog.railway.line import LineReference, Station
-from trainlog.railway.network import Network
-from trainlog.trip import Trip
 
 BEGUN = pd.Timestamp("2026-05-01T06:00:00", tz="UTC")
 Y, WYE, BALLOON = y_junction(), wye(), balloon()

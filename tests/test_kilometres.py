@@ -12,13 +12,11 @@ from refusals import refused
 
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.reports import trip as report
+from trainlog import DEFAULT_LINE, InputError, Line, LineReference, read_line, sample, write_line
 from trainlog.cli.options import part_of
-from trainlog.errors import InputError
-from trainlog.formats.railway import line_to_bytes, read_line, write_line
-from trainlog.formats.samples import DEFAULT_LINE, sample
+from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import WordTable
-from trainlog.railway import Line, LineReference
 from trainlog.railway.line import in_km, km_ticks, position_of
 from trainlog.trip import LINE_ATTACHMENT
 

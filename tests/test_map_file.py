@@ -18,18 +18,9 @@ from test_traction_map import LINE, WAY, Rail, piece
 import trainlog
 from analysis.adhesion.condition_map import empty_map, recording_of, update, update_map
 from analysis.adhesion.evidence import Evidence
-from trainlog.errors import InputError
-from trainlog.formats.mapfile import (
-    MapFile,
-    map_to_bytes,
-    merge_files,
-    place_of,
-    read_map,
-    whole_file,
-    write_map,
-)
+from trainlog import InputError, read_map, sample, write_map
+from trainlog.formats.mapfile import MapFile, map_to_bytes, merge_files, place_of, whole_file
 from trainlog.formats.packed import pack, unpack, unpack_joined
-from trainlog.formats.samples import sample
 from trainlog.identity import TripIdentity
 from trainlog.railway.condition import ConditionLayer
 

@@ -20,14 +20,12 @@ from refusals import refused
 
 import trainlog
 from analysis.sfera import SferaOptions, write_sfera
-from trainlog.errors import InputError
-from trainlog.formats.samples import sample
+from trainlog import InputError, Trip, sample
 from trainlog.formats.sfera import read_sfera
 from trainlog.formats.sfera_messages import Report, status_report, xml_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
 from trainlog.ingest.pipeline import Given
 from trainlog.ingest.sources import Subscription
-from trainlog.trip import Trip
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
 from make_journey import DEPARTURE

@@ -28,13 +28,11 @@ from analysis.network.maps import (
 )
 from analysis.reports.fleet import condition_parts, known_maps
 from analysis.verification.scoring import score_network, score_network_on
+from trainlog import Edge, InputError, Line, LogError, Network, Node, read_line, sample
 from trainlog.arrays import same_values
 from trainlog.cli.main import app
-from trainlog.errors import InputError, LogError
 from trainlog.formats.files import sha256_of
-from trainlog.formats.railway import line_to_bytes, read_line
-from trainlog.formats.samples import sample
-from trainlog.railway import Edge, Line, Network, Node
+from trainlog.formats.railway import line_to_bytes
 
 WHOLE = read_line(sample("CH_StGallen_Wil.line.json")).section(0.0, 16_000.0)
 CUT = 10_000.0

@@ -24,13 +24,11 @@ from replay_trips import (
 )
 from rerun.chunk import RrdReader
 
-from trainlog import topics
-from trainlog.errors import InputError, LogError
+from trainlog import InputError, LogError, ReplayOptions, Trip, frame_of, topics, write_replay
 from trainlog.formats.railway import line_to_bytes
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
-from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.samples import CURVES, Samples, clock_of, thinned
-from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
+from trainlog.trip import LINE_ATTACHMENT
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,7 @@ from refusals import refused
 from replay_trips import condition_of, entities, made_trip, trajectory_of
 from rerun.chunk import RrdReader
 
-from trainlog.errors import InputError
-from trainlog.replay import ReplayOptions, write_replay
-from trainlog.trip import Trip
+from trainlog import InputError, ReplayOptions, Trip, write_replay
 
 COMPONENTS = {
     "class": "ViewBlueprint:class_identifier",

@@ -11,14 +11,12 @@ from hypothesis.extra.numpy import arrays
 from refusals import refused
 from replay_trips import LENGTH, LINE, entities, made_trip, rows, trajectory_of
 
+from trainlog import InputError, ReplayOptions, Trip, write_replay
 from trainlog.cli.main import run
-from trainlog.errors import InputError
 from trainlog.mcap import stream_log, write_log
-from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.recording import MOST_WHOLE
 from trainlog.replay.samples import clock_of
 from trainlog.replay.survey import OVERVIEW, extremes, thinned_trips
-from trainlog.trip import Trip
 
 
 def unlike(name: str, top: float) -> Trip:

@@ -12,10 +12,7 @@ from hypothesis import given, strategies as st
 from refusals import refused
 from rich.console import Console
 
-from analysis.adhesion.condition_map import adhesion_map
-from analysis.reports.summary import report
-from analysis.resistance.coast_down import coast_down
-from analysis.resistance.logs import fit
+from analysis import adhesion_map, coast_down, fit, report
 from analysis.truth import curve_error, map_error, true_adhesion
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map, write_map

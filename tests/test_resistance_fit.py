@@ -14,13 +14,11 @@ from refusals import refused
 from resistance_trips import RESISTANCE, changed, trip, with_exact_efforts
 
 import analysis
-from analysis.estimates import with_estimates
-from analysis.resistance import TripFit, fit_trip
-from analysis.resistance.coast_down import coast_down
+from analysis import TripRefusedError, coast_down, fit_trip, view_of, with_estimates
+from analysis.resistance import TripFit
 from analysis.resistance.curve import band_factor, curve_std
-from analysis.resistance.recording import TripRefusedError, prepare
+from analysis.resistance.recording import prepare
 from analysis.resistance.windows import build_windows
-from analysis.view import view_of
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import read_line, read_train, train_to_bytes
 from trainlog.formats.samples import sample

@@ -14,17 +14,11 @@ from hypothesis import given, settings, strategies as st
 from refusals import refused
 from resistance_trips import RESISTANCE, constant_speed, trip
 
+from analysis import TripRefusedError, combine, fit, fit_trip, parameter_set
 from analysis.charts import draw, draw_all, draw_charts
-from analysis.resistance import (
-    TripFit,
-    TripRefusedError,
-    combine,
-    fit_trip,
-    parameter_set,
-    summarised,
-)
+from analysis.resistance import TripFit, summarised
 from analysis.resistance.curve import nearest_physical
-from analysis.resistance.logs import AllRefusedError, fit
+from analysis.resistance.logs import AllRefusedError
 from analysis.resistance.observed import choose
 from analysis.resistance.plot import refused_chart, trips_charts
 from trainlog.arrays import FloatArray

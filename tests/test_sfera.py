@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from trainlog.errors import InputError
+from trainlog import InputError, Line, RunningResistance, Station, StepProfile, read_line
 from trainlog.formats.railml import Element, parsed_xml
-from trainlog.formats.railway import read_line
 from trainlog.formats.sfera import SferaJourney, filled, read_sfera
 from trainlog.formats.sfera_messages import (
     Constraint,
@@ -25,7 +24,6 @@ from trainlog.formats.sfera_messages import (
     xml_of,
 )
 from trainlog.ingest import ingest
-from trainlog.railway import Line, RunningResistance, Station, StepProfile
 
 FILES = sorted((Path(__file__).parent / "data" / "sfera").glob("*.xml"))
 DOCUMENTS = {each.stem: each.read_text("utf-8") for each in FILES}

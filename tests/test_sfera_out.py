@@ -14,11 +14,8 @@ import pytest
 from refusals import refused
 
 import trainlog
-from analysis import sfera
+from analysis import OptimiserOptions, TrajectoryProblem, journey_advice, optimise, sfera
 from analysis.sfera import advised, low_adhesion, write_sfera
-from analysis.trajectory.advice import journey_advice
-from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.formats.railml import Element, parsed_xml
 from trainlog.formats.railway import write_parameters, write_trajectory

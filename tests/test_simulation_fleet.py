@@ -12,22 +12,11 @@ import pytest
 from refusals import refused
 
 import trainlog
-from trainlog.errors import InputError
+from trainlog import Fleet, InputError, Network, draw_fleet, draw_network, write_fleet
 from trainlog.formats.imports import networks_in
 from trainlog.formats.railway import line_of, train_of
-from trainlog.railway import Network
 from trainlog.railway.geometry import plane_curve, to_plane
-from trainlog.simulation import (
-    Fault,
-    Fleet,
-    as_recorded,
-    draw_fleet,
-    draw_network,
-    drive,
-    recorded,
-    write_fleet,
-    write_trip,
-)
+from trainlog.simulation import Fault, as_recorded, drive, recorded, write_trip
 from trainlog.simulation.vehicles import draw_trains
 from trainlog.units import DAY, NANOSECONDS
 from trainlog.version import code_version_of

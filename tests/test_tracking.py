@@ -24,10 +24,8 @@ from analysis.studies.hauck_2023.controller import (
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
 from analysis.studies.hauck_2023.section import fastest_unweighed, section_of
-from trainlog.errors import InputError
-from trainlog.formats.railway import line_to_bytes, read_line
-from trainlog.formats.samples import sample
-from trainlog.railway import Line, Station, StepProfile
+from trainlog import InputError, Line, Station, StepProfile, read_line, sample
+from trainlog.formats.railway import line_to_bytes
 from trainlog.simulation.drivers import PERIOD, Stop
 from trainlog.simulation.plant import HOLDING
 from trainlog.units import GRAVITY

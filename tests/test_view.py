@@ -11,10 +11,8 @@ from fleet_trips import later
 
 import analysis.adhesion.slip as slip_module
 import analysis.resistance.coasting_detection as motion_module
-from analysis import view as module
-from analysis.adhesion.condition_map import adhesion_map
+from analysis import adhesion_map, coast_down, view as module
 from analysis.estimates import estimate_log
-from analysis.resistance.coast_down import coast_down
 from tests.refusals import refused
 from trainlog.errors import LogError
 from trainlog.formats.samples import folder
