@@ -1,17 +1,12 @@
-"""Processes that open a catalogue of an earlier version: run by the tests in one of their own.
+"""Processes that open a catalogue of an earlier version, forked from one that imported everything.
 
-    python tests/catalogue_openers.py WHERE OPENERS
-
-The processes are forked from this one, which has imported everything. The first is killed while it
-changes the tables. Then several open the catalogue at once. As JSON: whether the first was killed,
-what the header stated behind it, and the version that each of the others found to migrate.
+The first is killed while it changes the tables. Then several open the catalogue at once.
 """
 
 from __future__ import annotations
 
 import json
 import signal
-import sys
 import time
 import warnings
 from dataclasses import replace
@@ -42,8 +37,8 @@ def paused(where: str) -> None:
     migrated(where)
 
 
-def main(where: str, openers: int) -> None:
-    """Kill one that migrates, and let the others open it."""
+def run(where: str, openers: int) -> dict[str, object]:
+    """Whether one that migrates was killed, and the version that each other found to migrate."""
     victim = Piped(lambda: paused(where))
     assert victim.read(), "the first failed"
     # Another waits meanwhile, and does it once the first is dead.
@@ -55,8 +50,4 @@ def main(where: str, openers: int) -> None:
     for each in running:
         each.end()
         found.append(json.loads(each.lines[-1] if each.lines else '"failed"'))
-    print(json.dumps({"killed": killed, "migrated": found}))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    return {"killed": killed, "migrated": found}

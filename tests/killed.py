@@ -2,13 +2,16 @@
 
 `Forked` is a process that works; what a `Piped` one prints is read from a pipe, and a `Watched` one
 notes the points that it passes in a file that outlasts it, and may be ordered to end at one.
+They are forked by functions that tests call `in_own_process`.
 """
 
 from __future__ import annotations
 
+import json
 import mmap
 import os
 import signal
+import subprocess
 import sys
 import time
 import traceback
@@ -18,6 +21,22 @@ from typing import Any
 
 PATIENCE = 600.0
 """How long anything may take on the busiest machine [s]; longer takes only what hangs."""
+
+TESTS = Path(__file__).parent
+
+
+def in_own_process(function: str, *given: object) -> tuple[Any, str]:
+    """What a function of a module of the tests gives in a process of its own; its complaints."""
+    module, _, name = function.partition(".")
+    code = f"import json, sys, {module} as m; print(json.dumps(m.{name}(*json.loads(sys.argv[1]))))"
+    path = os.pathsep.join(map(str, (TESTS, TESTS.parent)))
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(given, default=str)],
+        capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": path, "COLUMNS": "200"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1]), done.stderr
 
 
 class Forked:

@@ -1,19 +1,14 @@
-"""Adders of one catalogue that are killed: run by the tests in a process of its own.
+"""Adders of one catalogue that are killed, forked from a process that has imported everything.
 
-    python tests/killed_adders.py WHERE RESULTS LOGS ADDERS KILLS
-
-The adders are forked from this process, which has imported everything. Each adds the logs in an
-order of its own and records a result of each trip. One after the other is killed, at a named point
-and a moment after it passed some points in turn, and replaced; then one more does the rest. How
-many were killed, how many failed and where the kills fell is printed.
+Each adds the logs in an order of its own and records a result of each trip. One after the other is
+killed, at a named point and a moment after it passed some points in turn, and replaced; then one
+more does the rest.
 """
 
 from __future__ import annotations
 
-import json
 import random
 import signal
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
@@ -90,9 +85,8 @@ def watch(passed: Passed) -> None:
     Database.writing = writing  # type: ignore[method-assign,assignment]
 
 
-def main(where: str, results_folder: str, folder: str, adders: int, kills: int) -> int:
-    """Kill adders, and let one finish."""
-    kept = results_folder or None
+def run(where: str, kept: str | None, folder: str, adders: int, kills: int) -> dict[str, Any]:
+    """Kill adders, and let one finish; how many were killed or failed, and where kills fell."""
     logs = sorted(str(path) for path in Path(folder).rglob("*.mcap"))
     draw = random.Random(7)
     fell: Counter[str] = Counter()
@@ -127,10 +121,4 @@ def main(where: str, results_folder: str, folder: str, adders: int, kills: int) 
         for each in running:
             failed += each.wait() > 0
     work(where, kept, logs, 1000)
-    print(json.dumps({"killed": sum(fell.values()), "failed": failed, "fell": fell}))
-    return 0
-
-
-if __name__ == "__main__":
-    place, folder_of_results, folder_of_logs = sys.argv[1:4]
-    sys.exit(main(place, folder_of_results, folder_of_logs, int(sys.argv[4]), int(sys.argv[5])))
+    return {"killed": sum(fell.values()), "failed": failed, "fell": fell}

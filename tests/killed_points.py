@@ -1,13 +1,9 @@
-"""Updates of a fleet that are killed at named points: run by the tests in a process of its own.
+"""Updates of a fleet that are killed at named points.
 
-    python tests/killed_points.py WHERE RESULTS LOGS EACH RANDOM TOGETHER
-
-The updates are forked from this process, which has imported everything and computed each trip once:
-each begins within milliseconds. What they pass is patched here, in the process
-that is killed, and noted in a file that outlasts it. Each is killed by SIGKILL, at each point EACH
-times, then RANDOM times at moments that are drawn; TOGETHER of them run at once, on one catalogue.
-Between them some results are forgotten, and the code is another in turn, so that there is always
-something to compute, to merge and to map. At last two updates end, and what fell where is printed.
+They are forked from a process that has imported everything and computed each trip once: each begins
+within milliseconds. What they pass is patched here, in the process that is killed, and noted in a
+file that outlasts it. Between them some results are forgotten, and the code is another in turn, so
+that there is always something to compute, to merge and to map. At last two updates end.
 """
 
 from __future__ import annotations
@@ -17,7 +13,6 @@ import pathlib
 import random
 import shutil
 import signal
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -208,20 +203,26 @@ def forget_whole(catalogue: Catalogue, analysis: FleetAnalysis) -> None:
                 path.unlink()
 
 
-def orders(each: int, draw: random.Random) -> Iterator[str]:
-    """The points, each so many times, mixed."""
-    wanted = [point for point in POINTS for _ in range(each)]
-    draw.shuffle(wanted)
-    yield from wanted
-
-
 def run(
-    folder: Path, where: str, each: int, at_random: int, together: int
+    where: str, kept: str, logs: str, each: int, at_random: int, together: int
 ) -> Mapping[str, Mapping[str, int]]:
-    """Kill updates at each point and at random; where they fell."""
+    """Kill updates at each point so many times, then at random, so many at once; where they fell.
+
+    By SIGKILL, on one catalogue.
+    """
+    folder = Path(kept).parent
+    folder.mkdir(parents=True, exist_ok=True)
+    with open_catalogue(where, results=kept if "://" in where else None) as catalogue:
+        catalogue.add(logs)
+    work.one_thread()
+    work.load_analyses()
+    remember()
+    updated(where, "", 1)  # what is imported and compiled is loaded once, for all that follow
     draw, forked = random.Random(together), partial(Watched, folder, POINTS, watch)
     fell: dict[str, Counter[str]] = {"named": Counter(), "random": Counter(), "beside": Counter()}
-    runs, missed, waiting = 0, "", [*orders(each, draw), *[""] * at_random]
+    points = [point for point in POINTS for _ in range(each)]
+    draw.shuffle(points)
+    runs, missed, waiting = 0, "", [*points, *[""] * at_random]
     while waiting:
         point = waiting.pop(0)
         runs += 1
@@ -257,21 +258,3 @@ def run(
         if forked(partial(updated, where, code)).wait():
             raise AssertionError("the last update failed")
     return {"runs": {"all": runs}, **fell}
-
-
-def main() -> None:
-    """Run, and print where the kills fell."""
-    where, kept, logs, *numbers = sys.argv[1:]
-    folder = Path(kept).parent
-    folder.mkdir(parents=True, exist_ok=True)
-    with open_catalogue(where, results=kept if "://" in where else None) as catalogue:
-        catalogue.add(logs)
-    work.one_thread()
-    work.load_analyses()
-    remember()
-    updated(where, "", 1)  # what is imported and compiled is loaded once, for all that follow
-    print(json.dumps(run(folder, where, *map(int, numbers))))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,19 +1,13 @@
-"""Updaters of one map that are killed: run by the tests in a process of its own.
+"""Updaters of one map that are killed, forked from a process that has imported everything.
 
-    python tests/killed_updaters.py append FOLDER UPDATERS KILLS EACH [KILLS EACH]
-    python tests/killed_updaters.py update FOLDER LOGS UPDATERS ROUNDS
-
-The updaters are forked from this process, which has imported everything: each begins within
-milliseconds. What they had stated until they were killed is printed as JSON.
+Each begins within milliseconds.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import selectors
 import signal
-import sys
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -69,13 +63,15 @@ def append(path: Path, seeds: Sequence[int]) -> None:
             print(seed, flush=True)
 
 
-def kill_and_append(folder: Path, updaters: int, kills: int, each: int) -> dict[str, Any]:
+def kill_and_append(folder: str, updaters: int, kills: int, each: int) -> dict[str, Any]:
     """Updaters with recordings of their own, and with some that all are given, are killed.
 
     None of those that begin together with 0 kills. Returns the map, how many were killed and how
     many ended, and the seeds that each updater had stated.
     """
-    path, rng = folder / "a.map", np.random.default_rng(1)
+    own_folder = Path(folder, f"{kills}-kills")
+    own_folder.mkdir()
+    path, rng = own_folder / "a.map", np.random.default_rng(1)
     stated: list[list[int]] = []
     number = killed = 0
     while killed < kills or not number:
@@ -83,7 +79,7 @@ def kill_and_append(folder: Path, updaters: int, kills: int, each: int) -> dict[
         for _ in range(updaters):
             own = list(range(1000 + each * number, 1000 + each * (number + 1)))
             seeds = [*own[:2], *SHARED, *own[2:]]
-            running.append(Piped(partial(append, path, seeds), folder / f"{number}"))
+            running.append(Piped(partial(append, path, seeds), own_folder / f"{number}"))
             number += 1
         if kills:
             wait_for(running, int(rng.integers(updaters * each // 2)))
@@ -96,21 +92,28 @@ def kill_and_append(folder: Path, updaters: int, kills: int, each: int) -> dict[
         if path.exists():
             with MapFile(path) as file:
                 file.trips()
-    assert not any((folder / f"{n}").read_text() for n in range(number)), "an updater complained"
+    assert not any((own_folder / f"{n}").read_text() for n in range(number)), "one complained"
     ended = number - killed
     return {"map": str(path), "killed": killed, "ended": ended, "stated": stated}
 
 
-def kill_and_update(folder: Path, logs: Path, updaters: int, rounds: int) -> list[dict[str, Any]]:
+def append_by_all(folder: str, updaters: int, *given: Sequence[int]) -> list[dict[str, Any]]:
+    """What `kill_and_append` gives for each number of kills and of recordings of each updater."""
+    return [kill_and_append(folder, updaters, *each) for each in given]
+
+
+def kill_and_update(place: str, logs: str, updaters: int, rounds: int) -> list[dict[str, Any]]:
     """Commands that update one map from one folder of logs are killed, then all may end.
 
     Returns of each round the map, what was stated by the killed and by those that ended (with
     exit status and complaints), how many were killed, and which trips counted between the two.
     """
-    rng, found = np.random.default_rng(2), []
+    rng, found, folder = np.random.default_rng(2), [], Path(place)
+    # Compiled functions are loaded once, by all updaters together.
+    update_map(logs, folder / "first.map")
     for number in range(rounds):
         path = folder / f"killed-{number}.map"
-        words = ["map", "update", str(logs), "--map", str(path)]
+        words = ["map", "update", logs, "--map", str(path)]
         running = [Piped(partial(run, words), folder / f"{number}-{n}") for n in range(updaters)]
         wait_for(running, 1)
         killed = kill(running, rng, 0.05)
@@ -128,19 +131,3 @@ def kill_and_update(folder: Path, logs: Path, updaters: int, rounds: int) -> lis
             | {"ended": ended}
         )
     return found
-
-
-if __name__ == "__main__":
-    work, folder, *given = sys.argv[1:]
-    if work == "append":
-        updaters, *pairs = map(int, given)
-        result: Any = []
-        for kills, each in zip(pairs[::2], pairs[1::2], strict=True):
-            own = Path(folder) / f"{kills}-kills"
-            own.mkdir()
-            result.append(kill_and_append(own, updaters, kills, each))
-    else:
-        # Compiled functions are loaded once, by all updaters together.
-        update_map(given[0], Path(folder) / "first.map")
-        result = kill_and_update(Path(folder), Path(given[0]), *map(int, given[1:]))
-    print(json.dumps(result))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
+from killed import in_own_process
 from refusals import refused
 from synthetic_trips import synthetic_entry
 
@@ -102,12 +100,9 @@ def test_an_earlier_version_is_brought_to_the_latest_with_all_it_holds(first_ver
 def test_of_processes_that_open_an_earlier_version_at_once_one_migrates_even_if_one_is_killed(
     first_version,
 ):
-    words = [sys.executable, "tests/catalogue_openers.py", first_version, "3"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    found, said = in_own_process("catalogue_openers.run", first_version, 3)
     assert found["killed"]
-    assert sorted(found["migrated"], key=str) == [1, None, None], done.stderr
+    assert sorted(found["migrated"], key=str) == [1, None, None], said
     with open_catalogue(first_version) as catalogue:
         assert len(catalogue) == 6
         assert catalogue.version == migration.VERSION

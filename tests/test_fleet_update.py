@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import pandas as pd
 import pytest
 from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
 from fleet_trips import TRIPS, later, short_trips
+from killed import in_own_process
 from killed_fleet import grow_old, kept, kill_at_random, maps_in, rows_by_trip
 from killed_points import ANALYSES as TWO, POINTS
 from refusals import refused
@@ -36,7 +36,6 @@ from trainlog.formats.mapfile import MapFile, read_map
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 HERE = UpdateOptions(workers=0)
-HERE_FOLDER = Path(__file__).parent
 
 
 @pytest.fixture
@@ -365,16 +364,9 @@ def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_giv
     with open_catalogue(place["one"]) as known:
         known.add(tmp_path / "logs")
     assert updated(place["one"], *TWO).trips == 6
-    words = [place["many"], str(tmp_path / "many" / "results"), str(tmp_path / "logs")]
-    numbers = [str(number) for number in (each, at_random, together)]
-    path = os.pathsep.join([str(HERE_FOLDER), str(HERE_FOLDER.parent)])
-    done = subprocess.run(
-        [sys.executable, str(HERE_FOLDER / "killed_points.py"), *words, *numbers],
-        capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert not done.stderr, "an update complained"
-    fell = json.loads(done.stdout)
+    given = place["many"], tmp_path / "many" / "results", tmp_path / "logs"
+    fell, said = in_own_process("killed_points.run", *given, each, at_random, together)
+    assert not said, "an update complained"
     print(json.dumps(fell, indent=1))
     assert {point: fell["named"].get(point, 0) for point in POINTS} == dict.fromkeys(POINTS, each)
     assert sum(fell["random"].values()) == at_random

@@ -6,14 +6,13 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import killed_updaters
 import pytest
+from killed import in_own_process
 from simulated_line import flirt, level_line
 from test_traction_map import LINE
 from typer.testing import CliRunner
@@ -32,8 +31,6 @@ from trainlog.trip import Trip
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "analysed_once")
 
 SHORT = level_line(5_000.0)
-KILLED = Path(__file__).with_name("killed_updaters.py")
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "COLUMNS": "200"}
 
 Content = tuple[str, list[Row], dict[str, DailyEvidence]]
 
@@ -47,15 +44,6 @@ def content(path: Path) -> Content:
             rows,
             {name: each for name, (each, _) in file.summed(rows).evidence.items()},
         )
-
-
-def of_killed_updaters(work: str, *words: object) -> Any:
-    shown = subprocess.run(
-        [sys.executable, str(KILLED), work, *map(str, words)],
-        capture_output=True, text=True, env=ENVIRONMENT, check=False,
-    )  # fmt: skip
-    assert shown.returncode == 0, shown.stderr
-    return json.loads(shown.stdout.splitlines()[-1])
 
 
 def check_killed(found: dict[str, Any], kills: int) -> None:
@@ -83,7 +71,8 @@ def check_killed(found: dict[str, Any], kills: int) -> None:
 @pytest.fixture(scope="module")
 def appended(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Of five updaters that begin one map at once and end, and of such that are killed."""
-    return of_killed_updaters("append", tmp_path_factory.mktemp("appended"), 5, 0, 6, 3, 8)
+    folder = tmp_path_factory.mktemp("appended")
+    return in_own_process("killed_updaters.append_by_all", folder, 5, (0, 6), (3, 8))[0]
 
 
 class TestProcesses:
@@ -142,7 +131,7 @@ class TestCommandsAtOnce:
     @pytest.mark.long
     def test_killed_commands_lose_nothing_that_they_stated(self, logs, updated, tmp_path):
         """Five commands update one map from one folder at once: all are killed, then all end."""
-        rounds = of_killed_updaters("update", tmp_path, logs, 5, 8)
+        rounds, _ = in_own_process("killed_updaters.kill_and_update", tmp_path, logs, 5, 8)
         assert sum(found["killed"] for found in rounds) >= 20
         for found in rounds:
             added = re.findall(r"trip '([^']+)' added to", "\n".join(found["stated"]))

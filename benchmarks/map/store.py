@@ -151,10 +151,11 @@ def many_trips(folder: Path, count: int) -> None:
 def killed(folder: Path, kills: int) -> None:
     """Processes killed at random instants."""
     sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-    from test_map_service import check_killed, of_killed_updaters
+    from killed import in_own_process
+    from test_map_service import check_killed
 
     begin = perf_counter()
-    (found,) = of_killed_updaters("append", str(folder), 5, kills, 20)
+    found, _ = in_own_process("killed_updaters.kill_and_append", folder, 5, kills, 20)
     check_killed(found, kills)
     print(f"5 updaters at once, {kills} kills, {perf_counter() - begin:.0f} s: every acknowledged"
           " trip is in the map once, none twice, the file readable after each")  # fmt: skip
