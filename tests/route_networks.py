@@ -259,7 +259,6 @@ def drive(
 ) -> Received:
     """A trip over a route, as received."""
     geometry = route.line.geometry
-    assert geometry is not None
     points = to_plane(geometry.latitudes, geometry.longitudes, ORIGIN)
     places = stops or (40.0, 0.45 * route.length, route.length - 40.0)
     course = motion(places, rng, receiver.rate)

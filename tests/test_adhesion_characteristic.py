@@ -353,8 +353,7 @@ def test_points_in_the_units_of_their_header(tmp_path):
     ],
 )
 def test_tables_that_would_mislead_are_refused(tmp_path, text, message):
-    with pytest.raises(InputError, match=message):
-        read_adhesion_points(written(tmp_path, text))
+    refused(InputError, message, read_adhesion_points, written(tmp_path, text))
 
 
 @pytest.mark.usefixtures("unpainted")

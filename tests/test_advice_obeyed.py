@@ -312,7 +312,6 @@ def test_a_trip_is_compared_with_its_advice():
     (direction,) = found.directions
     table = next(each for each in found.tables() if each.name == "trips")
     assert [row[0] for row in table.rows] == ["driven-x1.15", "trajectory", "advice, to the letter"]
-    assert direction.obeyed is not None
     letter = direction.obeyed.sums["traction"][-1]
     planned = plan.certificate["wheel_energy"][plan.latest]
     assert letter == pytest.approx(planned, rel=0.1)

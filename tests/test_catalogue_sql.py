@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from refusals import refused
 from synthetic_trips import synthetic_entry
 
 from trainlog.catalogue import (
@@ -137,8 +138,7 @@ def test_what_is_wrong_in_a_statement_is_one_message_with_what_is_known(catalogu
     ],
 )
 def test_a_statement_ends_at_its_limits(catalogue, statement, limit, problem):
-    with pytest.raises(InputError, match=problem):
-        catalogue.sql(statement, **limit)
+    refused(InputError, problem, catalogue.sql, statement, **limit)
     assert len(catalogue.sql("select * from trips limit 3")) == 3
 
 

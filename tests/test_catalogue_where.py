@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from synthetic_trips import synthetic_entry
 
 from trainlog.catalogue import Catalogue, open_catalogue
@@ -27,7 +28,6 @@ ENTRIES = [synthetic_entry(number, trains=6, days=400) for number in range(TRIPS
 def _judged() -> pd.DataFrame:
     rows = []
     for each in ENTRIES:
-        assert each.entry is not None
         edges = {edge for edge, *_ in each.entry.edges}
         rows.append({**each.entry.values, "edges": edges})
     frame = pd.DataFrame(rows)
@@ -198,8 +198,7 @@ def test_times_without_a_zone_are_of_the_zone_that_is_given(catalogues, tmp_path
         ):
             local = FRAME["start"].dt.tz_convert("Asia/Tokyo").dt.strftime("%Y-%m-%d")
             assert sorted(found["name"]) == sorted(FRAME["name"][local == day])
-        with pytest.raises(InputError, match="zone"):
-            catalogue.query("start = '2026-01-01'", zone="Nowhere/There")
+        refused(InputError, "zone", catalogue.query, "start = '2026-01-01'", zone="Nowhere/There")
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,6 @@ def test_a_further_trip_finds_its_chainage_on_the_line_built(centre_line):
     backwards = centre_line.latitude[0] > centre_line.latitude[-1]
     trip, truth = drive(winding(), Receiver(), 9, reverse=backwards)
     frame = estimated_state(trip, line, PLAIN).frame
-    assert frame is not None
     error, _ = errors(frame, truth, "position")
     assert np.std(error) < 5.0
     assert "gradients, stations, tunnels: not known" in line.source
@@ -173,6 +172,5 @@ def test_phones_on_a_metro_make_its_line():
     line = line_of(centre_line, "metro")
     backwards = centre_line.longitude[0] > centre_line.longitude[-1]
     frame = estimated_state(rides["098"], line.reversed() if backwards else line, PLAIN).frame
-    assert frame is not None
     assert frame["position"].iloc[-1] - frame["position"].iloc[0] > 10_000.0
     assert frame["speed"].max() < 30.0

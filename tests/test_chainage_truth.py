@@ -45,9 +45,7 @@ def estimated(trip: Trip, geometry: Geometry, profile: Profile | None = None) ->
 
 
 def framed(trip: Trip, geometry: Geometry) -> pd.DataFrame:
-    frame = estimated(trip, geometry).frame
-    assert frame is not None
-    return frame
+    return estimated(trip, geometry).frame
 
 
 def rms(values: np.ndarray) -> float:

@@ -146,7 +146,6 @@ def damage(path: Path, chunks: slice) -> None:
     data = bytearray(path.read_bytes())
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     for index in sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset)[chunks]:
         data[index.chunk_start_offset + index.chunk_length - 5] ^= 0xFF
     path.write_bytes(data)

@@ -203,7 +203,6 @@ def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file
     plan = optimise(problem, OptimiserOptions(cells=60))
     write_trajectory(plan, tmp_path / "plan.json")
     kept = line_of_plan(read_trajectory(tmp_path / "plan.json"))
-    assert kept is not None
     assert line_to_bytes(kept) == line_to_bytes(named)
     words = ("advice", tmp_path / "plan.json", "-o", tmp_path / "advice.html")
     assert shell(*words)[0] == 0

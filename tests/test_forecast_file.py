@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 from analysis.verification.forecasts import forecast_of, stated_forecast
 from analysis.verification.scores import climatology
@@ -143,5 +144,4 @@ def test_what_a_map_expects_survives_the_file(tmp_path, track):
                 found.at_bins(seen).below(adhesion), own.at_bins(seen).below(adhesion), atol=0.05
             )
     assert read("wet", NOON + pd.Timedelta(hours=6)) is None
-    with pytest.raises(InputError, match="hours above 0"):
-        forecast_of(track, NOON, hours=0.0)
+    refused(InputError, "hours above 0", forecast_of, track, NOON, hours=0.0)

@@ -46,8 +46,7 @@ def test_a_written_file_replaces_the_old_one_and_leaves_nothing_else(tmp_path):
 def test_a_failure_leaves_the_old_file_and_no_other(tmp_path, failure):
     target = tmp_path / "a.json"
     target.write_bytes(b"old")
-    with pytest.raises(failure):
-        write_half(target, failure())
+    refused(failure, "", write_half, target, failure())
     assert target.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [target]
 

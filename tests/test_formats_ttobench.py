@@ -84,7 +84,6 @@ def test_declared_units_are_honoured(tmp_path):
     assert line.speed_limits.positions.tolist() == [0.0, 2000.0]
     assert line.speed_limits.values.tolist() == [20.0, 25.5]
     assert line.gradient(np.array([0.0, 4000.0])).tolist() == [0.0, 0.0]
-    assert line.curvatures is not None
     assert line.curvatures.start.tolist() == [0.0, 1 / 500]
     assert line.curvatures.end.tolist() == [1 / 500, -1 / 400]
     assert line.braking_parameters == {"Kt_int": 1.15}

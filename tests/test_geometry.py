@@ -124,7 +124,6 @@ def test_positive_radii_bend_to_the_right():
     """The library's convention, confirmed: with the other sign the stations lie far off."""
     track = read_track(TRACK)
     curves = track.curvatures
-    assert curves is not None
     mirrored = replace(
         track, curvatures=CurvatureProfile(curves.positions, -curves.start, -curves.end)
     )

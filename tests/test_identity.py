@@ -95,10 +95,8 @@ def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 class TestIdentity:
     def test_a_drive_is_recognised_in_every_form(self, versions):
         whole = identity_of(WHOLE)
-        assert whole is not None
         for name, path in versions.items():
             found = identity_of_log(path)
-            assert found is not None
             if name in EQUAL:
                 assert found == whole
                 continue
@@ -117,8 +115,6 @@ class TestIdentity:
         columns = {"/train/state.speed": {"column": "v", "unit": "km/h"}}
         profile = recorder_profile(columns, time={"column": "t"})
         found, whole = identity_of(ingest(tmp_path / "run.csv", profile)), identity_of(WHOLE)
-        assert found is not None
-        assert whole is not None
         np.testing.assert_array_equal(found.blocks, whole.blocks)
         assert same_drives([Known("table", found), Known("log", whole)])
 

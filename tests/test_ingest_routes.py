@@ -104,7 +104,6 @@ def test_lines_too_close_to_tell_apart_are_refused_with_the_margin(tmp_path):
     said = "do not determine the route.*(main.*relief|relief.*main)"
     caught = refused(InputError, said, ingested, tmp_path, fixes, network)
     margin = re.search(r"log-likelihood of ([\d.]+) better", caught.problem)
-    assert margin is not None
     assert float(margin[1]) < 6.0
     trip = ingested(tmp_path, fixes, network, {"stations": "A,relief@3,D"})
     assert [edge for edge, _ in legs_of(trip)] == ["west", "relief", "east"]
@@ -212,7 +211,6 @@ def test_an_edge_without_a_course_is_passed_where_the_distance_driven_is_its_len
         r"over bend.* without a geometry by the distance driven", trip.metadata["route_evidence"]
     )
     course = line_of(trip).geometry
-    assert course is not None
     assert "straight over bend, of which none is known" in course.quality
     # The fixes there are not taken for ones on the chord, some 500 m beside the bend.
     (words,) = [each for each in trip.metadata if "of fixes on bend" in each]
@@ -241,7 +239,6 @@ def test_distances_between_stops_show_the_route_of_an_imported_network_without_c
     if not path.is_dir():
         pytest.skip("needs ../shared/data/osrd")
     infra = networks_in(path / "small_infra.json")
-    assert infra is not None
     network = without_course(infra.networks[0])
     places = ["West_station", "Mid_West_station", "Mid_East_station", "North_East_station"]
     places = places[::-1] if back else places

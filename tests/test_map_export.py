@@ -62,7 +62,6 @@ def track() -> TrackConditionMap:
 
 
 def points_of(well_known: bytes | None) -> np.ndarray:
-    assert well_known is not None
     assert well_known[:5] == b"\x01\x02\x00\x00\x00"
     return np.frombuffer(well_known[9:], "<f8").reshape(-1, 2)
 
@@ -91,7 +90,6 @@ def test_gdal_reads_from_a_geopackage_what_the_map_knows(track, line, tmp_path):
     assert found["spot_probability"].isna().sum() > 2_000
     assert found["changed_day"].dropna().astype(str).tolist() == ["2024-10-06"] * 2
     # Each bin lies where its chainage does: both ends on the line's own course.
-    assert line.geometry is not None
     for row in (0, 400, len(found) - 1):
         points = points_of(courses[row])
         for end, name in ((0, "start_m"), (-1, "end_m")):

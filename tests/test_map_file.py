@@ -379,8 +379,7 @@ class TestOtherFiles:
         changed(path, "CREATE TABLE messages (data BLOB)")
         before = path.read_bytes()
         assert "is an SQLite database, but has no track-condition map" in self.refused(path)
-        with pytest.raises(InputError, match="has no track-condition map"):
-            MapFile(path, empty_map(LINE))
+        refused(InputError, "has no track-condition map", MapFile, path, empty_map(LINE))
         assert path.read_bytes() == before
 
     def test_a_newer_version(self, tmp_path):
@@ -394,8 +393,7 @@ class TestOtherFiles:
     def test_a_map_given_for_a_log_or_for_json_is_named(self):
         with pytest.raises(trainlog.LogError, match="not an MCAP file but a track-condition map"):
             trainlog.read(SAMPLE)
-        with pytest.raises(InputError, match="is not JSON but a track-condition map"):
-            trainlog.read_line(SAMPLE)
+        refused(InputError, "is not JSON but a track-condition map", trainlog.read_line, SAMPLE)
 
     def test_reading_changes_no_file_that_was_written_whole(self, tmp_path):
         path = tmp_path / "a.map"

@@ -148,9 +148,7 @@ class Reading:
 
 @cache
 def imported(name: str, category: str | None = None) -> Network:
-    found = networks_in(OSRD / "infras" / f"{name}.json", category=category)
-    assert found is not None
-    (network,) = found.networks
+    (network,) = networks_in(OSRD / "infras" / f"{name}.json", category=category).networks
     return network
 
 
@@ -246,9 +244,7 @@ def read_small(tmp_path: Path, **changes: Any) -> Infrastructure:
     path = tmp_path / "small.json"
     infra = {"version": "3.4.12", "track_sections": TRACKS, "switches": [BRANCH]}
     path.write_text(json.dumps(infra | changes))
-    found = networks_in(path)
-    assert found is not None
-    return found
+    return networks_in(path)
 
 
 def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path):
@@ -287,9 +283,7 @@ def test_infrastructure_of_osrd_that_contradicts_itself_is_refused(changes, word
 def railml(text: str, tmp_path: Path) -> Infrastructure:
     path = tmp_path / "given.xml"
     path.write_text(text, encoding="utf-8")
-    found = networks_in(path)
-    assert found is not None
-    return found
+    return networks_in(path)
 
 
 def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path):
@@ -319,7 +313,6 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_
     down = 3.6 * network.route("Cham", "Anfang").line.speed_limit(5_000.0 - places)
     assert down.round(6).tolist() == [60.0, 60.0, 60.0, 100.0, 100.0, 100.0]
     for_all = networks_in(tmp_path / "given.xml", category="none")
-    assert for_all is not None
     # Up 80 km/h, 120 from 2500 on.
     up = 3.6 * for_all.networks[0].route("Anfang", "Cham").line.speed_limit(places)
     assert up.round(6).tolist() == [80.0, 80.0, 120.0, 120.0, 120.0, 100.0]
@@ -327,11 +320,9 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_
     assert line.kilometre([0.0, 999.0, 1_001.0, 5_000.0]).tolist() == [
         12_500.0, 13_499.0, 13_701.0, 17_700.0,
     ]  # fmt: skip
-    assert line.reference is not None
     assert line.reference.name == "valley line"
     assert [station.name for station in line.stations] == ["Anfang", "Brugg", "Cham"]
     course = network.route("Anfang", "Brugg").line.geometry
-    assert course is not None
     assert course.at([1_500.0])[0] == pytest.approx(47.0179854, abs=1e-6)
     back = network.route("Cham", "Anfang").line
     s = np.linspace(10.0, 4_990.0, 60)
@@ -367,9 +358,7 @@ def test_locations_of_railml_3_are_shares_positions_measures_and_directions(tmp_
     assert 1.0 / main.curvature(1_100.0) == pytest.approx(-1_200.0)
     assert 1.0 / main.curvature(1_700.0) == pytest.approx(-600.0)
     assert main.kilometre(500.0) == pytest.approx(10_500.0)
-    assert main.reference is not None
     assert main.reference.name == "line 77"
-    assert main.geometry is not None
     assert main.geometry.at([1_000.0])[0] == pytest.approx(47.0089927)
     # 60 km/h of a speed profile, but none for all trains.
     assert other.assumed == ()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from typer.testing import CliRunner
 
 import trainlog
@@ -116,8 +117,7 @@ def test_the_map_along_a_route_has_places_and_directions_right(maps):
     assert there.events.sum() == back.events.sum()
     only = map_along(network().route("East", "West").line, {"east": found.maps["east"]})
     assert not only.layer("wet").observed[bins + 40 :].any()
-    with pytest.raises(InputError, match="no map of an edge of line 'CH_StGallen_Wil'"):
-        found.along(WHOLE)
+    refused(InputError, "no map of an edge of line 'CH_StGallen_Wil'", found.along, WHOLE)
 
 
 def test_a_second_update_adds_nothing_and_an_interrupted_one_is_finished(logs, maps, tmp_path):
@@ -168,8 +168,7 @@ def test_an_edge_has_one_map_by_whatever_it_is_written(edge, stem, earlier, tmp_
         lambda: edge_map_path(folder, edge),
         lambda: update_network_map(log, folder),
     ):
-        with pytest.raises(InputError, match=r"has two maps, .* 'trainlog map merge'"):
-            reading()
+        refused(InputError, r"has two maps, .* 'trainlog map merge'", reading)
 
 
 def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path):
@@ -224,8 +223,7 @@ def test_maps_are_scored_on_later_trips_edge_by_edge(maps, logs):
     partial, rest = score_network_on(replace(early, maps={name: early.maps[name]}), later[:1])
     assert set(rest) == {name}
     assert any("has no map" in words for words in partial.limits)
-    with pytest.raises(InputError, match="no later trip on an edge with a map"):
-        score_network_on(found, every[:1])
+    refused(InputError, "no later trip on an edge with a map", score_network_on, found, every[:1])
 
 
 def test_a_log_too_long_for_the_memory_is_one_trip_on_each_of_its_edges(logs, monkeypatch):

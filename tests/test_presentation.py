@@ -6,7 +6,6 @@ import io
 from dataclasses import dataclass
 
 import pandas as pd
-import pytest
 from refusals import refused
 from rich.console import Console
 
@@ -78,8 +77,7 @@ def test_csv_and_frame_hold_the_rows_in_si_units():
     assert read["top_speed_m_s"].tolist() == [20.0, 21.0]
     assert read["mass_std_kg"].isna().tolist() == [True, False]
     assert found.to_frame().attrs["units"]["top_speed_m_s"] == "m/s"
-    with pytest.raises(KeyError, match="no table 'days'; it has runs"):
-        found.to_csv(name="days")
+    refused(KeyError, "no table 'days'; it has runs", found.to_csv, name="days")
 
 
 def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_names_them():

@@ -107,8 +107,7 @@ def test_nonsensical_lines_are_refused_with_the_place():
     refused(InputError, "not in the order", line, stations=(Station("B", 900.0), Station("A", 0.0)))
     refused(InputError, "leaves the line", line, tunnels=(Tunnel(900.0, 200.0, 40.0),))
     for length, section in ((-200.0, 40.0), (0.0, 40.0), (200.0, 0.0), (200.0, np.nan)):
-        with pytest.raises(InputError, match="is not positive and finite"):
-            Tunnel(300.0, length, section)
+        refused(InputError, "is not positive and finite", Tunnel, 300.0, length, section)
     with pytest.raises(
         InputError, match=r"values\[2\]: position 5 m follows 10 m; positions must increase"
     ):

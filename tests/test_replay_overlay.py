@@ -58,8 +58,7 @@ def test_the_reference_is_the_trip_that_is_chosen(tmp_path):
     compared = {name.split("/")[2] for name in entities(path) if name.endswith("/behind/time")}
     assert compared == {"a", "d"}
     assert (rows(path, "/trips/a/behind/time")["Scalars:scalars"][-1] < 0.0).all()
-    with pytest.raises(InputError, match="no trip 5"):
-        write_replay(trips, path, options=ReplayOptions(reference=4))
+    refused(InputError, "no trip 5", write_replay, trips, path, options=ReplayOptions(reference=4))
 
 
 def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path):

@@ -195,8 +195,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path):
         ("missing.mcap", "does not exist"),
     ):
         page = tmp_path / "page.html"
-        with pytest.raises(TrainlogError, match=re.escape(words)):
-            write_report(tmp_path / name, page)
+        refused(TrainlogError, re.escape(words), write_report, tmp_path / name, page)
         assert not page.exists()
     assert kind_of(sample("CH_StGallen_Wil.map")) == "map"
     refused(InputError, "but a line file", kind_of, sample("CH_StGallen_Wil.line.json"))

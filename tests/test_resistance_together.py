@@ -120,10 +120,8 @@ def test_nearest_physical_resistance(r0, r1, r2):
 def test_what_cannot_be_combined_is_refused():
     covariance = covariance_of((50.0, 50.0, 50.0))
     one = fit_of("a", TRUE, covariance)
-    with pytest.raises(NotIdentifiableError, match="no trip"):
-        combine([])
-    with pytest.raises(InputError, match="given twice"):
-        combine([one, one])
+    refused(NotIdentifiableError, "no trip", combine, [])
+    refused(InputError, "given twice", combine, [one, one])
     with pytest.raises(InputError, match="different trains: other, unit"):
         combine([one, fit_of("b", TRUE, covariance, train="other")])
 
@@ -162,10 +160,7 @@ def test_logs_that_say_nothing_are_refused_together(tmp_path):
         fit([tmp_path / "dull.mcap"])
     pictures = trips_charts((), stated.value.refused)
     assert draw_all(pictures, tmp_path) == [tmp_path / "dull.png"]
-    with pytest.raises(
-        NotIdentifiableError, match=r"^no log was given; give logs, folders of logs, or"
-    ):
-        fit([])
+    refused(NotIdentifiableError, r"^no log was given; give logs, folders of logs, or", fit, [])
 
 
 def test_an_assumed_gain_of_the_efforts_does_not_average_out():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from test_forecast_scores import BINS, FIRST, TRACK, evidence
 
 from analysis.verification.scoring import Score, score_rolling
@@ -149,8 +150,7 @@ def test_a_rail_condition_that_the_forecast_lacks_is_refused_and_another_than_th
         (path, "snow", r"no row for rail condition 'snow'; rail conditions present: wet"),
         (path, "wett", r"did you mean 'wet'\?"),
     ):
-        with pytest.raises(InputError, match=words):
-            run(["map", "score", str(forecast), str(log), "--layer", layer])
+        refused(InputError, words, run, ["map", "score", str(forecast), str(log), "--layer", layer])
     path.write_text(FORECAST)
     found = scored(capsys, path, log, "--layer", "leaves")
     assert found["notes"][0] == (
@@ -189,5 +189,4 @@ def test_a_maps_forecast_in_a_file_scores_as_the_map(folder, capsys):
 )
 def test_what_cannot_be_scored_is_refused(folder, words, problem):
     names = [str(folder / word) if "." in word else word for word in words]
-    with pytest.raises(InputError, match=problem):
-        run(["map", "score", *names])
+    refused(InputError, problem, run, ["map", "score", *names])

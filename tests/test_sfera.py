@@ -59,7 +59,6 @@ def test_line_timetable_and_train_of_a_journey(found):
     assert [(each.name, each.position) for each in line.stations] == [
         ("Amstad", 100.0), ("Bergen", 3_200.0), ("c", 3_700.0), ("d", 4_400.0),
     ]  # fmt: skip
-    assert line.reference is not None
     # Kilometres jump where the stones say so.
     stones = line.reference.at([0.0, 1_000.0, 1_400.0, 1_600.0], 4_500.0)
     assert stones.tolist() == [12_000.0, 13_000.0, 13_400.0, 20_100.0]
@@ -67,7 +66,6 @@ def test_line_timetable_and_train_of_a_journey(found):
     assert {
         "speed restrictions at other times: 1", "temporary constraints (Wind): 1", "GuardRails: 1",
     } <= set(found.left_out)  # fmt: skip
-    assert found.journey is not None
     rows = [(p.position, p.earliest, p.latest, p.highest_speed) for p in found.journey.points]
     assert rows == [
         (100.0, 0.0, 0.0, 0.0),
@@ -76,7 +74,6 @@ def test_line_timetable_and_train_of_a_journey(found):
         (3_700.0, None, 360.0, None),
         (4_400.0, None, 480.0, 0.0),
     ]
-    assert train is not None
     assert (train.mass, train.length, round(3.6 * train.max_speed)) == (122e3, 75.0, 160)
     assert train.rotating_mass_factor == pytest.approx(0.08)
     assert train.resistance == RunningResistance(2300.0, 61.2, 12.0)
@@ -241,7 +238,6 @@ def test_what_was_learned_comes_back_as_the_next_version(tmp_path, valid):
     text = valid(with_resistance(element, learned)).decode()
     jp = JOURNEY.replace('TC_VersionMinor="0"', 'TC_VersionMinor="1"')
     (again,) = read_sfera(folder_with(tmp_path, tc=text, jp=jp))
-    assert again.train is not None
     assert (again.train.mass, again.train.resistance) == (122e3, learned)
 
 
@@ -251,7 +247,6 @@ def test_a_report_states_where_the_train_is_in_its_segment(found, valid):
     written = valid(status_report(report, found.segments, found.profile, "unit 17"))
     message = parsed_xml(written, "report.xml")
     own = message.first("B2G_EventPayload", "B2G_StatusReport", "PositionSpeed")
-    assert own is not None
     # 400 m from the end of B, which is run over in reverse.
     assert (own.text("SP_ID"), own.number("location"), own.number("speed")) == ("B", 1_100.0, 81.0)
     (status,) = message.all("B2G_EventPayload", "B2G_StatusReport")

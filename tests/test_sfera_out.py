@@ -54,7 +54,6 @@ def wil(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def plan(wil: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A trajectory over the whole of it."""
     (journey,) = read_sfera(wil)
-    assert journey.train is not None
     file = tmp_path_factory.mktemp("plan") / "trajectory.json"
     write_trajectory(planned(journey, journey.train), file)
     return file
@@ -224,7 +223,6 @@ def test_what_was_learned_is_the_next_version(wil, tmp_path):
     found = write_sfera([tmp_path / "fitted.json"], wil, tmp_path / "unit.xml")
     element = checked((tmp_path / "unit.xml").read_bytes())
     features = element.first("TC_Features")
-    assert features is not None
     assert [features.number(f"rolloutCoefficient{each}") for each in "ABC"] == [1_987.0, 40.0, 10.0]
     assert found["version_of_characteristics"] == element.text("TC_VersionMinor") == "1"
     alone = replace(learned, common=None, common_covariance=None)

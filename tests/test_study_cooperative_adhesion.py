@@ -205,6 +205,5 @@ def test_bad_speeds_are_refused():
     dry = coefficients([DRY] * 4)
     demand = demand_on(controller, dry)
     refused(InputError, "wheel speeds", controller.torques, 1.0, [1.0, 1.0], demand)
-    with pytest.raises(InputError, match="not all numbers"):
-        controller.torques(1.0, [1.0, 1.0, np.nan, 1.0], demand)
+    refused(InputError, "not all numbers", controller.torques, 1.0, [1.0, 1.0, np.nan, 1.0], demand)
     refused(InputError, "unknown", study.run, study.CASES[0], strategy="best")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from typer.testing import CliRunner
 
 from analysis.adhesion.condition_map import empty_map
@@ -180,8 +181,7 @@ class TestTrips:
     def test_a_trip_of_which_nothing_is_known_is_refused(self, trip):
         with pytest.raises(LogError, match=r"states no rail condition from 2024-10-07 08:\d\d to"):
             evidence(trip, TRACK, weather=changing(trip, (-3.0, -1.0, "wet")))
-        with pytest.raises(LogError, match=r"does not state .* a weather file \(--weather\)"):
-            evidence(trip, TRACK)
+        refused(LogError, r"does not state .* a weather file \(--weather\)", evidence, trip, TRACK)
 
     def test_the_layer_given_comes_first_then_the_log_then_the_weather(self, trip):
         weather = changing(trip, (-1.0, 2.0, "leaves"))
