@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from hypothesis import assume, given, settings, strategies as st
 from refusals import refused
 from scipy.integrate import solve_ivp
@@ -320,9 +321,7 @@ def test_files_that_are_no_characteristic_are_refused(change, message):
 
 
 def written(folder: Path, text: str) -> Path:
-    path = folder / "curve.csv"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return put(folder / "curve.csv", text)
 
 
 def test_points_in_the_units_of_their_header(tmp_path):

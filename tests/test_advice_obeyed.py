@@ -195,14 +195,6 @@ LATE, SECONDS = 0.02, 10.0
 TRAINS = {"flirt": FLIRT, "virm": VIRM6, "freight": FREIGHT}
 
 
-def _line(name: str) -> Line:
-    return hilly_line() if name == "hilly" else read_line(sample(f"{name}.line.json"))
-
-
-def _configurations(train: Train) -> list[Configuration]:
-    return [*observed(train, 0.85, 1.15), *drawn(train, 2, seed=3)]
-
-
 @pytest.mark.usefixtures("unrenewed")
 @pytest.mark.parametrize(
     ("name", "train", "reserve"),
@@ -215,8 +207,10 @@ def _configurations(train: Train) -> list[Configuration]:
     ],
 )
 def test_no_row_leads_over_a_limit(name, train, reserve, tmp_path):
-    line, driver = _line(name), TRAINS[train]
-    plan = optimised(line, driver, _configurations(driver), reserve=reserve, cells=100)
+    line = hilly_line() if name == "hilly" else read_line(sample(f"{name}.line.json"))
+    driver = TRAINS[train]
+    configurations = [*observed(driver, 0.85, 1.15), *drawn(driver, 2, seed=3)]
+    plan = optimised(line, driver, configurations, reserve=reserve, cells=100)
     write_journey_advice(journey_advice([plan], line), tmp_path / "advice.csv")
     rows = rows_of(tmp_path / "advice.csv")
     limits = limits_of(plan, line)

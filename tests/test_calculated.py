@@ -46,11 +46,6 @@ def true_work(trip: Trip) -> float:
     return float((effort.to_numpy() * speed.to_numpy()).sum() * 0.1)
 
 
-def heavier(factor: float) -> Train:
-    rotating = TRAIN.rotating_mass_factor / factor
-    return replace(TRAIN, mass=factor * TRAIN.mass, rotating_mass_factor=rotating)
-
-
 def test_the_true_model_calculates_the_true_work_and_time():
     """A set of the one true configuration; its band is that of gradients, load and efforts."""
     true = Configuration(
@@ -131,7 +126,9 @@ def test_a_coefficient_that_is_four_times_too_large_is_named(name):
 
 
 def test_a_mass_that_is_ten_per_cent_off_is_named_with_the_efforts():
-    found = calculate(driven(), heavier(0.9))
+    rotating = TRAIN.rotating_mass_factor / 0.9
+    lighter = replace(TRAIN, mass=0.9 * TRAIN.mass, rotating_mass_factor=rotating)
+    found = calculate(driven(), lighter)
     (named,) = found.diagnosis.wrong
     assert (named.name, named.alternatives) == ("mass", ("recorded efforts",))
     assert named.factor == pytest.approx(0.9, abs=0.03)

@@ -196,15 +196,6 @@ def _held(catalogue: Catalogue) -> dict[str, list[tuple[object, ...]]]:
         }
 
 
-def _killed(catalogue: Catalogue, place: str, logs: Path, adders: int, kills: int) -> int:
-    """Add by processes that are killed; how many of them were."""
-    results = catalogue.results_folder if "://" in place else None
-    found, said = in_own_process("killed_adders.run", place, results, logs, adders, kills)
-    assert found["failed"] == 0, said
-    print(found)
-    return int(found["killed"])
-
-
 @pytest.mark.parametrize(
     ("place", "adders", "kills"),
     [
@@ -225,8 +216,11 @@ def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
         keys = alone.query()["key"].tolist()
     assert 2 <= len(keys) < 20, "several parts of one drive are one"
     catalogue = where()
-    killed = _killed(catalogue, place, many_logs, adders, kills)
-    assert killed == kills
+    results = catalogue.results_folder if "://" in place else None
+    killed, said = in_own_process("killed_adders.run", place, results, many_logs, adders, kills)
+    print(killed)
+    assert killed["failed"] == 0, said
+    assert killed["killed"] == kills
     assert _held(catalogue) == expected
     found = catalogue.results("length")
     assert found["key"].tolist() == sorted(keys)

@@ -34,13 +34,6 @@ def trips(count: int, track: Geometry | None = None, **options: object) -> list[
     return found
 
 
-def across(centre_line: CentreLine, track: Geometry) -> np.ndarray:
-    """Distance between the centre_line and the true track where trips support it [m]."""
-    true = track_of(track)
-    points = true.plane(centre_line.latitude, centre_line.longitude)
-    return beside(true, points, nearest_on(true, points)[0])[1]
-
-
 def of_rows(trip: Trip, rows: slice | np.ndarray) -> Trip:
     frames = {name: frame.iloc[rows] for name, frame in trip.topics.items()}
     for name, frame in frames.items():
@@ -75,7 +68,9 @@ def test_the_deviations_of_a_curve_are_its_errors():
 
 
 def test_a_line_lies_where_its_trips_ran(centre_line):
-    error = across(centre_line, winding())
+    true = track_of(winding())
+    points = true.plane(centre_line.latitude, centre_line.longitude)
+    error = beside(true, points, nearest_on(true, points)[0])[1]
     assert np.sqrt(np.mean(error**2)) < 1.2
     assert np.mean(np.abs(error) < 1.96 * centre_line.std) > 0.9
     assert abs(centre_line.length - 12_000.0) < 10.0

@@ -27,21 +27,18 @@ from satellite_trips import (
 )
 from simulated_line import level_line
 
-from trainlog import Geometry, InputError, Line, Trip, repairs_of, report_of
+from trainlog import Geometry, InputError, Trip, repairs_of, report_of
 from trainlog.ingest import Profile, ingest, profile_of
 from trainlog.ingest.chainage import Estimate, estimated_state
 from trainlog.ingest.frozen import without_frozen
 from trainlog.railway.geometry import nearest_on, track_of
 
 
-def line_on(geometry: Geometry) -> Line:
-    length = float(geometry.positions[-1])
-    return replace(level_line(length, limit=40.0), geometry=geometry)
-
-
 def estimated(trip: Trip, geometry: Geometry, profile: Profile | None = None) -> Estimate:
     """As ingest does: values that freeze are no measurements."""
-    return estimated_state(without_frozen(trip)[0], line_on(geometry), profile or profile_of(HEAD))
+    level = level_line(float(geometry.positions[-1]), limit=40.0)
+    line = replace(level, geometry=geometry)
+    return estimated_state(without_frozen(trip)[0], line, profile or profile_of(HEAD))
 
 
 def framed(trip: Trip, geometry: Geometry) -> pd.DataFrame:

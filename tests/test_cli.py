@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 
 import analysis
 from trainlog.formats.railway import write_parameters
@@ -202,8 +203,7 @@ def test_what_cannot_be_done_is_refused_in_one_line(words, said, given, monkeypa
 
 def test_a_damaged_log_is_reported_once_a_command(tmp_path, shell):
     log = sample("nonstop.mcap").read_bytes()
-    half = tmp_path / "half.mcap"
-    half.write_bytes(log[: len(log) // 2])
+    half = put(tmp_path / "half.mcap", log[: len(log) // 2])
     for words in (
         ("fit", half, "-o", tmp_path / "fit.json"),
         ("map", "update", half, "--layer", "dry", "--map", tmp_path / "wil.map"),
@@ -216,8 +216,7 @@ def test_a_damaged_log_is_reported_once_a_command(tmp_path, shell):
 
 
 def test_brackets_in_names_and_findings_are_shown(tmp_path, shell):
-    recording = tmp_path / "run [1].csv"
-    recording.write_bytes(sample("gnss.csv").read_bytes())
+    recording = put(tmp_path / "run [1].csv", sample("gnss.csv").read_bytes())
     profile = ("--profile", sample("recorder.profile.toml"))
     status, shown, _ = shell("ingest", recording, *profile, "-o", tmp_path)
     assert status == 0
@@ -256,8 +255,7 @@ main()
 def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path, shell):
     content = json.loads(sample(DEFAULT_TRAIN).read_text("utf-8"))
     content["mass"]["unit"], content["max_speed"], content["colour"] = "kg", 160, "red"
-    light = tmp_path / "light.train.json"
-    light.write_text(json.dumps(content))
+    light = put(tmp_path / "light.train.json", json.dumps(content))
     status, out, err = shell("simulate", "drive", *LINE, "--train", light, "-o", tmp_path / "trips")
     assert (status, out) == (2, "")
     lines = err.splitlines()

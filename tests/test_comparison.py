@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from refusals import refused
 
-from analysis.comparison.compare import Comparison, compare
+from analysis.comparison.compare import compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import compare_groups, punctuality, trip_cost
 from trainlog import read_line, read_train
@@ -52,35 +52,8 @@ def nonstop() -> Trip:
 
 def altered(whole: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], **metadata: str) -> Trip:
     """A copy of a trip with all its topics changed alike."""
-    topics = {}
-    for name, frame in whole.topics.items():
-        topics[name] = change(frame)
-        topics[name].attrs = frame.attrs
+    topics = {name: change(frame) for name, frame in whole.topics.items()}
     return replace(whole, topics=topics, metadata={**whole.metadata, **metadata})
-
-
-def delayed(trip: Trip, after: pd.Timestamp, by: float, name: str) -> Trip:
-    """The trip with all that comes after a time later by some seconds."""
-
-    def later(frame: pd.DataFrame) -> pd.DataFrame:
-        shift = by * (frame.index > after)
-        return frame.set_axis(frame.index + pd.to_timedelta(shift, unit="s"), axis=0)
-
-    return altered(trip, later, trip=name)
-
-
-def second_stand(trip: Trip) -> pd.Timestamp:
-    """The middle of the first stand on the way."""
-    state = trip["/train/state"]
-    stands = runs_of(state["speed"].to_numpy() <= 0.1)
-    begin, end = next(each for each in stands if each[0] > 1000 and each[1] - each[0] > 100)
-    return state.index[(begin + end) // 2]
-
-
-def lost(found: Comparison, name: str) -> dict[str, float]:
-    known = found.trip(name).lost
-    assert known is not None
-    return known.by_cause()
 
 
 def test_a_trip_beside_itself_loses_nothing_anywhere():
@@ -103,7 +76,16 @@ def test_the_same_drive_given_twice_counts_once_and_is_stated():
 
 
 def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell():
-    late = delayed(stopping(), second_stand(stopping()), 30.0, "late")
+    state = stopping()["/train/state"]
+    stands = runs_of(state["speed"].to_numpy() <= 0.1)
+    begin, end = next(each for each in stands if each[0] > 1000 and each[1] - each[0] > 100)
+    middle = state.index[(begin + end) // 2]  # of the first stand on the way
+
+    def later(frame: pd.DataFrame) -> pd.DataFrame:
+        shift = 30.0 * (frame.index > middle)
+        return frame.set_axis(frame.index + pd.to_timedelta(shift, unit="s"), axis=0)
+
+    late = altered(stopping(), later, trip="late")
     losses = compare([stopping(), late], stopping()).trip("late").lost.losses
     assert losses[["cause", "place"]].values.tolist() == [["dwell", "at Gossau SG"]]
     assert losses["lost"][0] == pytest.approx(30.0, abs=0.11)
@@ -126,7 +108,7 @@ def test_losses_add_up_to_the_difference_and_to_the_sections():
     times = trip.table[["running_time", "dwell", "stood"]].sum().sum()
     assert times == pytest.approx(driven_trip(stopping()).duration, abs=0.2)
     # Three stops of some 42 s, and slowing down and starting for each.
-    assert lost(found, "trip-03")["stop"] > 200.0
+    assert trip.lost.by_cause()["stop"] > 200.0
 
 
 @pytest.mark.parametrize("forward", [1, 2])
@@ -165,7 +147,6 @@ def test_a_gap_in_the_recording_is_stated_and_loses_no_time():
 def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(first, last):
     controls = stopping()["/train/controls"].copy()
     controls.iloc[first:last, controls.columns.get_loc("tractive_effort")] = np.nan
-    controls.attrs = stopping()["/train/controls"].attrs
     holed = altered(stopping().with_topic(controls), lambda frame: frame, trip="holed")
     found = compare([holed, nonstop()], nonstop())
     each, whole = found.trip("holed"), driven_trip(stopping())
@@ -187,9 +168,7 @@ def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(fi
 
 def moved(trip: Trip, by: Callable[[np.ndarray], np.ndarray], name: str) -> Trip:
     state = trip["/train/state"]
-    changed = state.assign(position=by(state["position"].to_numpy()))
-    changed.attrs = state.attrs
-    found = trip.with_topic(changed)
+    found = trip.with_topic(state.assign(position=by(state["position"].to_numpy())))
     return replace(found, metadata={**trip.metadata, "trip": name})
 
 
@@ -235,15 +214,15 @@ def free() -> Trip:
 
 def test_a_temporary_limit_costs_what_it_costs():
     limits = LINE.speed_limits
-    lower = StepProfile(
-        np.concatenate((limits.positions[limits.positions < 11_000.0], [11_000.0, 12_500.0])),
-        np.concatenate((limits.values[limits.positions < 11_000.0], [60 / 3.6, limits(12_500.0)])),
+    before, rest = limits.positions < 11_000.0, limits.positions > 12_500.0
+    places, values = (
+        np.concatenate((each[before], inserted, each[rest]))
+        for each, inserted in (
+            (limits.positions, [11_000.0, 12_500.0]),
+            (limits.values, [60 / 3.6, limits(12_500.0)]),
+        )
     )
-    rest = limits.positions > 12_500.0
-    lower = StepProfile(
-        np.concatenate((lower.positions, limits.positions[rest])),
-        np.concatenate((lower.values, limits.values[rest])),
-    )
+    lower = StepProfile(places, values)
     slowed = simulate(scenario(replace(LINE, speed_limits=lower), "slowed"))
     attached = {**slowed.attachments, LINE_ATTACHMENT: line_to_bytes(LINE)}
     found = compare([free(), replace(slowed, attachments=attached)], free()).trip("slowed")
@@ -296,11 +275,8 @@ def test_energy_from_the_line_is_what_voltage_and_current_recorded():
     controls, state = stopping()["/train/controls"], stopping()["/train/state"]
     power = controls["tractive_effort"].to_numpy() * state["speed"].to_numpy() / 0.8
     time = state.index.as_unit("ns").asi8
-    supply = frame_of(
-        TRAIN_SUPPLY,
-        time,
-        {"line_voltage": np.full(power.size, 15e3), "line_current": power / 15e3},
-    )
+    fed = {"line_voltage": np.full(power.size, 15e3), "line_current": power / 15e3}
+    supply = frame_of(TRAIN_SUPPLY, time, fed)
     drawn = float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(time) * 1e-9))
     found = compare(stopping().with_topic(supply)).trip("trip-03").table
     assert found["line"].sum() == pytest.approx(drawn, rel=1e-3)
@@ -308,7 +284,6 @@ def test_energy_from_the_line_is_what_voltage_and_current_recorded():
     assert by_file["line"].sum() < 0.99 * found["line"].sum()
     failed = supply.copy()
     failed.iloc[1500:1700, failed.columns.get_loc("line_current")] = np.nan
-    failed.attrs = supply.attrs
     table = compare(stopping().with_topic(failed)).trip("trip-03").table
     assert table["line"].isna().tolist() == [True, False, False, False]
 
@@ -366,17 +341,11 @@ def trip(name: str = "t", effort: float = 50_000.0, stop: bool = False, **metada
     time = np.arange(speed.size) * 100_000_000
     position = np.concatenate(([0.0], np.cumsum(speed[:-1]) * 0.1))
     running = speed > 0.0
+    efforts = {"tractive_effort": effort * running, "dynamic_braking_effort": 1e4 * running}
     return Trip(
         {
             "/train/state": frame_of(TRAIN_STATE, time, {"speed": speed, "position": position}),
-            "/train/controls": frame_of(
-                TRAIN_CONTROLS,
-                time,
-                {
-                    "tractive_effort": effort * running,
-                    "dynamic_braking_effort": 10_000.0 * running,
-                },
-            ),
+            "/train/controls": frame_of(TRAIN_CONTROLS, time, efforts),
         },
         {"trip": name, "direction": "forward", "load": "10000", **metadata},
         attachments={
@@ -397,10 +366,8 @@ def test_work_is_effort_times_distance():
 
 
 def test_a_trip_that_never_moves_is_refused():
-    still = trip()
-    state = still["/train/state"].assign(speed=0.0)
-    state.attrs = still["/train/state"].attrs
-    refused(LogError, "never moves", trip_cost, still.with_topic(state))
+    still = trip().with_topic(trip()["/train/state"].assign(speed=0.0))
+    refused(LogError, "never moves", trip_cost, still)
 
 
 def test_savings_pair_the_same_configuration_only():
@@ -497,9 +464,8 @@ def test_a_trip_of_the_name_is_of_the_same_train_and_line():
 def test_trips_that_followed_nothing_are_named_with_their_file():
     path = sample("nonstop.mcap")
     words = "trip 'trip-01' did not follow a trajectory; give trips recorded by"
-    with pytest.raises(LogError, match=words) as refused:
-        compare_groups(path, path)
-    assert refused.value.file == path
+    caught = refused(LogError, words, compare_groups, path, path)
+    assert caught.file == path
     with pytest.raises(LogError, match="'b' did not follow a trajectory, nor did 1 other;"):
         compare_groups([trip("a")], [trip("b"), trip("c")])
     with pytest.raises(LogError, match="no trip that followed a trajectory was given"):

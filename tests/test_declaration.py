@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
+from contents import put
 from refusals import refused
 
 from trainlog import InputError, Line, Train, read_line, read_train, sample
@@ -66,8 +67,7 @@ def test_a_new_field_is_written_and_read(tmp_path, name):
 )
 def test_the_new_field_is_checked(tmp_path, value, unit, message):
     content = file_content(dwell_train()) | {"least_dwell": {"value": value, "unit": unit}}
-    path = tmp_path / "dwell.train.json"
-    path.write_text(json.dumps(content))
+    path = put(tmp_path / "dwell.train.json", json.dumps(content))
     caught = refused(InputError, "", read_thing, DwellTrain, path)
     assert str(caught).startswith(f"{path}, {message}")
 
@@ -84,8 +84,7 @@ def test_each_field_of_a_docstring_is_a_field(kind):
 
 
 def test_a_network_in_place_of_a_line_asks_for_a_route(tmp_path):
-    file = tmp_path / "small.network.json"
-    file.write_text('{"format": "trainlog/network", "version": 1}')
+    file = put(tmp_path / "small.network.json", '{"format": "trainlog/network", "version": 1}')
     with pytest.raises(InputError, match=r"name a route of the network: '.*json#FROM,TO'"):
         read_line(file)
     refused(InputError, "check which file is meant", read_train, file)

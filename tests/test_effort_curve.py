@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from format_examples import effort_curves
 from hypothesis import given, settings, strategies as st
 from refusals import refused
@@ -112,9 +113,7 @@ def test_a_curve_in_another_unit_than_it_states_is_refused(factor, tmp_path):
     ],
 )
 def test_curves_are_read_from_csv(text, tmp_path):
-    path = tmp_path / "curve.csv"
-    path.write_text(text, encoding="utf-8")
-    found = read_effort_curve(path)
+    found = read_effort_curve(put(tmp_path / "curve.csv", text))
     assert found.speeds == pytest.approx(CURVE.speeds)
     assert found.efforts == pytest.approx(CURVE.efforts)
 
@@ -132,9 +131,7 @@ def test_curves_are_read_from_csv(text, tmp_path):
     ],
 )
 def test_bad_csv_is_refused_with_the_place(text, words, tmp_path):
-    path = tmp_path / "curve.csv"
-    path.write_text(text, encoding="utf-8")
-    refusal = refused(InputError, words, read_effort_curve, path)
+    refusal = refused(InputError, words, read_effort_curve, put(tmp_path / "curve.csv", text))
     assert refusal.remedy
     assert "curve.csv" in str(refusal)
 

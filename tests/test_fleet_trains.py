@@ -53,13 +53,6 @@ def pool(*kinds: str) -> pd.DataFrame:
     return rows[rows["kind"].isin(kinds or KINDS)].reset_index(drop=True)
 
 
-@cache
-def faulty(seed: int = 1) -> FleetTrains:
-    """Seven trains of each of two kinds, five of which have a fault from trip 40 on."""
-    faults = tuple(Fault(what, size, n, SINCE) for n, (what, size) in enumerate(FAULTS.items()))
-    return fleet_trains(drawn_fleet(pool(), seed, trains=7, trips=60, faults=faults))
-
-
 @pytest.mark.parametrize(("end", "share"), [(SINCE + 9, 1.0), (None, 0.5)])
 def test_a_fault_that_goes_again_or_comes_on_some_trips_is_one_finding(end, share):
     faults = tuple(
@@ -138,7 +131,9 @@ def test_a_gain_that_many_trips_share_does_not_explain_their_noise():
 
 
 def test_faults_are_named_with_beginning_and_size_and_healthy_trains_raise_no_alarm():
-    found = faulty()
+    """Of seven trains of each of two kinds five have a fault from trip 40 on."""
+    faults = tuple(Fault(what, size, n, SINCE) for n, (what, size) in enumerate(FAULTS.items()))
+    found = fleet_trains(drawn_fleet(pool(), 1, trains=7, trips=60, faults=faults))
     for number, (what, size) in enumerate(FAULTS.items(), start=1):
         for kind in KINDS:
             (finding,) = found.of(f"{kind}-{number:02d}")

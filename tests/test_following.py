@@ -67,14 +67,10 @@ def plan(name: str = "flirt") -> tuple[Train, Trajectory]:
 LIGHT, HEAVY = "2 t, r0.9", "18 t, r1.1"
 
 
-def run_of(train: Train, trajectory: Trajectory) -> TrajectoryProblem:
-    return TrajectoryProblem(hilly_line(), train, trajectory.configurations)
-
-
 @cache
 def known(name: str = "flirt") -> tuple[TrainLimits, RouteTables]:
     train, trajectory = plan(name)
-    run = run_of(train, trajectory)
+    run = TrajectoryProblem(hilly_line(), train, trajectory.configurations)
     can = train_limits(run)
     return can, route_tables(run, trajectory, can)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from refusals import refused
 
 from analysis.verification.forecasts import forecast_of, stated_forecast
@@ -26,9 +27,7 @@ def track() -> TrackConditionMap:
 
 
 def written(folder: Path, *rows: str, header: str = HEADER) -> Path:
-    path = folder / "forecast.csv"
-    path.write_text("\n".join((header, *rows)) + "\n")
-    return path
+    return put(folder / "forecast.csv", (header, *rows))
 
 
 def test_a_row_is_a_distribution_through_its_points(tmp_path, track):
@@ -83,19 +82,17 @@ BAD = [
 @pytest.mark.parametrize(("header", "row", "place", "words"), BAD)
 def test_bad_rows_are_named(tmp_path, header, row, place, words):
     path = written(tmp_path, row, header=header)
-    with pytest.raises(InputError) as refused:
-        read_forecast(path)
+    caught = refused(InputError, "", read_forecast, path)
     for each in (str(path), place, words):
-        assert each in str(refused.value)
+        assert each in str(caught)
 
 
 def test_all_that_is_wrong_is_listed_at_once(tmp_path):
     wrong = ROW.replace("0.08,0.12", "8,low").replace(",wet,", ",wett,").replace(",1,2,", ",2,1,")
     foo = ROW.replace("CH_StGallen_Wil", "Foo")
     path = written(tmp_path, wrong, foo, ROW.replace(",1,2,", ",1,99,"))
-    with pytest.raises(InputError) as refused:
-        read_forecast(path, "CH_StGallen_Wil", 29_525.0)
-    listed = [(each.place, str(each)) for each in refused.value.each]
+    caught = refused(InputError, "", read_forecast, path, "CH_StGallen_Wil", 29_525.0)
+    listed = [(each.place, str(each)) for each in caught.each]
     assert [place for place, _ in listed] == [
         "line 2, column 'layer'",
         "line 2",

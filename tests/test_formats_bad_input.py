@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from contents import put
 from test_formats_roundtrip import simple_line, simple_train
 
 from trainlog.errors import InputError
@@ -239,8 +240,7 @@ def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path):
     content["altitude"] = {"value": 0.4, "unit": "kg"}
     content["speed_limits"]["values"][0][1] = 900
     content["stations"]["values"][0][0] = 7
-    path = tmp_path / "l.json"
-    path.write_text(json.dumps(content))
+    path = put(tmp_path / "l.json", json.dumps(content))
     with pytest.raises(InputError) as caught:
         read_line(path)
     places = [problem.place for problem in caught.value.each]
@@ -331,8 +331,7 @@ def test_trains_of_other_sizes_are_plausible(tmp_path, factor):
     for part in (content["mass"], content["axles"]["adhesive_mass"]):
         part["value"] *= factor
     content["axles"]["count"] = max(1, round(4 * factor))
-    path = tmp_path / "t.json"
-    path.write_text(json.dumps(content))
+    path = put(tmp_path / "t.json", json.dumps(content))
     assert read_train(path).mass == pytest.approx(122e3 * factor)
 
 

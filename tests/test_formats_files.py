@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from contents import put
 from refusals import refused
 
 import trainlog
@@ -31,8 +32,7 @@ def write_half(target: Path, failure: BaseException) -> None:
 
 
 def test_a_written_file_replaces_the_old_one_and_leaves_nothing_else(tmp_path):
-    target = tmp_path / "a.json"
-    target.write_bytes(b"old")
+    target = put(tmp_path / "a.json", b"old")
     with atomic_write(target) as temporary:
         assert temporary.parent == tmp_path
         assert temporary.suffix == ".json"
@@ -44,8 +44,7 @@ def test_a_written_file_replaces_the_old_one_and_leaves_nothing_else(tmp_path):
 
 @pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt, SystemExit])
 def test_a_failure_leaves_the_old_file_and_no_other(tmp_path, failure):
-    target = tmp_path / "a.json"
-    target.write_bytes(b"old")
+    target = put(tmp_path / "a.json", b"old")
     refused(failure, "", write_half, target, failure())
     assert target.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [target]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from contents import put
 from format_examples import TRAINS, assert_same, journeys, lines
 from hypothesis import assume, given, settings
 from refusals import refused
@@ -55,9 +56,7 @@ TRAIN: dict[str, Any] = {
 
 
 def written(tmp_path: Path, content: Any) -> Path:
-    path = tmp_path / "file.json"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
+    return put(tmp_path / "file.json", json.dumps(content))
 
 
 @needs_library

@@ -31,13 +31,6 @@ def driven() -> Trip:
     return simulate(draw_scenarios(LINE, TRAIN, 1, 7)[0])
 
 
-def both(driven: Trip, read: Trip, topic: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Rows of the two frames at the instants that they share: all that were read."""
-    old, new = driven[topic], read[topic]
-    assert new.index.isin(old.index).all()
-    return old.loc[new.index], new
-
-
 def test_the_vehicle_recorders_file_comes_back(tmp_path, driven):
     """Within the file's own quantisation, and every defect counted."""
     path = tmp_path / "recorder.csv"
@@ -60,7 +53,9 @@ def test_the_vehicle_recorders_file_comes_back(tmp_path, driven):
         "wheel_speed": 0.005 / 3.6,
     }
     for topic in ("/train/state", "/train/controls", "/train/axles"):
-        old, new = both(driven, read, topic)
+        old, new = driven[topic], read[topic]
+        assert new.index.isin(old.index).all()
+        old = old.loc[new.index]
         for column in new.columns:
             bound = half_a_step.get(column.rstrip("_1234"), 50.0)
             if column in ("acceleration", "tractive_effort_demand", "braking_effort_demand"):

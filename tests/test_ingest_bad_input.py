@@ -12,6 +12,7 @@ import pyarrow.parquet
 import pytest
 import test_ingest_aalto as phones
 import test_ingest_mdf as measured
+from contents import put
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text, ublox, write
 from recorder_files import drive, gpx_text, hexlines, mtk, nmea_lines
 
@@ -74,9 +75,7 @@ def refused(path: Path, message: str, **options: object) -> str:
     ],
 )
 def test_each_unusable_file_gives_one_line(tmp_path, data, message):
-    path = tmp_path / "run.csv"
-    path.write_bytes(data)
-    refused(path, message)
+    refused(put(tmp_path / "run.csv", data), message)
 
 
 def units(speed: str, position: str, sign: int = 1) -> dict[str, object]:

@@ -11,6 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
+from contents import put
 from hypothesis import given, settings, strategies as st
 from ingest_logs import PLAIN, clean_run, plain_profile, plain_rows, plain_text, write
 from refusals import refused
@@ -85,8 +86,7 @@ def test_layouts_of_text(tmp_path, layout, place):
     (head, tail, options), (ending, encoding) = LAYOUTS[layout], ENDINGS[place % 4]
     run = clean_run(10, 1.0)
     text = head + "\n".join(run.rows()) + tail
-    path = tmp_path / "run.csv"
-    path.write_bytes(text.replace("\n", ending).encode(encoding))
+    path = put(tmp_path / "run.csv", text.replace("\n", ending).encode(encoding))
     profile = plain_profile(file={"encoding": encoding, **options})
     trip = ingest(path, profile=profile)
     np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
@@ -106,8 +106,7 @@ def test_rows_are_counted_as_an_editor_counts_them(tmp_path):
     rows = clean_run(20, 1.0).rows()
     rows[4] = rows[4].replace(",", ",x", 1)
     lines = ["# a", "", "t,v,s", *rows[:3], "# pause", "", *rows[3:8], rows[8].split(",")[0]]
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join([*lines, *rows[9:]]) + "\n", "utf-8")
+    path = put(tmp_path / "run.csv", [*lines, *rows[9:]])
     found = {f.rule: f.rows for f in report_of(ingest(path, profile=plain_profile())).findings}
     lines_of_file = path.read_text("utf-8").splitlines()
     assert lines_of_file[found["not_a_number"][0] - 1] == rows[4]
@@ -152,8 +151,7 @@ def test_the_pages_own_format_is_found_and_repaired(installed):
     speed = (3.6 * (20.0 + np.sin(seconds / 20.0))).astype("<f4")
     speed[50] = 400.0
     data = np.rec.fromarrays([seconds, speed], names="second,speed").tobytes()
-    path = installed / "run.way"
-    path.write_bytes(b"WAY1" + data)
+    path = put(installed / "run.way", b"WAY1" + data)
     assert next(iter(formats())) == "wayside"
     trip = ingest(path)
     assert trip.provenance[0]["format"] == "wayside"
@@ -277,9 +275,7 @@ def test_lines_of_a_recorder_of_ones_own(tmp_path):
     lines = [f"{100 * i},S,{7:04x}{360 + i:04x}" for i in range(50)]
     lines[9] = "900,S,0007"
     lines[20] = "2000,Q,00070168"
-    path = tmp_path / "run.txt"
-    path.write_text("\n".join(lines), "utf-8")
-    trip = ingest(path, profile=profile)
+    trip = ingest(put(tmp_path / "run.txt", "\n".join(lines)), profile=profile)
     speed = trip["/train/state"]["speed"]
     assert speed.index[1] == pd.Timestamp("2024-05-01T06:00:00.1Z")
     kept = [i for i in range(50) if i not in (9, 20)]
@@ -306,8 +302,7 @@ def test_every_key_is_in_the_page(options):
 
 
 def read(tmp_path: Path, rows: list[str], header: str, profile: Profile | None = None) -> Trip:
-    path = tmp_path / "run.csv"
-    path.write_text(plain_text(rows, header), "utf-8")
+    path = put(tmp_path / "run.csv", plain_text(rows, header))
     return ingest(path, profile=profile or plain_profile())
 
 
@@ -359,8 +354,7 @@ def test_rows_that_end_at_their_last_value_are_whole(tmp_path):
         f"{row},{60 + 0.1 * (row.second % 7)},{300 + row.second}" if n % 2 else f"{row},{60.5}"
         for n, row in enumerate(pd.date_range("2024-05-01T06:00:00Z", periods=200, freq="s"))
     ]
-    path = tmp_path / "run.csv"
-    path.write_text("t,v,s\n" + "\n".join(rows) + "\n", "utf-8")
+    path = put(tmp_path / "run.csv", ["t,v,s", *rows])
     profile = plain_profile(
         columns={
             "/train/state.speed": {"column": "v", "unit": "km/h"},

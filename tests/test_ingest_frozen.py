@@ -13,7 +13,6 @@ from trainlog import read
 from trainlog.ingest import Finding, Table, ingest
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.rules import repaired
-from trainlog.trip import Trip
 
 RULES = ("spikes", "frozen", "counter", "position_steps")
 
@@ -25,15 +24,12 @@ SIZES = {"speed": 1.0, "effort": 5e3, "position": 20.0, "latitude": 3e-4}
 """How far a frozen value must be off for it to matter."""
 
 
-def frame_of_trip(trip: Trip) -> pd.DataFrame:
-    """All that a train records, in one table."""
-    frames = [trip[topic].add_prefix(f"{topic}.") for topic in TOPICS if topic in trip]
-    return pd.concat(frames, axis=1)
-
-
 @cache
 def sampled(name: str) -> pd.DataFrame:
-    return frame_of_trip(read(f"sample_logs/{name}.mcap"))
+    """All that a train records, in one table."""
+    trip = read(f"sample_logs/{name}.mcap")
+    frames = [trip[topic].add_prefix(f"{topic}.") for topic in TOPICS if topic in trip]
+    return pd.concat(frames, axis=1)
 
 
 def coarse(frame: pd.DataFrame) -> pd.DataFrame:

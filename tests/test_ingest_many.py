@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from killed import PATIENCE
 from recorder_files import drive, gpx, gpx_text
 from refusals import refused
@@ -20,6 +21,7 @@ from trainlog.errors import InputError
 from trainlog.formats.samples import sample
 from trainlog.ingest import Ingested, ingest_all
 from trainlog.ingest.batch import files_of
+from trainlog.ingest.pipeline import fingerprint
 from trainlog.mcap import read_log, write_log
 
 
@@ -104,7 +106,8 @@ def test_what_would_come_out_otherwise_is_made_again(what, tmp_path, monkeypatch
     elif what == "profile":
         profile.write_text(f"{profile.read_text('utf-8')}\n# a remark\n", "utf-8")
     elif what == "code":
-        monkeypatch.setattr("trainlog.ingest.batch.fingerprint", _as_if_by_other_code())
+        other = lambda *given: fingerprint(*given) | {"code": "of another day"}  # noqa: E731
+        monkeypatch.setattr("trainlog.ingest.batch.fingerprint", other)
     else:
         (log,) = logs.iterdir()
         log.write_bytes(log.read_bytes()[:-2000])
@@ -113,12 +116,6 @@ def test_what_would_come_out_otherwise_is_made_again(what, tmp_path, monkeypatch
     names = {"recorder.mcap"} | ({second.outcomes[0].log.name} if what == "content" else set())
     assert {log.name for log in logs.iterdir()} == names
     assert len(names) == (2 if what == "content" else 1), "other content has a log of its own"
-
-
-def _as_if_by_other_code() -> object:
-    from trainlog.ingest.pipeline import fingerprint
-
-    return lambda *given: fingerprint(*given) | {"code": "of another day"}
 
 
 def test_equal_content_under_two_names_is_one_trip(tmp_path):
@@ -131,8 +128,7 @@ def test_equal_content_under_two_names_is_one_trip(tmp_path):
 
 
 def test_a_file_renamed_or_given_twice_is_one(tmp_path):
-    recording = tmp_path / "gnss.csv"
-    recording.write_bytes(sample("gnss.csv").read_bytes())
+    recording = put(tmp_path / "gnss.csv", sample("gnss.csv").read_bytes())
     assert len(files_of([recording, tmp_path, recording], tmp_path / "logs")) == 1
     ingest_all(recording, tmp_path / "logs")
     renamed = recording.rename(tmp_path / "ride.csv")
@@ -154,8 +150,7 @@ def test_a_log_of_something_else_is_not_overwritten(tmp_path):
 
 def test_a_recording_that_has_grown_takes_its_logs_place(tmp_path):
     data, logs = sample("gnss.csv").read_bytes(), tmp_path / "logs"
-    recording = tmp_path / "gnss.csv"
-    recording.write_bytes(data[: len(data) // 2])
+    recording = put(tmp_path / "gnss.csv", data[: len(data) // 2])
     ingest_all(recording, logs)
     recording.write_bytes(data)
     assert states(ingest_all(recording, logs)) == {"gnss.csv": "repaired"}
@@ -166,8 +161,7 @@ def test_a_recording_that_has_grown_takes_its_logs_place(tmp_path):
 def test_of_a_file_with_several_recordings_each_is_listed(tmp_path):
     text = gpx_text(drive(60, 1.0, 1), parts=[[np.arange(30)], [np.arange(30, 60)]])
     logs = tmp_path / "logs"
-    path = tmp_path / "day.gpx"
-    path.write_text(text, "utf-8")
+    path = put(tmp_path / "day.gpx", text)
     assert states(ingest_all(path, logs)) == {"day-1": "made", "day-2": "made"}
     # The second track loses its times: no trip, and its earlier log stays.
     head, middle, tail = text.partition("</trk>")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from ingest_logs import PLAIN, clean_run, plain_profile, write
 from refusals import refused
 
@@ -198,8 +199,7 @@ def test_speed_and_a_start_make_an_estimated_position(tmp_path):
 def test_what_a_recorder_calls_slip_protection_is_named_so(tmp_path):
     words = ["", "GLEITSCHUTZ aktiv", "Tür zu", "wsp on axle 3"]
     rows = [f"2024-05-01T06:00:0{i}Z,{20 + i},{word}" for i, word in enumerate(words)]
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join(["t,v,Meldung", *rows]) + "\n", encoding="utf-8")
+    path = put(tmp_path / "run.csv", ["t,v,Meldung", *rows])
     columns = {
         "/train/state.speed": {"column": "v", "unit": "m/s"},
         "/events.message": {"column": "Meldung", "slip_protection": ["Gleitschutz", "WSP"]},
@@ -217,8 +217,7 @@ def test_what_a_recorder_calls_slip_protection_is_named_so(tmp_path):
 def test_an_axle_that_is_not_recorded_keeps_its_number(tmp_path):
     """One speed a bogie: those of axles 1 and 3, also in the log."""
     rows = [f"2024-05-01T06:00:{i:02d}Z,{10 + i},{11 + i}" for i in range(20)]
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join(["t,front,rear", *rows]) + "\n", encoding="utf-8")
+    path = put(tmp_path / "run.csv", ["t,front,rear", *rows])
     columns = {
         "/train/axles.wheel_speed": {"columns": ["front", "", "rear", ""], "unit": "m/s"},
         "/train/state.speed": {"column": "front", "unit": "m/s"},

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from refusals import refused
 from simulated_line import KMH, flirt, hilly_line
 from typer.testing import CliRunner
@@ -590,8 +591,7 @@ def test_times_whose_parts_are_known_by_their_order(tmp_path, pattern):
     truth = pd.date_range("2024-05-01T06:00:00Z", periods=300, freq="s")
     speed = 60.0 + 20.0 * np.sin(np.arange(300) / 30.0)
     rows = [f"{at},{v:.1f}" for at, v in zip(truth.strftime(pattern), speed, strict=True)]
-    path = tmp_path / "run.csv"
-    path.write_text("Time,Speed [km/h]\n" + "\n".join(rows) + "\n")
+    path = put(tmp_path / "run.csv", ["Time,Speed [km/h]", *rows])
     trip = ingest(path, profile=propose_profile(path).profile)
     assert (trip["/train/state"].index == truth).all()
 
@@ -608,8 +608,7 @@ def test_a_zone_is_known_alike_in_tables_and_tracks(tmp_path, zone, hours):
         f'<trkpt lat="{47.0 + 1e-5 * way}" lon="9.0"><time>{time}</time></trkpt>'
         for time, way in zip(stated, run.s, strict=True)
     )
-    track = tmp_path / "run.gpx"
-    track.write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>", "utf-8")
+    track = put(tmp_path / "run.gpx", f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
     trips = ingest(path, proposal.profile), ingest(track)
     assert {trip.start for trip in trips} == {
         pd.Timestamp("2024-05-01T06:00:00Z") - pd.Timedelta(hours=hours)
@@ -666,8 +665,7 @@ def test_marks_between_thousands_are_read(tmp_path, delimiter, thousands, decima
     for second, speed, way in zip(run.t, 3.6 * run.v, run.s, strict=True):
         cells = f"{speed:.1f}".translate(marks), f"{way:,.{digits}f}".translate(marks)
         lines.append(delimiter.join([f"{second:.0f}", cells[0], f'"{cells[1]}"']))
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join(lines) + "\n", "utf-8")
+    path = put(tmp_path / "run.csv", lines)
     profile = propose_profile(path).profile
     position = ingest(path, profile)["/train/state"]["position"]
     assert run.s.max() > 1_000.0
@@ -702,19 +700,15 @@ NO_TRIP = {
 
 @pytest.mark.parametrize("text", NO_TRIP, ids=range(len(NO_TRIP)))
 def test_what_no_profile_can_read_or_is_no_trip_is_refused(tmp_path, text):
-    path = tmp_path / "run.csv"
-    path.write_text(text, "utf-8")
-    refused(InputError, NO_TRIP[text], propose_profile, path)
+    refused(InputError, NO_TRIP[text], propose_profile, put(tmp_path / "run.csv", text))
 
 
 def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path):
     lines = Path("sample_logs/gnss.csv").read_text().splitlines()[:4000]
     names = "Jahr,Monat,Tag,Stunde,Minute,Sekunde,Satelliten,Laenge,Breite,Hoehe 1,Hoehe 2,"
     names += "hAcc,vAcc,v,sAcc,PDOP,"
-    path = tmp_path / "receiver.csv"
-    path.write_text("\n".join([names, *lines[1:]]) + "\n")
-    known = tmp_path / "known.csv"
-    known.write_text("\n".join(lines) + "\n")
+    path = put(tmp_path / "receiver.csv", [names, *lines[1:]])
+    known = put(tmp_path / "known.csv", lines)
     proposal = propose_profile(path)
     # The receiver has two altitudes; which of them is meant is open.
     assert field(proposal, "/gnss/fix.altitude")["alternative"] == "'Hoehe 2'"
@@ -794,8 +788,7 @@ def test_a_unix_time_beside_a_local_one_decides_its_zone(tmp_path, hours):
         f"{at[:-5]},{unix + 1},{v:.1f},{s:.0f}"
         for at, unix, v, s in zip(local, truth.as_unit("ns").asi8 // 10**9, speed, way, strict=True)
     ]
-    path = tmp_path / "run.csv"
-    path.write_text("local_datetime,unix,speed [km/h],distance [m]\n" + "\n".join(rows) + "\n")
+    path = put(tmp_path / "run.csv", ["local_datetime,unix,speed [km/h],distance [m]", *rows])
     proposal = propose_profile(path)
     trip = ingest(path, profile=proposal.profile)
     assert trip.start == truth[0]

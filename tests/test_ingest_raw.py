@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from hypothesis import given, settings, strategies as st
 from ingest_logs import clean_run, damaged_runs, plain_profile, plain_text, ublox, write
 from recorder_files import gpx, mtk
@@ -105,8 +106,7 @@ def test_rows_without_sub_seconds_fix_or_sense_are_found_again(tmp_path, data):
         rows[at] = ",".join(words)
         if kind == "twice":
             rows.insert(at, rows[at])
-    path = tmp_path / "gnss.csv"
-    path.write_text("\n".join(rows) + "\n", "ascii")
+    path = put(tmp_path / "gnss.csv", rows)
     table = pd.read_csv(path, index_col=False)
     parts = table[["Year", "Month", "Day", "Hour", "Minute", "Second"]]
     stated = {
@@ -123,17 +123,14 @@ def test_rows_without_sub_seconds_fix_or_sense_are_found_again(tmp_path, data):
 
 def test_times_that_cannot_be_read_are_kept_as_text(tmp_path):
     recorded = mtk(3, before=4)
-    path = tmp_path / "run.csv"
-    path.write_text(recorded.text, "ascii")
-    entries = repairs_of(ingest(path))
+    entries = repairs_of(ingest(put(tmp_path / "run.csv", recorded.text)))
     times = entries[entries["column"] == "time"]
     assert list(times["raw_text"]) == ["2000 0 0 0 0 0"] * 4
     assert list(times["row"]) == [2, 3, 4, 5]
 
 
 def test_raw_values_survive_the_log(tmp_path):
-    path = tmp_path / "run.gpx"
-    path.write_text(gpx(1).text, "utf-8")
+    path = put(tmp_path / "run.gpx", gpx(1).text)
     trip = ingest(path)
     write_log(trip, tmp_path / "run.mcap")
     kept = read_log(tmp_path / "run.mcap")

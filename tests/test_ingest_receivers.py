@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import pyubx2
+from contents import put
 from hypothesis import HealthCheck, given, settings, strategies as st
 from ingest_logs import plain_profile
 from recorder_files import checked, drive, hexlines, nav_pvt, nmea_lines, since_start, ubx
@@ -21,9 +22,7 @@ ETH = Path(__file__).parents[2] / "shared" / "data" / "eth_localization"
 
 
 def read(tmp_path: Path, lines: list[str], **options: object) -> Trip:
-    path = tmp_path / "run.log"
-    path.write_text("\n".join(lines) + "\n", "ascii")
-    return ingest(path, **options)
+    return ingest(put(tmp_path / "run.log", lines), **options)
 
 
 def assert_fixes(trip: Trip, run: object) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from recorder_files import Recorded, drive, gpx, gpx_text, mtk
 from refusals import refused
 
@@ -15,9 +16,7 @@ from trainlog.trip import Trip
 
 
 def read(tmp_path: Path, name: str, text: str, **options: object) -> Trip:
-    path = tmp_path / name
-    path.write_text(text, "utf-8")
-    return ingest(path, **options)
+    return ingest(put(tmp_path / name, text), **options)
 
 
 def assert_fixes(trip: Trip, recorded: Recorded) -> None:
@@ -79,8 +78,7 @@ def test_a_count_of_unix_time_decides_the_zone_of_a_gpx(tmp_path):
 def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path):
     run = drive(300, 1.0)
     parts = np.split(np.arange(300), [100, 150, 220])
-    path = tmp_path / "day.gpx"
-    path.write_text(gpx_text(run, parts=[parts]), "utf-8")
+    path = put(tmp_path / "day.gpx", gpx_text(run, parts=[parts]))
     trip = ingest(path)
     assert len(trip["/gnss/fix"]) == 300
     assert trip.metadata["segments"] == "4"
@@ -96,8 +94,7 @@ def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path):
 def test_a_track_that_is_no_trip_does_not_cost_the_others(tmp_path):
     run = drive(60, 1.0)
     parts = [[np.arange(30)], [np.arange(30, 31)], [np.arange(31, 60)]]
-    path = tmp_path / "day.gpx"
-    path.write_text(gpx_text(run, parts=parts), "utf-8")
+    path = put(tmp_path / "day.gpx", gpx_text(run, parts=parts))
     trips: list[str] = []
     with pytest.raises(InputError, match=r"day\.gpx.*1 of 3 recordings became no trip.*1 row is"):
         trips.extend(trip.name for trip in ingest_each(path))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from hypothesis import given, settings, strategies as st
 from ingest_logs import (
     SECOND,
@@ -280,9 +281,7 @@ def test_values_stay_when_their_rules_are_off(tmp_path):
 
 
 def read_ublox(tmp_path: Path, text: str, **options: object) -> Trip:
-    path = tmp_path / "gnss.csv"
-    path.write_text(text, "ascii")
-    return ingest(path, **options)
+    return ingest(put(tmp_path / "gnss.csv", text), **options)
 
 
 def elapsed(trip: Trip) -> np.ndarray:
@@ -366,9 +365,7 @@ def read_drive(tmp_path: Path, run: Drive, *, speed: bool = True) -> tuple[np.nd
     rows = mtk_rows(run)
     if not speed:
         rows = [",".join([*row.split(",")[:10], "", row.split(",")[11]]) for row in rows]
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join([MTK_HEADER, *rows]) + "\n", "ascii")
-    trip = ingest(path)
+    trip = ingest(put(tmp_path / "run.csv", [MTK_HEADER, *rows]))
     return trip["/gnss/fix"]["latitude"].isna().to_numpy(), report_of(trip)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from hypothesis import given, settings, strategies as st
 from ingest_logs import HEAD, START, Run, clean_run
 from refusals import refused
@@ -101,9 +102,7 @@ def test_a_file_of_telegrams_gives_what_was_sent(tmp_path):
     run = clean_run(300, 0.2)
     sent = telegrams(run)
     sent[20] = sent[20][:10] + b"\xff\xff" + sent[20][12:]  # the number for no value
-    path = tmp_path / "run.bin"
-    path.write_bytes(b"".join(sent))
-    trip = ingest(path, profile=profile())
+    trip = ingest(put(tmp_path / "run.bin", b"".join(sent)), profile=profile())
     state, controls = trip[STATE], trip["/train/controls"]
     assert np.array_equal(state.index.as_unit("ns").asi8, run.time)
     assert np.flatnonzero(state["speed"].isna()).tolist() == [20]
@@ -121,8 +120,7 @@ def test_a_file_of_telegrams_gives_what_was_sent(tmp_path):
 def test_telegrams_of_other_kinds_are_counted(tmp_path):
     run = clean_run(100, 1.0)
     mixed = [each for pair in zip(telegrams(run), telegrams(run, 8), strict=True) for each in pair]
-    path = tmp_path / "run.bin"
-    path.write_bytes(b"".join(mixed))
+    path = put(tmp_path / "run.bin", b"".join(mixed))
     trip = ingest(path, profile=profile())
     assert len(trip[STATE]) == 100
     assert trip.metadata["not_used.telegrams of other kinds"] == "100"
@@ -147,8 +145,7 @@ def test_telegrams_of_other_kinds_are_counted(tmp_path):
 def test_a_damaged_file_is_read_on_and_what_is_lost_counted(tmp_path, cut, lost, mark):
     run = clean_run(50, 1.0)
     whole = b"".join(telegrams(run))
-    path = tmp_path / "run.bin"
-    path.write_bytes(whole[: cut[0]] + whole[cut[1] :])
+    path = put(tmp_path / "run.bin", whole[: cut[0]] + whole[cut[1] :])
     trip = ingest(path, profile=profile(mark=mark))
     kept = [at for at in range(50) if at not in lost]
     assert np.array_equal(trip[STATE].index.as_unit("ns").asi8, run.time[kept])
@@ -172,8 +169,7 @@ def test_a_capture_gives_the_time_of_arrival(tmp_path):
     assert trip.metadata["not_used.datagrams of 5 bytes"] == "1"
     assert trip.metadata["not_used.datagrams to port 9"] == "1"
     assert trip.metadata["not_used.packets that are not UDP datagrams"] == "2"
-    plain = tmp_path / "run.bin"
-    plain.write_bytes(b"".join(telegrams(run)))
+    plain = put(tmp_path / "run.bin", b"".join(telegrams(run)))
     refused(InputError, "no time of arrival", ingest, plain, profile=profile_of(by_arrival))
 
 
@@ -213,9 +209,7 @@ def test_a_capture_that_is_cut_off_gives_its_whole_packets(tmp_path):
 def test_live_datagrams_give_what_their_file_gives(tmp_path):
     run = clean_run(200, 0.1)
     sent = telegrams(run)
-    path = tmp_path / "run.bin"
-    path.write_bytes(b"".join(sent))
-    expected = ingest(path, profile=profile())
+    expected = ingest(put(tmp_path / "run.bin", b"".join(sent)), profile=profile())
     with Datagrams("0") as source:
         out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         raw = (tmp_path / "raw.bin").open("wb")
@@ -293,8 +287,7 @@ def test_a_layout_that_cannot_be_is_refused(change, said):
 
 
 def test_a_file_without_a_profile_or_of_another_length_is_refused(tmp_path):
-    path = tmp_path / "run.bin"
-    path.write_bytes(b"\x00" * 20)
+    path = put(tmp_path / "run.bin", b"\x00" * 20)
     refused(InputError, "no profile describes", ingest, path, format="telegrams")
     refused(InputError, "has no telegram of 24 bytes", ingest, path, profile=profile(mark=""))
     pcap = capture(tmp_path / "run.pcap", [(START, udp(b"x" * 20))])
@@ -368,9 +361,7 @@ def test_a_mission_of_ztbus_needs_no_profile(tmp_path):
             f"{speed:.3f},{speed:.3f},{speed * 1.01:.3f},{speed:.3f},{speed:.3f},{speed:.3f},"
             f"{speed:.3f},0,1,0,0,285.15,{2e5 if effort < 0 else 0:.0f},{effort:.1f}"
         )
-    path = tmp_path / "B183_2024-05-01.csv"
-    path.write_text("\n".join(rows) + "\n", "utf-8")
-    trip = ingest(path)
+    trip = ingest(put(tmp_path / "B183_2024-05-01.csv", rows))
     assert trip.provenance[0]["format"] == "ztbus"
     assert np.abs(trip[STATE]["speed"].to_numpy() - run.speed).max() < 1e-6
     drive = trip["/train/controls"]

@@ -13,9 +13,19 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from contents import put
 from hypothesis import given, settings, strategies as st
 from ingest_logs import HEAD, PLAIN
-from recorder_files import MTK_HEADER, START, Drive, gpx_text, mtk_rows, nmea_lines, ublox_text
+from recorder_files import (
+    MTK_HEADER,
+    START,
+    Drive,
+    gpx_text,
+    mtk_rows,
+    nmea_lines,
+    stamps,
+    ublox_text,
+)
 from satellite_trips import PACES, paced
 from simulated_line import hilly_line
 
@@ -111,14 +121,6 @@ def distance(line: str, run: Drive) -> np.ndarray:
     return 1.004 * np.interp((run.time - START) / SECOND, at, position)
 
 
-def _mtk(run: Drive, _: np.ndarray) -> str:
-    return "\n".join([MTK_HEADER, *mtk_rows(run)]) + "\n"
-
-
-def _nmea(run: Drive, _: np.ndarray) -> str:
-    return "\r\n".join(nmea_lines(run, ("RMC", "GGA"))) + "\r\n"
-
-
 def _state(stamps: Callable[[np.ndarray], Any], size: float = 1.0) -> Any:
     def text(run: Drive, distance: np.ndarray) -> str:
         cells = zip(stamps(run.time), size * run.speed, distance, strict=True)
@@ -127,17 +129,8 @@ def _state(stamps: Callable[[np.ndarray], Any], size: float = 1.0) -> Any:
     return text
 
 
-def _seconds(clock: np.ndarray) -> Any:
-    return pd.DatetimeIndex(clock).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
 def _milliseconds(clock: np.ndarray) -> list[str]:
     return [t[:-3] for t in pd.DatetimeIndex(clock).strftime("%Y-%m-%dT%H:%M:%S.%f")]
-
-
-def _parquet(run: Drive, distance: np.ndarray) -> bytes:
-    stamps = pd.DatetimeIndex(run.time).tz_localize("UTC")
-    return pd.DataFrame({"t": stamps, "v": run.speed, "s": distance}).to_parquet()
 
 
 def table_profile(time: dict[str, Any], speed: str = "m/s", **file: Any) -> dict[str, Any]:
@@ -147,17 +140,23 @@ def table_profile(time: dict[str, Any], speed: str = "m/s", **file: Any) -> dict
 
 ELAPSED = {"format": "elapsed", "unit": "ms", "start": "2024-05-01T06:00:00Z"}
 LAYOUTS = (
-    Layout("mtk.csv", 10.0, _mtk),
+    Layout("mtk.csv", 10.0, lambda run, _: "\n".join([MTK_HEADER, *mtk_rows(run), ""])),
     Layout("ublox.csv", 5.0, lambda run, _: ublox_text(run)),
-    Layout("log.nmea", 5.0, _nmea),
+    Layout("log.nmea", 5.0, lambda run, _: "\r\n".join([*nmea_lines(run, ("RMC", "GGA")), ""])),
     Layout("log.gpx", 1.0, lambda run, _: gpx_text(run)),
-    Layout("whole.csv", 5.0, _state(_seconds), table_profile({})),
+    Layout("whole.csv", 5.0, _state(stamps), table_profile({})),
     Layout("fine.csv", 10.0, _state(_milliseconds), table_profile({})),
     Layout(
         "elapsed.csv", 2.0, _state(lambda t: np.round((t - START) / 1e6).astype(int), 3.6),
         table_profile(ELAPSED, "km/h"),
     ),
-    Layout("table.parquet", 10.0, _parquet, table_profile({}, format="parquet")),
+    Layout(
+        "table.parquet", 10.0,
+        lambda run, way: pd.DataFrame(
+            {"t": pd.DatetimeIndex(run.time, tz="UTC"), "v": run.speed, "s": way}
+        ).to_parquet(),
+        table_profile({}, format="parquet"),
+    ),
 )  # fmt: skip
 
 STEPS = {"back": -2, "forward": 3, "mixed": -2, "back 7.4": -7.4, "forward 2.6": 2.6,
@@ -375,9 +374,7 @@ def test_any_seconds_may_be_set_and_a_cut_agrees(tmp_path, step):
 
 def without_step(tmp_path: Path, run: Drive, shown: np.ndarray) -> np.ndarray:
     """Times of the fixes of a GPX file in which no step of the clock is found."""
-    path = tmp_path / "log.gpx"
-    path.write_text(gpx_text(replace(run, time=shown)))
-    trip = ingest(path)
+    trip = ingest(put(tmp_path / "log.gpx", gpx_text(replace(run, time=shown))))
     assert not {"clock_step", "clock_step_suspected"} & set(report_of(trip).counts)
     return trip["/gnss/fix"].index.as_unit("ns").asi8
 
@@ -454,8 +451,7 @@ def test_a_train_may_brake_unseen_as_it_does_elsewhere(tmp_path, step):
         f"{pd.Timestamp(t).isoformat(timespec='milliseconds')}Z,{v:.2f},{s:.1f}"
         for t, v, s in zip(clock, speed[rows], position[rows], strict=True)
     ]
-    path = tmp_path / "run.csv"
-    path.write_text("t,v,s\n" + "\n".join(lines) + "\n")
+    path = put(tmp_path / "run.csv", ["t,v,s", *lines])
     trip = ingest(path, profile=profile_of(table_profile({})))
     moved = 0 if step is None else np.count_nonzero(rows < place)
     assert report_of(trip).count("clock_step") == moved
@@ -476,8 +472,7 @@ def test_clocks_that_were_not_set_are_left_alone(tmp_path, layout):
 def test_a_gap_at_a_standstill_is_a_gap(tmp_path):
     """Clocks are set far more rarely than rows are lost: where no motion shows it, it is a gap."""
     rows = [f"2024-05-01T06:00:{0.1 * i:06.3f}Z,0.00,3.0" for i in range(500)]
-    path = tmp_path / "run.csv"
-    path.write_text("t,v,s\n" + "\n".join(rows[:200] + rows[250:]) + "\n")
+    path = put(tmp_path / "run.csv", ["t,v,s", *(rows[:200] + rows[250:])])
     trip = ingest(path, profile=profile_of(table_profile({})))
     report = report_of(trip)
     assert report.counts == {"gaps": 1}
@@ -507,8 +502,7 @@ def test_a_date_that_changes_while_the_time_of_day_goes_on(tmp_path):
             f"{t + pd.Timedelta(days=3 if i < changed else 0):%Y-%m-%dT%H:%M:%SZ},15.0,{15 * i}"
             for i, t in enumerate(times)
         ]
-        path = tmp_path / f"{changed}.csv"
-        path.write_text("t,v,s\n" + "\n".join(rows) + "\n")
+        path = put(tmp_path / f"{changed}.csv", ["t,v,s", *rows])
         if right:
             trip = ingest(path, profile=profile_of(table_profile({})))
             assert report_of(trip).counts["clock_step"] == changed

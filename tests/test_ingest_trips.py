@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from refusals import refused
 
 from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, read, read_line, read_train, sample
@@ -68,9 +69,7 @@ def table(runs: tuple[Run, ...], *, numbered: bool = True, counter: float = 54_3
 
 
 def written(folder: Path, text: str, name: str = "week.csv") -> Path:
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return path
+    return put(folder / name, text)
 
 
 def test_numbered_trips_become_logs_with_their_load_and_weather(tmp_path):

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from killed import PATIENCE
 from recorder_files import drive, nav_pvt, nmea_lines
 from refusals import refused
@@ -96,8 +97,7 @@ def sample(second: float, **values: Any) -> bytes:
 
 def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path):
     rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
-    file = tmp_path / "part.csv"
-    file.write_bytes(b"".join([rows[0], *rows[2001:4000]]))
+    file = put(tmp_path / "part.csv", b"".join([rows[0], *rows[2001:4000]]))
     found, live, source = received(tmp_path / "live.mcap", file)
     expected = ingest(file, profile=PROFILE)
     assert source.lost == 0
@@ -155,9 +155,7 @@ def test_sentences_are_epochs_as_in_a_file(tmp_path):
         kinds = ("RMC", "GGA") if number % 3 == 0 else ("GGA",)
         lines += [each.encode() for each in nmea_lines(late.take(np.array([number])), kinds)]
     lines[40] = lines[40][:-2] + b"00"
-    file = tmp_path / "log.nmea"
-    file.write_bytes(b"\r\n".join(lines) + b"\r\n")
-    expected = ingest(file)
+    expected = ingest(put(tmp_path / "log.nmea", b"\r\n".join(lines) + b"\r\n"))
     found, live = recorded(tmp_path / "live.mcap", lines)
     assert_as_ingested(found, expected, ["/gnss/fix", "/gnss/motion"])
     assert live.malformed == {"an NMEA sentence whose checksum or cells are wrong": 1}

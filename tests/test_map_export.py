@@ -61,11 +61,6 @@ def track() -> TrackConditionMap:
     return replace(found, layers={**found.layers, "wet": wet})
 
 
-def points_of(well_known: bytes | None) -> np.ndarray:
-    assert well_known[:5] == b"\x01\x02\x00\x00\x00"
-    return np.frombuffer(well_known[9:], "<f8").reshape(-1, 2)
-
-
 def test_gdal_reads_from_a_geopackage_what_the_map_knows(track, line, tmp_path):
     path, again = tmp_path / "map.gpkg", tmp_path / "again.gpkg"
     for each in (path, again):
@@ -91,7 +86,8 @@ def test_gdal_reads_from_a_geopackage_what_the_map_knows(track, line, tmp_path):
     assert found["changed_day"].dropna().astype(str).tolist() == ["2024-10-06"] * 2
     # Each bin lies where its chainage does: both ends on the line's own course.
     for row in (0, 400, len(found) - 1):
-        points = points_of(courses[row])
+        assert courses[row][:5] == b"\x01\x02\x00\x00\x00"
+        points = np.frombuffer(courses[row][9:], "<f8").reshape(-1, 2)
         for end, name in ((0, "start_m"), (-1, "end_m")):
             latitude, longitude = line.geometry.at(found[name][row])
             np.testing.assert_allclose(points[end], [longitude, latitude], atol=1e-7)

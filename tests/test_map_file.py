@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from hypothesis import given, settings, strategies as st
 from map_bytes import map_from_bytes, opened
 from refusals import refused
@@ -257,8 +258,7 @@ def without_estimates(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 @pytest.fixture(scope="module")
 def good(without_estimates: bytes, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The bytes of that file with the estimate that a reader kept."""
-    path = tmp_path_factory.mktemp("good") / "a.map"
-    path.write_bytes(without_estimates)
+    path = put(tmp_path_factory.mktemp("good") / "a.map", without_estimates)
     read_map(path)
     return path.read_bytes()
 
@@ -334,8 +334,7 @@ class TestDamage:
             ("UPDATE evidence SET data = (SELECT max(data) FROM evidence)", "its checksum fails"),
             ("DROP TABLE trips", "no such table: trips"),
         )):  # fmt: skip
-            path = tmp_path / f"{number}.map"
-            path.write_bytes(good)
+            path = put(tmp_path / f"{number}.map", good)
             changed(path, words)
             with pytest.raises(InputError, match=message) as caught:
                 read_map(path)
@@ -343,8 +342,7 @@ class TestDamage:
 
     def test_an_estimate_that_was_changed_is_made_again(self, good, tmp_path):
         for number, data in enumerate((b"", b"x" * 40)):
-            path = tmp_path / f"{number}.map"
-            path.write_bytes(good)
+            path = put(tmp_path / f"{number}.map", good)
             assert changed(path, "UPDATE estimates SET data = ?", data) == 2
             found, expected = (each.layer("wet") for each in (read_map(path), map_from_bytes(good)))
             np.testing.assert_array_equal(found.log_mean, expected.log_mean)
@@ -383,8 +381,7 @@ class TestOtherFiles:
         assert path.read_bytes() == before
 
     def test_a_newer_version(self, tmp_path):
-        path = tmp_path / "a.map"
-        path.write_bytes(SAMPLE.read_bytes())
+        path = put(tmp_path / "a.map", SAMPLE.read_bytes())
         changed(path, "PRAGMA user_version = 2")
         assert self.refused(path).endswith(
             "follows version 2 of the format of maps, this trainlog knows 1; update trainlog"

@@ -48,13 +48,12 @@ CASES = settings(
 )
 
 
-def plain_line(name: str, length: float, gradient: float = 0.0, **others: Any) -> Line:
+def edge(
+    name: str, start: str, end: str, length: float = 1e3, gradient: float = 0.0, **others: Any
+) -> Edge:
     limits = StepProfile([0.0], [20.0 + 100.0 * abs(gradient)])
-    return Line(name, length, (), limits, StepProfile([0.0], [gradient]), **others)
-
-
-def edge(name: str, start: str, end: str, length: float = 1_000.0, **others: Any) -> Edge:
-    return Edge(name, plain_line(name, length, **others), start, end)
+    line = Line(name, length, (), limits, StepProfile([0.0], [gradient]), **others)
+    return Edge(name, line, start, end)
 
 
 def y_network(turns: dict[str, tuple[tuple[str, str], ...]] | None = None) -> Network:

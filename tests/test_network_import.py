@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from contents import put
 from refusals import refused
 
 from analysis.network.edges import export_network
@@ -281,9 +282,7 @@ def test_infrastructure_of_osrd_that_contradicts_itself_is_refused(changes, word
 
 
 def railml(text: str, tmp_path: Path) -> Infrastructure:
-    path = tmp_path / "given.xml"
-    path.write_text(text, encoding="utf-8")
-    return networks_in(path)
+    return networks_in(put(tmp_path / "given.xml", text))
 
 
 def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path):

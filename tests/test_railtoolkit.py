@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from refusals import refused
 
 from trainlog.cli import main as cli
@@ -178,9 +179,7 @@ def test_a_formation_adds_its_vehicles_up():
     ],
 )
 def test_other_files_are_refused(tmp_path, text, words):
-    file = tmp_path / "odd.yaml"
-    file.write_text(text)
-    refused(InputError, words, read_running_paths, file)
+    refused(InputError, words, read_running_paths, put(tmp_path / "odd.yaml", text))
 
 
 STOCK = """

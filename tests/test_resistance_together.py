@@ -32,7 +32,7 @@ from trainlog.railway.resistance import basis
 from trainlog.railway.train import ParameterSet
 
 SPEED = np.linspace(5.0, 35.0, 61)
-TRUE = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
+TRUE = np.array(RESISTANCE.coefficients)
 NODES = basis(np.linspace(5.0, 35.0, 3))
 
 
@@ -77,10 +77,6 @@ def drawn(
     return fits, true
 
 
-def beta_of(resistance: RunningResistance) -> FloatArray:
-    return np.array([resistance.r0, resistance.r1, resistance.r2])
-
-
 @settings(max_examples=8)
 @given(order=st.permutations(range(6)))
 def test_order_does_not_matter(order):
@@ -106,7 +102,7 @@ def test_band_of_the_common_curve_covers():
 def test_nearest_physical_resistance(r0, r1, r2):
     covariance = covariance_of((300.0, 50.0, 100.0))
     beta = np.array([r0, r1, r2])
-    nearest = beta_of(nearest_physical(beta, covariance))
+    nearest = np.array(nearest_physical(beta, covariance).coefficients)
     assert np.all(nearest >= 0.0)
     if np.all(beta >= 0.0):
         np.testing.assert_allclose(nearest, beta, rtol=1e-6, atol=1e-6)
@@ -120,10 +116,10 @@ def test_nearest_physical_resistance(r0, r1, r2):
 def test_what_cannot_be_combined_is_refused():
     covariance = covariance_of((50.0, 50.0, 50.0))
     one = fit_of("a", TRUE, covariance)
+    other = fit_of("b", TRUE, covariance, train="other")
     refused(NotIdentifiableError, "no trip", combine, [])
     refused(InputError, "given twice", combine, [one, one])
-    with pytest.raises(InputError, match="different trains: other, unit"):
-        combine([one, fit_of("b", TRUE, covariance, train="other")])
+    refused(InputError, "different trains: other, unit", combine, [one, other])
 
 
 @pytest.mark.usefixtures("unpainted")

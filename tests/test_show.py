@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from contents import put
 from refusals import refused
 
 import trainlog
@@ -109,8 +110,7 @@ def test_summaries_of_a_fit_are_named_with_the_command_that_takes_them(tmp_path)
 @pytest.mark.parametrize("case", WRONG)
 def test_what_cannot_be_shown_is_stated_with_a_remedy(case, tmp_path):
     content, problem = WRONG[case]
-    path = tmp_path / "file"
-    path.write_bytes(content)
+    path = put(tmp_path / "file", content)
     caught = refused(TrainlogError, problem, contents_of, path)
     assert caught.file == path
     assert caught.remedy
@@ -131,8 +131,7 @@ def test_a_damaged_log_is_shown_and_ends_with_1(share, tmp_path, shell):
     whole = sample("nonstop.mcap")
     content = whole.read_bytes()
     (tmp_path / "logs").mkdir()
-    cut = tmp_path / "logs" / "cut.mcap"
-    cut.write_bytes(content[: int(share * len(content))])
+    cut = put(tmp_path / "logs" / "cut.mcap", content[: int(share * len(content))])
     readable = share > 0.0
     alone, shown, complaint = shell("show", cut)
     assert alone == shell("show", "--check", cut)[0] == (1 if readable else 2)

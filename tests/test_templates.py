@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contents import put
 from format_examples import assert_same
 from hypothesis import HealthCheck, given, settings, strategies as st
 from refusals import refused
@@ -74,9 +75,7 @@ def test_the_profiles_template_reads_what_it_describes(tmp_path):
     rows = [f"01.05.2024 08:00:{i:02d}.0;{0.02 * i:.2f};72;{50 - 2 * i}".replace(".0;", ".0;", 1)
             for i in range(40)]  # fmt: skip
     text = "\n".join(["Time;Distance;Speed;Effort", *(row.replace("0.", "0,", 0) for row in rows)])
-    log = tmp_path / "run.csv"
-    log.write_text(text.replace(";0.", ";0,") + "\n", "utf-8")
-    trip = ingest(log, profile=profile)
+    trip = ingest(put(tmp_path / "run.csv", text.replace(";0.", ";0,") + "\n"), profile=profile)
     assert trip["/train/state"]["speed"].iloc[0] == pytest.approx(20.0)
     assert trip["/train/controls"]["dynamic_braking_effort"].iloc[-1] == 28_000.0
     assert trip.start.isoformat() == "2024-05-01T06:00:00+00:00"
@@ -104,9 +103,7 @@ def test_a_train_is_not_made_from_a_table(tmp_path):
 
 
 def table(tmp_path: Path, text: str, name: str = "A-B.csv") -> Path:
-    path = tmp_path / name
-    path.write_text(text, "utf-8")
-    return path
+    return put(tmp_path / name, text)
 
 
 def test_a_table_becomes_a_line(tmp_path):

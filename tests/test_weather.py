@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from refusals import refused
 from typer.testing import CliRunner
 
@@ -37,9 +38,7 @@ def when(text: str) -> int:
 
 
 def written(folder: Path, text: str) -> Path:
-    path = folder / "weather.csv"
-    path.write_text(text)
-    return path
+    return put(folder / "weather.csv", text)
 
 
 class TestFile:
@@ -107,9 +106,8 @@ class TestFile:
     )
     def test_a_wrong_row_is_named_by_file_and_line(self, tmp_path, text, words):
         path = written(tmp_path, text)
-        with pytest.raises(InputError, match=words) as raised:
-            read_weather(path)
-        assert str(path) in str(raised.value)
+        raised = refused(InputError, words, read_weather, path)
+        assert str(path) in str(raised)
 
 
 @pytest.mark.parametrize(
