@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from trainlog.railway import (
@@ -24,13 +27,12 @@ def steps(*pairs: tuple[float, float]) -> StepProfile:
     return StepProfile(np.array(positions, dtype=float), np.array(values, dtype=float))
 
 
-def level_line(length: float = 100_000.0, gradient: float = 0.0, limit: float = 60.0) -> Line:
-    return Line(
-        name="level",
-        length=length,
-        stations=(Station("A", 0.0), Station("B", length)),
-        speed_limits=steps((0.0, limit)),
-        gradients=steps((0.0, gradient)),
+def level_line(
+    length: float = 100_000.0, gradient: float = 0.0, limit: float = 60.0, **others: Any
+) -> Line:
+    ends = Station("A", 0.0), Station("B", length)
+    return replace(
+        Line("level", length, ends, steps((0.0, limit)), steps((0.0, gradient))), **others
     )
 
 

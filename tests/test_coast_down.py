@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from refusals import refused
+from simulated_line import level_line
 
 from analysis import coast_down, coast_down_without_gradient
 from analysis.resistance.coast_down import CoastDown, lever_at_rest
@@ -21,7 +22,7 @@ from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.railway import CoastDownResult, line_to_bytes, read_coast_down, train_of
 from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import Line, Station, StepProfile
+from trainlog.railway import Line, StepProfile
 from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of, seconds
 
@@ -33,14 +34,8 @@ STEP = 0.1
 
 def line_of_gradients(values: Sequence[float], each: float = 400.0) -> Line:
     """A line whose gradient changes every `each` metres."""
-    length = each * len(values)
-    return Line(
-        name="made",
-        length=length,
-        stations=(Station("A", 0.0), Station("B", length)),
-        speed_limits=StepProfile(np.zeros(1), np.array([45.0])),
-        gradients=StepProfile(each * np.arange(len(values)), np.array(values, dtype=np.float64)),
-    )
+    gradients = StepProfile(each * np.arange(len(values)), list(values))
+    return level_line(each * len(values), limit=45.0, name="made", gradients=gradients)
 
 
 LEVEL = line_of_gradients([0.0] * 300)

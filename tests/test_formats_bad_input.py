@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from contents import put
+from refusals import refused
 from test_formats_roundtrip import simple_line, simple_train
 
 from trainlog.errors import InputError
-from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
+from trainlog.formats.declared import read_thing, thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import read_bytes
 from trainlog.formats.railway import (
-    line_from_bytes,
-    line_to_bytes,
     read_line,
     read_train,
     train_from_bytes,
@@ -36,51 +35,41 @@ from trainlog.railway.train import Consist
 from trainlog.railway.trajectory import Journey, TimingPoint
 
 CONFIGURATION = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
-GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
-    "line": (line_to_bytes(simple_line()), line_from_bytes),
-    "train": (train_to_bytes(simple_train()), train_from_bytes),
-    "consist": (
-        read_bytes(sample("amirhosseini_2024_8_wagons.consist.json")),
-        partial(thing_from_bytes, Consist),
+GOOD: dict[str, Any] = {
+    "line": simple_line(),
+    "train": simple_train(),
+    "consist": read_thing(Consist, sample("amirhosseini_2024_8_wagons.consist.json")),
+    "journey": Journey("J", "L", (TimingPoint(0.0, 0.0), TimingPoint(9.0, 5.0, 6.0))),
+    "parameters": ParameterSet(
+        "T", (CONFIGURATION,), common_covariance=np.eye(3), provenance={"a": 1}
     ),
-    "journey": (
-        thing_to_bytes(Journey("J", "L", (TimingPoint(0.0, 0.0), TimingPoint(9.0, 5.0, 6.0)))),
-        partial(thing_from_bytes, Journey),
-    ),
-    "parameters": (
-        thing_to_bytes(
-            ParameterSet("T", (CONFIGURATION,), common_covariance=np.eye(3), provenance={"a": 1})
-        ),
-        partial(thing_from_bytes, ParameterSet),
-    ),
-    "trajectory": (
-        thing_to_bytes(
-            Trajectory(
-                "L",
-                "T",
-                np.array([0.0, 5.0, 9.0]),
-                (CONFIGURATION,),
-                np.ones((1, 3)),
-                np.ones((1, 3)),
-                np.ones(2),
-                np.ones((1, 2)),
-                9.0,
-            )
-        ),
-        partial(thing_from_bytes, Trajectory),
+    "trajectory": Trajectory(
+        "L",
+        "T",
+        np.array([0.0, 5.0, 9.0]),
+        (CONFIGURATION,),
+        np.ones((1, 3)),
+        np.ones((1, 3)),
+        np.ones(2),
+        np.ones((1, 2)),
+        9.0,
     ),
 }
 
 
-def refused(kind: str, change: Callable[[Any], None]) -> str:
+def good(kind: str) -> Any:
+    return json.loads(thing_to_bytes(GOOD[kind]))
+
+
+def read(kind: str, content: Any) -> Any:
+    return thing_from_bytes(type(GOOD[kind]), json.dumps(content).encode(), "f.json")
+
+
+def complaint_of(kind: str, change: Callable[[Any], None]) -> str:
     """The one line with which a changed good file is refused."""
-    data, read = GOOD[kind]
-    content = json.loads(data)
+    content = good(kind)
     change(content)
-    with pytest.raises(InputError) as caught:
-        read(json.dumps(content).encode(), file="f.json")
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    return str(refused(InputError, "", read, kind, content))
 
 
 def setting(path: str, value: Any) -> Callable[[Any], None]:
@@ -107,7 +96,7 @@ def test_another_format_a_newer_version_and_an_unknown_key_are_reported(kind):
         (setting("version", True), "version True is not one that"),
         (setting("colour", "red"), ", colour: unknown key 'colour'; correct its spelling or"),
     ):
-        complaint = refused(kind, change)
+        complaint = complaint_of(kind, change)
         assert complaint.startswith("f.json")
         assert said in complaint
 
@@ -115,7 +104,6 @@ def test_another_format_a_newer_version_and_an_unknown_key_are_reported(kind):
 @pytest.mark.parametrize("kind", GOOD)
 def test_no_wrong_value_anywhere_makes_a_traceback(kind):
     """Every value of a good file in turn is replaced by nonsense of another type."""
-    data, read = GOOD[kind]
 
     def places(content: Any) -> list[tuple[Any, Any]]:
         items = content.items() if isinstance(content, dict) else enumerate(content)
@@ -126,14 +114,14 @@ def test_no_wrong_value_anywhere_makes_a_traceback(kind):
                 found += places(value)
         return found
 
-    for index in range(len(places(json.loads(data)))):
+    for index in range(len(places(good(kind)))):
         # Three of nine, in turn.
         for nonsense in ("x", None, [], {}, -7, True, 1e308, [[1]], {"value": 1})[index % 3 :: 3]:
-            content = json.loads(data)
+            content = good(kind)
             parent, key = places(content)[index]
             parent[key] = nonsense
             try:
-                read(json.dumps(content).encode(), file="f.json")
+                read(kind, content)
             except InputError as error:
                 message = str(error)
             else:
@@ -213,17 +201,17 @@ CONSIST_CASES = [
     ],
 )
 def test_nonsense_is_refused_at_its_place(kind, path, value, message):
-    complaint = refused(kind, setting(path, value))
+    complaint = complaint_of(kind, setting(path, value))
     assert complaint.startswith(message), complaint
 
 
 def test_numbers_that_json_has_not_are_refused():
-    data = GOOD["train"][0].replace(b"122", b"NaN")
-    with pytest.raises(InputError, match=r"^f\.json, line 6, column 21: NaN is not"):
-        train_from_bytes(data, file="f.json")
-    data = GOOD["train"][0].replace(b"122", b"1e999")
-    with pytest.raises(InputError, match=r"^f\.json, mass\.value: is not a finite number"):
-        train_from_bytes(data, file="f.json")
+    data = train_to_bytes(simple_train())
+    for number, said in (
+        (b"NaN", r"^f\.json, line 6, column 21: NaN is not"),
+        (b"1e999", r"^f\.json, mass\.value: is not a finite number"),
+    ):
+        refused(InputError, said, train_from_bytes, data.replace(b"122", number), file="f.json")
 
 
 def test_unknown_braking_parameters_are_not_dropped_when_written():
@@ -234,26 +222,23 @@ def test_unknown_braking_parameters_are_not_dropped_when_written():
 
 def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path):
     """Keys, types, units, the order of rows, and values that cannot be meant."""
-    content = json.loads(GOOD["line"][0])
+    content = good("line")
     content["colour"] = "red"
     content["length"] = 1000
     content["altitude"] = {"value": 0.4, "unit": "kg"}
     content["speed_limits"]["values"][0][1] = 900
     content["stations"]["values"][0][0] = 7
     path = put(tmp_path / "l.json", json.dumps(content))
-    with pytest.raises(InputError) as caught:
-        read_line(path)
-    places = [problem.place for problem in caught.value.each]
-    assert places == [
+    caught = refused(InputError, "", read_line, path)
+    assert [problem.place for problem in caught.each] == [
         "colour",
         "length",
         "altitude.unit",
         "stations.values[0][0]",
         "speed_limits.values[0][1]",
     ]
-    assert all(problem.remedy or "must be" in problem.problem for problem in caught.value.each)
-    assert str(caught.value).startswith(f"{path}: 5 problems: (1) colour: unknown key 'colour'; ")
-    assert "\n" not in str(caught.value)
+    assert all(problem.remedy or "must be" in problem.problem for problem in caught.each)
+    assert str(caught).startswith(f"{path}: 5 problems: (1) colour: unknown key 'colour'; ")
 
 
 SAMPLES = {"train": "CH_Stadler_FLIRT_TPF.train.json", "line": "CH_StGallen_Wil.line.json"}
@@ -311,13 +296,11 @@ def test_what_cannot_be_meant_is_refused(kind, changes, message, tmp_path):
     content = whole(kind)
     for path, value in changes.items():
         setting(path, value)(content)
-    (tmp_path / "t.json").write_text(json.dumps(content))
-    with pytest.raises(InputError) as caught:
-        (read_train if kind == "train" else read_line)(tmp_path / "t.json")
-    assert message in str(caught.value)
-    assert caught.value.file == tmp_path / "t.json"
-    assert all(problem.remedy for problem in caught.value.each)
-    assert kind == "line" or str(caught.value).count("plausible") <= 1
+    path = put(tmp_path / "t.json", json.dumps(content))
+    caught = refused(InputError, re.escape(message), read_thing, type(GOOD[kind]), path)
+    assert caught.file == path
+    assert all(problem.remedy for problem in caught.each)
+    assert kind == "line" or str(caught).count("plausible") <= 1
 
 
 @pytest.mark.parametrize("factor", [0.1, 0.3, 3.0, 10.0])

@@ -23,6 +23,7 @@ from format_examples import (
 from hypothesis import given, settings, strategies as st
 from map_bytes import opened
 from refusals import refused
+from simulated_line import level_line, steps
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
@@ -46,7 +47,6 @@ from trainlog.railway import (
     Line,
     ParameterSet,
     RunningResistance,
-    Station,
     StepProfile,
     Train,
     Trajectory,
@@ -121,13 +121,8 @@ def test_an_estimate_that_the_evidence_does_not_give_is_not_written(tmp_path):
 
 
 def simple_line() -> Line:
-    return Line(
-        name="L",
-        length=1000.0,
-        stations=(Station("A", 0.0), Station("B", 1000.0)),
-        speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([90.0, 125.0]) / 3.6),
-        gradients=StepProfile(np.array([0.0]), np.array([0.0119])),
-    )
+    limits = steps((0.0, 90 / 3.6), (400.0, 125 / 3.6))
+    return level_line(1000.0, 0.0119, name="L", speed_limits=limits)
 
 
 def simple_train() -> Train:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from refusals import refused
 from scipy.special import ndtr
+from simulated_line import level_line
 
 import analysis
 import trainlog
@@ -21,7 +22,7 @@ from analysis.adhesion.map_difference import detectable_ratio, q_values
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
-from trainlog.railway import Line, Station, StepProfile, TrackConditionMap
+from trainlog.railway import Station, TrackConditionMap
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 
@@ -31,13 +32,8 @@ DAY = 20_600
 CHANGED = slice(150, 162)
 """Bins whose maximum rises by half on the day 30."""
 
-LINE = Line(
-    "A-B",
-    6_000.0,
-    (Station("Aach", 0.0), Station("Mitte", 3_900.0), Station("Berg", 6_000.0)),
-    StepProfile(np.zeros(1), np.array([30.0])),
-    StepProfile(np.zeros(1), np.zeros(1)),
-)
+STATIONS = Station("Aach", 0.0), Station("Mitte", 3_900.0), Station("Berg", 6_000.0)
+LINE = level_line(6_000.0, limit=30.0, name="A-B", stations=STATIONS)
 
 
 def a_trip(day: int, seed: int, *, change: bool) -> DailyEvidence:
