@@ -742,7 +742,7 @@ def test_public_tables_that_are_no_trip():
         refused(InputError, reason, propose_profile, folder / name)
 
 
-def test_the_command_proposes_and_then_ingests(tmp_path):
+def test_the_command_proposes_and_then_ingests(tmp_path, shell):
     run = drive()
     (tmp_path / "in").mkdir()
     stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
@@ -751,25 +751,22 @@ def test_the_command_proposes_and_then_ingests(tmp_path):
         columns = {"Zeit (UTC)": day, "v [km/h]": run.v * 3.6, "Weg [m]": run.s + number}
         path = written(tmp_path / "in", columns, f"run-{number}.csv")
     output = tmp_path / "out"
-    command = CliRunner()
-    given = ["ingest", str(path), "-o", str(output)]
+    given = ["ingest", path, "-o", output]
     options = ["--train", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--set", "load=12 t"]
     options.append("--reverse")
-    stated = command.invoke(app, [*given, *options])
-    assert f"-o {output} {shlex.join(options)}" in " ".join(stated.output.split())
-    first = command.invoke(app, given)
-    assert first.exit_code == 1, first.output
+    said = shell(*given, *options)[2]
+    assert f"-o {output} {shlex.join(options)}" in " ".join(said.split())
+    status, _, said = shell(*given)
+    assert status == 1
     proposed = output / "run-2.profile.toml"
-    assert f"--profile {proposed} -o {output}" in " ".join(first.output.split())
+    assert f"--profile {proposed} -o {output}" in " ".join(said.split())
     assert not list(output.glob("*.mcap"))
-    again = command.invoke(app, [*given, "--profile", str(proposed)])
-    assert again.exit_code == 0, again.output
+    assert shell(*given, "--profile", proposed)[0] == 0
     # Of a folder, one proposal for all files of a layout.
-    whole = command.invoke(
-        app, ["ingest", str(tmp_path / "in"), "-o", str(tmp_path / "all"), "--accept", "--json"]
-    )
-    assert whole.exit_code == 0, whole.output
-    assert json.loads(whole.stdout)["counts"]["refused"] == 0
+    words = ("ingest", tmp_path / "in", "-o", tmp_path / "all", "--accept", "--json")
+    status, shown, _ = shell(*words)
+    assert status == 0
+    assert json.loads(shown)["counts"]["refused"] == 0
     assert sorted(each.name for each in (tmp_path / "all").iterdir()) == [
         "run-1.mcap",
         "run-1.profile.toml",

@@ -328,14 +328,3 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(tmp_path, c
     shown = " ".join(capsys.readouterr().out.split())
     assert "states no zone: taken for UTC" in shown
     assert (tmp_path / "wet.png").is_file()
-    unread = tmp_path / "other.map"
-    unread.write_bytes(b"not a map")
-    drawn = ["--picture", str(tmp_path / "no.png")]
-    for given, message, more in (
-        ("8:8", "not a part of a line", drawn),
-        ("8:9", "what a picture shows", []),
-    ):
-        refused(InputError, message, run, ["map", "show", str(unread), "--km", given, *more])
-    with pytest.raises(InputError, match="has no layer 'frost'"):
-        run(["map", "show", condition, "--layer", "frost", "--picture", str(tmp_path / "no.png")])
-    assert not (tmp_path / "no.png").exists()

@@ -125,5 +125,3 @@ def test_the_commands_cut_and_merge(tmp_path, capsys):
     assert again == whole
     assert again.attachments == whole.attachments
     assert np.all(again[STATE].index == whole[STATE].index)
-    with pytest.raises(InputError, match="--km cannot be taken: several logs are joined"):
-        run(["convert", *parts, "-o", str(tmp_path / "again.mcap"), "--km", "1:2"])

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from refusals import refused
-from typer.testing import CliRunner
 
 import trainlog
 from analysis import view
@@ -31,7 +30,6 @@ from analysis.reports.fleet import condition_parts, known_maps
 from analysis.verification.scoring import score_network, score_network_on
 from trainlog import Edge, InputError, Line, LogError, Network, Node, read_line, sample
 from trainlog.arrays import same_values
-from trainlog.cli.main import app
 from trainlog.formats.files import sha256_of
 from trainlog.formats.railway import line_to_bytes
 
@@ -239,22 +237,20 @@ def test_a_log_too_long_for_the_memory_is_one_trip_on_each_of_its_edges(logs, mo
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_commands_take_a_folder_of_maps(maps, tmp_path):
+def test_commands_take_a_folder_of_maps(maps, tmp_path, shell):
     picture = tmp_path / "network.png"
-    run = CliRunner().invoke(app, ["map", "show", str(maps), "--picture", str(picture)])
-    assert run.exit_code == 0, run.output
-    assert "west/old" in run.output
+    status, shown, _ = shell("map", "show", maps, "--picture", picture)
+    assert (status, "west/old" in shown) == (0, True)
     assert picture.is_file()
-    run = CliRunner().invoke(app, ["map", "forecast", str(maps), "-o", str(tmp_path / "forecast")])
-    assert run.exit_code == 0, run.output
+    assert shell("map", "forecast", maps, "-o", tmp_path / "forecast")[0] == 0
     assert sorted(path.name for path in (tmp_path / "forecast").iterdir()) == [
         "east.csv",
         "west_old dfa56536.csv",
     ]
-    run = CliRunner().invoke(app, ["map", "score", str(maps), "--rolling"])
-    assert run.exit_code == 0, run.output
-    assert "network cut" in run.output
-    assert "west/old" in run.output
+    status, shown, _ = shell("map", "score", maps, "--rolling")
+    assert status == 0
+    assert "network cut" in shown
+    assert "west/old" in shown
 
 
 def test_a_trip_refused_on_one_edge_is_scored_on_the_others(maps, logs, monkeypatch):

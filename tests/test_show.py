@@ -153,16 +153,8 @@ def test_trips_and_lines_have_a_picture(name, tmp_path):
     picture = tmp_path / "out.png"
     assert run(["show", str(sample(name)), "--picture", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(TrainlogError, match="no picture of a train"):
-        run(["show", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--picture", str(picture)])
-
-
-def test_a_map_is_no_log_and_no_fit(tmp_path):
-    """What is wrong with a file is stated before what is wrong with the display."""
-    track = str(sample("CH_StGallen_Wil.map"))
-    refused(TrainlogError, "not an MCAP file but a track-condition map", run, ["replay", track])
-    with pytest.raises(TrainlogError, match="is a track-condition map; the parameters"):
-        run(["compare", "calculated", str(sample("nonstop.mcap")), "--model", track])
+    words = ["show", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--picture", str(picture)]
+    refused(TrainlogError, "no picture of a train", run, words)
 
 
 def test_what_ingest_repaired_is_listed_with_its_raw_values(tmp_path, shell):

@@ -10,11 +10,9 @@ import pandas as pd
 import pytest
 from contents import put
 from refusals import refused
-from typer.testing import CliRunner
 
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import Evidence, evidence
-from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
 from trainlog.formats.csv_tables import read_weather, write_weather
 from trainlog.formats.mapfile import read_map
@@ -205,17 +203,16 @@ class TestTrips:
         assert 10.0 < kept["sun_elevation"] < 35.0
 
 
-def test_the_command_takes_a_weather_file(trip, tmp_path):
+def test_the_command_takes_a_weather_file(trip, tmp_path, shell):
     write_log(trip, tmp_path / "trip.mcap")
     weather, condition = tmp_path / "weather.csv", tmp_path / "wil.map"
     write_weather(changing(trip, (-1.0, 0.4, "leaves"), (0.4, 2.0, "dry")), weather)
-    given = ["map", "update", str(tmp_path / "trip.mcap"), "--map", str(condition)]
-    refused = CliRunner().invoke(app, given)
-    assert refused.exit_code == 2
-    assert "does not state the rail's condition" in refused.output
+    given = ["map", "update", tmp_path / "trip.mcap", "--map", condition]
+    status, _, complaint = shell(*given)
+    assert status == 2
+    assert "does not state the rail's condition" in complaint
     assert not condition.exists()
-    result = CliRunner().invoke(app, [*given, "--weather", str(weather)])
-    assert result.exit_code == 0, result.output
+    assert shell(*given, "--weather", weather)[0] == 0
     track = read_map(condition)
     assert sorted(track.layers) == ["dry", "leaves"]
     assert track.trips[0]["weather"]["humidity"] == 0.9
