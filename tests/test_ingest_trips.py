@@ -13,7 +13,8 @@ from refusals import refused
 from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, read, read_line, read_train, sample
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_all, propose_profile, report_of
-from trainlog.ingest.placing import placed
+from trainlog.ingest.motion import SURE
+from trainlog.ingest.placing import gradients_in, placed
 from trainlog.ingest.recording import Table
 from trainlog.railway.line import Line, Station, StepProfile
 
@@ -203,29 +204,41 @@ def test_stops_that_match_no_station_leave_the_start_open(tmp_path):
     assert trip["/train/state"].position.min() == pytest.approx(150.0)
 
 
-@pytest.mark.parametrize("way", ["forward", "reverse"])
-def test_the_direction_of_a_trip_without_stops_shows_in_its_gradients(way):
-    line, train = railway(), read_train(sample(DEFAULT_TRAIN))
-    travelled = line if way == "forward" else line.reversed()
+def over_gradients(travelled: Line, mass: float, noise: float = 2e3) -> Table:
+    """A run whose efforts [N] follow the gradients, but for noise."""
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 420.0, 0.5)
     speed = 24.0 + 5.0 * np.sin(time / 23.0) + 2.0 * np.sin(time / 7.0)
     place = 400.0 + np.cumsum(speed) * 0.5
-    # Mass, resistance and scale of the efforts are not those of the train's file.
-    mass = 1.13 * train.mass
-    slope = travelled.gradient(np.clip(place - 40.0, 0.0, line.length))
+    slope = travelled.gradient(np.clip(place - 40.0, 0.0, travelled.length))
     force = mass * (1.06 * np.gradient(speed, time) + 9.81 * slope)
-    force = 1.05 * (force + 3e3 + 90.0 * speed + 7.0 * speed**2) + rng.normal(0.0, 2e3, time.size)
+    force = 1.05 * (force + 3e3 + 90.0 * speed + 7.0 * speed**2) + rng.normal(0.0, noise, time.size)
     signals = {
         "/train/state.position": place,
         "/train/state.speed": speed + rng.normal(0.0, 0.05, time.size),
         "/train/controls.tractive_effort": np.maximum(force, 0.0),
         "/train/controls.dynamic_braking_effort": np.maximum(-force, 0.0),
     }
-    samples = Table((time * 1e9).astype(np.int64), np.arange(time.size), signals)
+    return Table((time * 1e9).astype(np.int64), np.arange(time.size), signals)
+
+
+@pytest.mark.parametrize("way", ["forward", "reverse"])
+def test_the_direction_of_a_trip_without_stops_shows_in_its_gradients(way):
+    line, train = railway(), read_train(sample(DEFAULT_TRAIN))
+    # Mass, resistance and scale of the efforts are not those of the train's file.
+    samples = over_gradients(line if way == "forward" else line.reversed(), 1.13 * train.mass)
     assert placed(samples, line, train, None, by_stations=False).direction == way
     other = "reverse" if way == "forward" else "forward"
     assert placed(samples, line, train, other, by_stations=False).direction == way
     level = placed(samples, railway(level=True), train, None, by_stations=False)
     assert level.direction == ""
     assert "assumed" in level.evidence
+
+
+def test_gradients_that_favour_a_direction_by_less_than_certainty_do_not_decide_it():
+    line, train = railway(), read_train(sample(DEFAULT_TRAIN))
+    samples = over_gradients(line, 1.13 * train.mass, noise=33e3)
+    ways = [gradients_in(samples, each, train, None) for each in (line, line.reversed())]
+    forward, reverse = (each.squares for each in ways)
+    assert 8.0 < ways[0].windows / 6.0 * np.log(reverse / forward) < SURE
+    assert placed(samples, line, train, None, by_stations=False).direction == ""

@@ -86,7 +86,7 @@ driven."""
 DRIVES = 0.5
 """Correlation with the acceleration from which on an effort shows the mass that it moves."""
 
-SURE = 8.0
+BRAKES = 8.0
 """Standard deviations of a brake's share from which on it shows the mass that it moves."""
 
 ACTS, COASTS = 0.05, 0.1
@@ -399,7 +399,7 @@ def braked_masses(
         rest @ rest / max(rest.size, 1)
     )
     # A brake that never acts shows nothing.
-    sure = (np.abs(solution) > SURE * np.sqrt(np.abs(spread))) & (largest > 0.0)
+    sure = (np.abs(solution) > BRAKES * np.sqrt(np.abs(spread))) & (largest > 0.0)
     shown = np.divide(mass * scale, solution, out=np.full(scale.size, np.nan), where=sure)
     return [float(each) for each in shown[: len(brakes)]]
 
