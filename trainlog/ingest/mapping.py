@@ -21,7 +21,6 @@ from trainlog.ingest.profile import WORDS, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
     MOST,
     NO_TIME,
-    SHOWN_ROWS,
     TIME_CELL,
     Cells,
     Finding,
@@ -191,9 +190,8 @@ def _field(
         if garbled.any():
             texts.append((target, source, garbled))
     findings = [
-        Finding(rule, rows.size, tuple(int(row) for row in np.sort(rows)[:SHOWN_ROWS]), name)
-        for rule, rows in (("empty", empty), ("not_a_number", unreadable))
-        if rows.size
+        *Finding.met("empty", empty, name),
+        *Finding.met("not_a_number", unreadable, name),
     ]
     return values, findings, texts
 

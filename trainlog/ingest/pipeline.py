@@ -44,7 +44,7 @@ from trainlog.ingest.profile import (
     parse_profile,
 )
 from trainlog.ingest.receiver import judged_alone
-from trainlog.ingest.recording import Finding, Recording, Table, field_of, frames
+from trainlog.ingest.recording import SHOWN_ROWS, Finding, Recording, Table, field_of, frames
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
 from trainlog.ingest.routes import (
@@ -662,7 +662,7 @@ def _joined(findings: list[Finding]) -> tuple[Finding, ...]:
         if before is None:
             joined[key] = finding
         else:
-            rows = tuple(sorted({*before.rows, *finding.rows})[:5])
+            rows = tuple(sorted({*before.rows, *finding.rows})[:SHOWN_ROWS])
             note = before.note or finding.note
             joined[key] = Finding(*key[:1], before.count + finding.count, rows, key[1], note)
     return tuple(joined.values())

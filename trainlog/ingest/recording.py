@@ -66,6 +66,18 @@ class Finding:
     column: str = ""
     note: str = ""
 
+    @classmethod
+    def met(cls, rule: str, rows: IntArray, column: str = "", note: str = "") -> list[Finding]:
+        """The finding that a rule met rows of the file, in any order; none if there are none.
+
+        Examples
+        --------
+        >>> Finding.met("empty", np.array([7, 3]))
+        [Finding(rule='empty', count=2, rows=(3, 7), column='', note='')]
+        """
+        first = tuple(np.sort(rows)[:SHOWN_ROWS].tolist())
+        return [cls(rule, rows.size, first, column, note)] if rows.size else []
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -153,11 +165,7 @@ class Table:
 
     def found(self, rule: str, cells: BoolArray, column: str = "", note: str = "") -> list[Finding]:
         """The finding that `rule` met the marked rows; none if there are none."""
-        count = int(np.count_nonzero(cells))
-        if not count:
-            return []
-        first = np.sort(self.rows[cells])[:SHOWN_ROWS]
-        return [Finding(rule, count, tuple(int(row) for row in first), column, note)]
+        return Finding.met(rule, self.rows[cells], column, note)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +197,11 @@ class Raw:
     new_time: IntArray | None = None
     value: FloatArray | None = None
     new_value: FloatArray | None = None
+
+    @classmethod
+    def lines(cls, rule: str, rows: IntArray, text: Sequence[str]) -> tuple[Raw, ...]:
+        """What stood in whole rows; none if there are none."""
+        return (cls(rule, "", rows, np.array(text, dtype=np.object_)),) if rows.size else ()
 
     def take(self, index: slice | BoolArray) -> Raw:
         """The entries that `index` selects."""
@@ -363,24 +376,18 @@ class Messages:
             If most of them are.
         """
         count = len(self.damaged_rows)
-        if not count:
-            return ()
         if count > MOST * self.read:
             raise InputError(
                 f"{count} of {self.read} messages are damaged",
                 place=f"row {self.damaged_rows[0]}",
                 remedy="copy the file again; is it of this format?",
             )
-        rows = tuple(sorted(self.damaged_rows)[:SHOWN_ROWS])
-        return (Finding("damaged_messages", count, rows),)
+        return tuple(Finding.met("damaged_messages", np.array(self.damaged_rows)))
 
     def raw(self) -> tuple[Raw, ...]:
         """The damaged messages as they stood in the file."""
-        if not self.damaged_rows:
-            return ()
-        rows: Sequence[int] = self.damaged_rows
-        text = np.array(self.damaged_text, dtype=np.object_)
-        return (Raw("damaged_messages", "", np.array(rows, dtype=np.int64), text),)
+        rows = np.array(self.damaged_rows, dtype=np.int64)
+        return Raw.lines("damaged_messages", rows, self.damaged_text)
 
 
 def frames(

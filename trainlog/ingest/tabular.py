@@ -23,7 +23,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import columns_left, recording_of, wanted_columns
 from trainlog.ingest.profile import FileOptions, MismatchError, Profile, suggestion
-from trainlog.ingest.recording import MOST, SELDOM, SHOWN_ROWS, Cells, Finding, Raw, Recording
+from trainlog.ingest.recording import MOST, SELDOM, Cells, Finding, Raw, Recording
 
 HABIT, FEWEST_WHOLE = 0.2, 2
 """Share of rows from which on those that end early at one cell are how the recorder writes, where
@@ -145,17 +145,14 @@ class TextFile:
         if cut.size:
             fits = np.delete(np.arange(self.rows.size), parsed.ragged)
             table = table.filter(pa.array(~np.isin(fits, cut)))
-        first = tuple(int(row) for row in self.rows[ragged[:SHOWN_ROWS]])
-        findings = (Finding("truncated_rows", ragged.size, first),) if ragged.size else ()
         text = dict(zip(parsed.ragged, parsed.lines, strict=True)) | self._lines(cut)
-        lines = np.array([text[int(row)] for row in ragged], dtype=np.object_)
-        raw = Raw("truncated_rows", "", self.rows[ragged], lines)
+        rows, lines = self.rows[ragged], [text[int(row)] for row in ragged]
         return Cells(
             table,
             np.delete(self.rows, ragged),
             self.rows.size,
-            findings,
-            (raw,) if ragged.size else (),
+            tuple(Finding.met("truncated_rows", rows)),
+            Raw.lines("truncated_rows", rows, lines),
         )
 
     def _lines(self, numbers: IntArray) -> dict[int, str]:

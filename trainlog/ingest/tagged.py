@@ -25,7 +25,6 @@ from trainlog.ingest.nmea import epochs_of
 from trainlog.ingest.profile import LineOptions, Payload, Profile, TimeOptions
 from trainlog.ingest.recording import (
     NO_TIME,
-    SHOWN_ROWS,
     Cells,
     Finding,
     Messages,
@@ -127,11 +126,19 @@ def read_tagged(path: Path, profile: Profile | None) -> Recording:
     return Recording(
         tuple(([] if gnss is None else [gnss]) + tables),
         sum(map(len, tables)) + (0 if gnss is None else len(gnss)) + int(damaged.sum()) + lines.cut,
-        (*lines.cells.findings, *messages.findings(), *_finding(lines, damaged)),
+        (
+            *lines.cells.findings,
+            *messages.findings(),
+            *Finding.met("damaged_messages", lines.rows[damaged]),
+        ),
         constants,
         metadata,
         {name: count for name, count in sorted(messages.others.items()) if count},
-        raw=(*lines.cells.raw, *messages.raw(), *_raw(lines, damaged)),
+        raw=(
+            *lines.cells.raw,
+            *messages.raw(),
+            *Raw.lines("damaged_messages", lines.rows[damaged], lines.text(damaged)),
+        ),
     )
 
 
@@ -162,9 +169,14 @@ class _Lines:
         """Which of the lines hold `size` octets and no others, and these (n, size)."""
         digits = pc.match_substring_regex(self.payload, r"^[0-9A-Fa-f]*$").to_numpy()
         whole = mine & digits & (pc.binary_length(self.payload).to_numpy() == 2 * size)
-        text = "".join(self.payload.filter(pa.array(whole)).to_pylist())
+        text = "".join(self.text(whole))
         octets = np.frombuffer(bytes.fromhex(text), dtype=np.uint8).reshape(-1, size)
         return np.flatnonzero(whole), octets
+
+    def text(self, chosen: BoolArray) -> list[str]:
+        """What some of the lines hold, as it stands there."""
+        found: list[str] = self.payload.filter(pa.array(chosen)).to_pylist()
+        return found
 
     def bytes(self, place: Any) -> bytes:
         """What a line holds; nothing if its digits are no octets."""
@@ -207,21 +219,6 @@ def _samples(
     cells = Cells(table, lines.rows[place], place.size)
     mapped = profile.model_copy(update={"columns": columns, "time": None})
     return recording_of(cells, mapped, path, lines.time[place]), cut
-
-
-def _finding(lines: _Lines, damaged: BoolArray) -> tuple[Finding, ...]:
-    if not damaged.any():
-        return ()
-    rows = np.sort(lines.rows[damaged])
-    first = tuple(int(row) for row in rows[:SHOWN_ROWS])
-    return (Finding("damaged_messages", rows.size, first),)
-
-
-def _raw(lines: _Lines, damaged: BoolArray) -> tuple[Raw, ...]:
-    if not damaged.any():
-        return ()
-    text = np.asarray(lines.payload.filter(pa.array(damaged)).to_pylist(), dtype=np.object_)
-    return (Raw("damaged_messages", "", lines.rows[damaged], text),)
 
 
 def _receiver(

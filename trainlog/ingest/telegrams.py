@@ -23,7 +23,7 @@ from trainlog.extras import load
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import columns_left, recording_of, wanted_columns
 from trainlog.ingest.profile import ARRIVAL, Profile, TelegramField, TelegramOptions
-from trainlog.ingest.recording import SHOWN_ROWS, Cells, Finding, Raw, Recording
+from trainlog.ingest.recording import Cells, Finding, Raw, Recording
 
 PCAPNG = b"\x0a\x0d\x0d\x0a"
 
@@ -121,13 +121,15 @@ def _of_file(
     ends = starts + options.length
     begins, stops = np.append(0, ends), np.append(starts, len(data))
     between = np.flatnonzero(stops > begins)
-    if not between.size:
-        return octets, rows, (), ()
     lost = [data[a:b].hex(" ") for a, b in zip(begins[between], stops[between], strict=True)]
     behind = np.maximum(between, 1).astype(np.int64)
-    finding = Finding("truncated_rows", between.size, tuple(behind[:SHOWN_ROWS].tolist()))
-    raw = Raw("truncated_rows", "", behind, np.array(lost, dtype=np.object_))
-    return octets, rows, (finding,), (raw,)
+    return octets, rows, *_cut(behind, lost)
+
+
+def _cut(rows: IntArray, text: list[str]) -> tuple[tuple[Finding, ...], tuple[Raw, ...]]:
+    """That what stands behind these rows is no whole telegram."""
+    found = Finding.met("truncated_rows", rows)
+    return tuple(found), Raw.lines("truncated_rows", rows, text)
 
 
 def _starts(data: bytes, options: TelegramOptions) -> IntArray:
@@ -170,12 +172,9 @@ def _captured(
     for length, count in odd.items():
         not_used[f"datagrams of {length} bytes"] += count
     octets = np.frombuffer(b"".join(payloads), np.uint8).reshape(-1, options.length)
-    findings = (Finding("truncated_rows", 1, (len(packets) + 1,)),) if damage else ()
     numbers, at = np.array(rows, dtype=np.int64), np.array(times, dtype=np.int64)
-    if not damage:
-        return octets, numbers, at, findings, ()
-    cut = np.array([len(packets) + 1], dtype=np.int64)
-    return octets, numbers, at, findings, (Raw("truncated_rows", "", cut, np.array([damage], "O")),)
+    behind = np.array([len(packets) + 1] * bool(damage), dtype=np.int64)
+    return octets, numbers, at, *_cut(behind, [damage] * bool(damage))
 
 
 def _packets(data: bytes, path: Path) -> tuple[list[tuple[int, bytes | None, int]], str]:
