@@ -16,7 +16,6 @@ from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.ingest import clock
 from trainlog.ingest.clock import Result, gap_threshold, has_fix
-from trainlog.ingest.clock_steps import suspect_clock_steps, undo_clock_steps
 from trainlog.ingest.frozen import blank_frozen
 from trainlog.ingest.jumps import blank_spikes, report_steps, unwrap_counters
 from trainlog.ingest.motion import (
@@ -297,8 +296,8 @@ RULES = (
     Rule("newest_first", "refuse"),
     Rule("before_first_fix", "keep", clock.drop_before_first_fix),
     Rule("time_unreadable", "refuse", clock.drop_unreadable_time),
-    Rule("clock_step", "keep", undo_clock_steps),
-    Rule("clock_step_suspected", "keep", suspect_clock_steps),
+    Rule("clock_step", "keep", clock.undo_clock_steps),
+    Rule("clock_step_suspected", "keep", clock.suspect_clock_steps),
     Rule("clock_jump", "refuse", clock.drop_clock_jumps),
     Rule("time_backwards", "refuse", clock.sort_time),
     Rule("duplicates", "refuse", clock.drop_duplicates),

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError
-from trainlog.ingest.clock_steps import QUARTER
+from trainlog.ingest.clock import QUARTER
 from trainlog.ingest.mapping import NANOSECONDS_PER, ZONE, read_time, states_zone
 from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.proposal.layout import Layout, Reading
