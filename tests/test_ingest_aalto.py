@@ -97,6 +97,15 @@ def test_rides_by_rail_become_trips(tmp_path):
     assert [t.name for t in again] == [t.name for t in trips]
 
 
+def test_a_fix_without_a_place_does_not_make_a_device_move(tmp_path):
+    still = fixes(2, "09:00:00", "10:00:00", moves=False)
+    still[100] = still[100].replace("60.18,24.900000", ",")
+    rides = [ride(n, "TRAM", "9", "09:10:00", "09:40:00") for n in (1, 2)]
+    path = both(tmp_path, [*fixes(1, "09:00:00", "10:00:00"), *still], rides)
+    trips = list(ingest_each(path))
+    assert list(account(trips[0])["why_not"]) == ["", "the fixes do not move"]
+
+
 def test_files_that_cannot_be_used(tmp_path):
     path = both(tmp_path, fixes(1, "09:00:00", "09:01:00"), [ride(1, "BUS", "1", "09:00:00", "")])
     refused(InputError, "none of 0 rides by rail", list, ingest_each(path))

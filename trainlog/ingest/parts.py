@@ -29,17 +29,9 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import csv_bytes, read_bytes
 from trainlog.ingest.mapping import recording_of, wanted_columns
-from trainlog.ingest.motion import ENOUGH, POSITION, SHORTEST, STANDING, speed_of
+from trainlog.ingest.motion import ENOUGH, POSITION, SHORTEST, STANDING, plane, speed_of
 from trainlog.ingest.profile import Profile, RideOptions, TripColumns, problem_of
-from trainlog.ingest.recording import (
-    METRES_PER_DEGREE,
-    NEARLY_ALL,
-    NO_TIME,
-    Finding,
-    Recording,
-    Table,
-    base_name,
-)
+from trainlog.ingest.recording import NEARLY_ALL, NO_TIME, Finding, Recording, Table, base_name
 from trainlog.ingest.tabular import open_text
 from trainlog.railway.weather import given_condition
 from trainlog.topics import RECORDED
@@ -502,11 +494,10 @@ def _reason_left_out(ride: _Ride, fixes: Table, *, known: bool, options: RideOpt
 
 
 def _movement(fixes: Table) -> float:
-    """Diagonal [m] of the rectangle that holds the fixes; NaN if any of them has no place."""
-    latitude = fixes.signals["/gnss/fix.latitude"]
-    longitude = fixes.signals["/gnss/fix.longitude"]
-    east = np.cos(np.radians(np.median(latitude))) * np.ptp(longitude)
-    return float(METRES_PER_DEGREE * np.hypot(np.ptp(latitude), east))
+    """Diagonal [m] of the rectangle that holds the fixes that have a place; 0 without any."""
+    points = plane(fixes)
+    known = np.zeros(1) if points is None else points[np.isfinite(points)]
+    return float(np.hypot(np.ptp(known.real), np.ptp(known.imag)))
 
 
 def _recording(ride: _Ride, fixes: Table, every: Recording, options: RideOptions) -> Recording:
