@@ -285,6 +285,13 @@ def test_impossible_values_become_absent_and_a_wrong_unit_is_named(tmp_path):
     assert found["/events"]["message"].str.contains("check the unit of its column").sum() == 1
 
 
+def test_a_wrong_unit_is_named_of_a_train_that_stood_first(tmp_path):
+    lines = [sample(n, speed=200.0 if n >= 200 else 0.0) for n in range(300)]
+    found, _ = recorded(tmp_path / "live.mcap", lines)
+    # A speed of 0 is one in any unit.
+    assert found["/events"]["message"].str.contains("check the unit of its column").sum() == 1
+
+
 def test_what_the_sender_counted_and_did_not_arrive_is_lost():
     numbering = Numbering()
     numbering.take([5, 6, 7, 10, 11, 8, 11, 12])

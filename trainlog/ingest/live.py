@@ -36,6 +36,7 @@ from trainlog.ingest.pipeline import (
 from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
 from trainlog.ingest.recording import (
     INFO,
+    MOST,
     NO_TIME,
     WARNING,
     Recording as Recorded,
@@ -44,6 +45,7 @@ from trainlog.ingest.recording import (
     frames,
 )
 from trainlog.ingest.report import LONGEST_TEXT
+from trainlog.ingest.rules import impossible
 from trainlog.ingest.sources import POLL, Source
 from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed, as_it_came
 from trainlog.ingest.tabular import open_text
@@ -162,7 +164,7 @@ class Sequence:
         self._steps = np.zeros(0, dtype=np.int64)
         self._waiting: Table | None = None
         self._previous: Table | None = None
-        self._present: Counter[str] = Counter()
+        self._shown: Counter[str] = Counter()
 
     def take(self, table: Table, *, end: bool = False) -> Table | None:
         """The rows that can be recorded now; None if there are none.
@@ -279,16 +281,15 @@ class Sequence:
 
     def _within_limits(self, table: Table) -> Table:
         for name, values in table.signals.items():
-            bounds, column = self._limits.of(name), base_name(name)
-            out = (values < bounds.low) | (values > bounds.high)
-            self._present[column] += int(np.count_nonzero(np.isfinite(values)))
+            column, (out, judged) = base_name(name), impossible(values, self._limits.of(name))
+            self._shown[column] += int(np.count_nonzero(judged))
             if not out.any():
                 continue
             self._met.count("out_of_limits", out, column)
             table = table.without(name, out)
             counts, suspected = self._met.counts, ("unit_suspected", column)
-            most = counts["out_of_limits", column] > self._present[column] / 2
-            if self._present[column] >= MANY and most and suspected not in counts:
+            most = counts["out_of_limits", column] > MOST * self._shown[column]
+            if self._shown[column] >= MANY and most and suspected not in counts:
                 counts[suspected] += 1
                 self._met.say(
                     f"most values of {column} are impossible: check the unit of its column in the"

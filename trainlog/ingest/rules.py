@@ -50,6 +50,7 @@ from trainlog.ingest.recording import (
     field_of,
 )
 from trainlog.ingest.report import changes
+from trainlog.topics import Bounds
 
 
 def blank_without_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG001
@@ -69,6 +70,17 @@ def blank_without_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG001
     return table, found
 
 
+def impossible(values: FloatArray, bounds: Bounds) -> tuple[BoolArray, BoolArray]:
+    """Which values are beyond their bounds, and which show the unit: 0 is it in any unit.
+
+    Examples
+    --------
+    >>> impossible(np.array([0.0, 3.0, 900.0, np.nan]), Bounds(0.0, 100.0, 10.0, 1.0))
+    (array([False, False,  True, False]), array([False,  True,  True, False]))
+    """
+    return (values < bounds.low) | (values > bounds.high), np.isfinite(values) & (values != 0.0)
+
+
 def blank_out_of_limits(table: Table, limits: Limits) -> Result:
     """Take away values that are physically impossible.
 
@@ -80,9 +92,7 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
     findings: list[Finding] = []
     for name, values in table.signals.items():
         bounds = limits.of(name)
-        out = (values < bounds.low) | (values > bounds.high)
-        # An effort, or a speed, is 0 in any unit.
-        judged = np.isfinite(values) & (values != 0.0)
+        out, judged = impossible(values, bounds)
         count, present = np.count_nonzero(out), np.count_nonzero(judged)
         if not count:
             continue
