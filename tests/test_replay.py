@@ -284,12 +284,14 @@ def test_what_cannot_be_replayed_is_refused_and_leaves_what_there_was(trip, tmp_
     older = tmp_path / "replay.rrd"
     older.write_bytes(b"older")
     dale = {"condition_map": replace(condition_of(), line="dale")}
+    shorter = {"condition_map": replace(condition_of(), length=LENGTH - 5.0)}
     for trips, name, error, said, options in (
         ([trip], "replay.mcap", InputError, "end it in .rrd", {}),
         ([trip], "no/such/folder.rrd", InputError, "create its folder first", {}),
         ([], "replay.rrd", InputError, "no trip", {}),
         ([trip, Trip({})], "replay.rrd", LogError, "no samples", {}),
         ([trip], "replay.rrd", InputError, r"of line 'dale', .*not of 'hill'", dale),
+        ([trip], "replay.rrd", InputError, "1995 m, not of 'hill', 2000 m", shorter),
     ):
         refused(error, said, write_replay, trips, tmp_path / name, **options)
         assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"older"]

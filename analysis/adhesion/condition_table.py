@@ -464,7 +464,7 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
     >>> table.station.dropna().tolist()
     ['St.Gallen', 'Gossau SG', 'Flawil', 'Uzwil', 'Wil']
     """
-    track.check_line(line.name, line.length, 0.0)
+    track.check_line(line.name, line.length)
     start, end = track.edges[:-1], track.edges[1:]
     limits = {"speed_limit_km_h": line.speed_limits}
     if line.speed_limits_reverse is not None:

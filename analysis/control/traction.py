@@ -129,7 +129,7 @@ class CooperativeTraction:
         mass: float | None = None,
     ) -> None:
         if condition is not None:
-            condition.check_line(line.name, line.length, 1.0, "cooperative control")
+            condition.check_line(line.name, line.length, what="cooperative control")
         self._train, self._line = train, line
         self._map, self._reverse = condition, direction == "reverse"
         self._mass = train.mass if mass is None else mass

@@ -560,7 +560,7 @@ class TrackConditionMap(Presented):
         line : str
         length : float [m]
         within : float [m]
-            By which the lengths may differ.
+            By which the lengths may differ; 0 for evidence, whose bins must be those of the map.
         what : str
             Trip or run that is on that line; begins the message.
 

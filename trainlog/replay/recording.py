@@ -349,8 +349,7 @@ def _lines(
                 remedy="give that line's trajectory, or leave the trip out",
             )
         if condition is not None:
-            condition.check_line(
-                each.line.name, each.line.length, condition.bin_length, f"trip '{each.bare.name}'"
-            )
+            where = f"trip '{each.bare.name}'"
+            condition.check_line(each.line.name, each.line.length, what=where)
         found.setdefault(each.line.name, number)
     return list(found.values())
