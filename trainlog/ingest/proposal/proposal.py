@@ -20,16 +20,17 @@ from trainlog.ingest.placing import placed
 from trainlog.ingest.profile import FileOptions, Limits, Profile, Repair, parse_profile
 from trainlog.ingest.proposal.columns import (
     EITHER_BRAKE,
+    PAUSE,
     Proposed,
     Work,
     columns_of,
+    find_trips,
     keep_others,
     refuse_no_motion,
     said,
 )
 from trainlog.ingest.proposal.layout import Reading, layout_of
 from trainlog.ingest.proposal.times import clock_of
-from trainlog.ingest.proposal.trips import PAUSE, find_trips
 from trainlog.ingest.proposal.vocabulary import meaning_of
 from trainlog.ingest.recording import NO_TIME, Recording, field_of
 from trainlog.ingest.registry import format_of, own_profile
