@@ -31,7 +31,15 @@ from trainlog.formats.files import csv_bytes, read_bytes
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.motion import ENOUGH, POSITION, SHORTEST, STANDING, plane, speed_of
 from trainlog.ingest.profile import Profile, RideOptions, TripColumns, problem_of
-from trainlog.ingest.recording import NEARLY_ALL, NO_TIME, Finding, Recording, Table, base_name
+from trainlog.ingest.recording import (
+    NEARLY_ALL,
+    NO_TIME,
+    Finding,
+    Recording,
+    Table,
+    base_name,
+    carried_on,
+)
 from trainlog.ingest.tabular import open_text
 from trainlog.railway.weather import given_condition
 from trainlog.topics import RECORDED
@@ -146,15 +154,12 @@ def with_cut_lines(part: Recording, every: Recording) -> Recording:
 
 def _labels(recording: Recording, columns: TripColumns) -> NDArray[np.object_]:
     """The number of the trip in every row; an empty cell has that of the row before."""
-    count = len(recording.tables[0])
     words = recording.about.get(columns.number or "")
     if words is None:
-        return np.full(count, "", dtype=np.object_)
-    filled = words != ""
-    if not filled.any():
-        return words
-    last = np.maximum.accumulate(np.where(filled, np.arange(count), -1))
-    return np.asarray(words[np.where(last < 0, int(np.argmax(filled)), last)])
+        return np.full(len(recording.tables[0]), "", dtype=np.object_)
+    labels = carried_on(words)
+    labels[labels == ""] = words[np.argmax(words != "")]
+    return labels
 
 
 def _edges(labels: NDArray[np.object_]) -> IntArray:

@@ -332,6 +332,17 @@ def field_of(name: str) -> tuple[Topic, str, Field]:
     return topic, column, column_field(topic, column)
 
 
+def carried_on(words: NDArray[np.object_]) -> NDArray[np.object_]:
+    """Words, and where there is none the one before.
+
+    Examples
+    --------
+    >>> carried_on(np.array(["", "a", "", "b"], dtype=object)).tolist()
+    ['', 'a', 'a', 'b']
+    """
+    return words[np.maximum.accumulate(np.where(words != "", np.arange(words.size), 0))]
+
+
 def base_name(name: str) -> str:
     """``"/topic.field"`` of a column, without the number of the axle."""
     topic, _, item = field_of(name)

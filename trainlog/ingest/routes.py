@@ -39,7 +39,7 @@ from trainlog.ingest.motion import LATITUDE, LIKELY, MOVING, POSITION, SEVERAL
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import DRIFT, NEAR, stops_of
 from trainlog.ingest.receiver import Fixes, fixes_of
-from trainlog.ingest.recording import NO_TIME, Recording, Table
+from trainlog.ingest.recording import NO_TIME, Recording, Table, carried_on
 from trainlog.railway.line import Geometry, Leg, Line
 from trainlog.railway.network import Edge, Network, Route
 from trainlog.trip import Trip
@@ -642,7 +642,8 @@ def by_kilometres(routes: NetworkRoutes, table: Table, words: NDArray[np.object_
     InputError
         If the network has no such lines or kilometres, or several ways have them.
     """
-    network, kilometre, words = routes.network, table.signals[POSITION], _filled(words)
+    network, kilometre = routes.network, table.signals[POSITION]
+    words = carried_on(np.array([str(word).strip() for word in words], dtype=np.object_))
     known = np.isfinite(kilometre) & (words != "")
     lines = _edges_called(network)
     lost = sorted({str(word) for word in words[known]} - set(lines))
@@ -688,13 +689,6 @@ def by_kilometres(routes: NetworkRoutes, table: Table, words: NDArray[np.object_
 def _bare(graph: EdgeGraph) -> EdgeTracks:
     """Edges without a course."""
     return EdgeTracks(graph, (None,) * graph.lengths.size, (0.0, 0.0))
-
-
-def _filled(words: NDArray[np.object_]) -> NDArray[np.object_]:
-    """Words without blanks around them; where there is none, the one before."""
-    plain = np.array([str(word).strip() for word in words], dtype=np.object_)
-    last = np.maximum.accumulate(np.where(plain != "", np.arange(plain.size), -1))
-    return np.asarray(np.where(last >= 0, plain[np.maximum(last, 0)], ""), dtype=np.object_)
 
 
 def _edges_called(network: Network) -> dict[str, list[int]]:

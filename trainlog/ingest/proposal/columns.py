@@ -59,7 +59,7 @@ from trainlog.ingest.proposal.vocabulary import (
     split_unit,
     vocabulary,
 )
-from trainlog.ingest.recording import NO_TIME, SELDOM, field_of
+from trainlog.ingest.recording import NO_TIME, SELDOM, carried_on, field_of
 from trainlog.railway.train import Train
 from trainlog.topics import RECORDED, Recorded
 from trainlog.units import KMH, NANOSECONDS, factor, si_unit
@@ -856,9 +856,7 @@ def _stems(key: str) -> list[str]:
 def _cells(work: Work, name: str) -> NDArray[np.object_]:
     """The text of a column; an empty cell has that of the row before."""
     text = pc.utf8_trim_whitespace(pc.fill_null(pc.cast(work.layout.table[name], pa.string()), ""))
-    cells = np.asarray(text.to_pylist(), dtype=np.object_)
-    last = np.maximum.accumulate(np.where(cells != "", np.arange(cells.size), 0))
-    return np.asarray(cells[last])
+    return carried_on(np.asarray(text.to_pylist(), dtype=np.object_))
 
 
 def _number(work: Work) -> str | None:
