@@ -18,7 +18,7 @@ from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.identity import Known, identity_of, same_drives
-from trainlog.ingest.chainage import OnLine, chainage_of
+from trainlog.ingest.chainage import OnLine
 from trainlog.ingest.receiver import Fixes, distance_driven, fixes_of
 from trainlog.presentation import Presented
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
@@ -193,7 +193,7 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     """The centre line of the track from the fixes of trips along it, in either direction.
 
     The longest trip gives a rough line, its gaps and ends filled from the others. Then, in turns,
-    all trips are matched to the line as any trip is (`chainage_of`: reflections are set aside), and
+    all trips are matched to the line as any trip is (`OnLine`: reflections are set aside), and
     the smoothest curve near all matched fixes is fitted (`estimators.centre_line`). Chainage is
     the length along it, in the direction of the longest trip.
 
@@ -395,7 +395,7 @@ def _matched(one: _Pass, geometry: Geometry, *, gated: bool) -> _Pass:
     backwards = float(np.clip(np.diff(near), -GAP, GAP).sum()) < 0.0
     travelled = geometry.reversed(length) if backwards else geometry
     try:
-        matched = chainage_of(travelled, one.fixes, gated=gated)
+        matched = OnLine(travelled, one.fixes, gated=gated)
     except InputError as error:
         return replace(one, matched=None, reason=error.problem)
     # Fixes of a train that stands at the line's end scatter beyond it; the line ends where it is.

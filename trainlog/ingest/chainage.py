@@ -138,10 +138,23 @@ class AgainstLineError(InputError):
 class OnLine:
     """Fixes on a line: projected, sized, smoothed, what departs set aside, until all agrees.
 
+    Parameters
+    ----------
+    geometry : Geometry
+        Of the line as travelled.
+    fixes : Fixes
+        At least two of them with a position.
+    gated : bool
+        Whether fixes are rejected at all.
+    slip_aware : bool
+        Whether wheel speeds are set aside at all.
+    speed_aware : bool
+        Whether satellite speeds are set aside, or put back by their delay, at all.
+
     Attributes
     ----------
     chainage : (n,) array [m]
-        NaN where there is none.
+        Growing in the direction of travel; NaN where there is none.
     aside, judged : (n,) bool array
         Satellite speeds that are not used, by what was known before the motion and by the motion.
     computed : (n,) bool array
@@ -173,10 +186,23 @@ class OnLine:
     common_delay : Delay
         By which fixes and satellite speed came later than the wheels' speed, NaN if that is not
         known; `motion` is that of the satellites' clock.
+
+    Raises
+    ------
+    InputError
+        If the fixes lie elsewhere or follow another line; if most of them are set aside.
+    AgainstLineError
+        If chainage falls while the train drives.
     """
 
     def __init__(
-        self, geometry: Geometry, fixes: Fixes, *, gated: bool, slip_aware: bool, speed_aware: bool
+        self,
+        geometry: Geometry,
+        fixes: Fixes,
+        *,
+        gated: bool = True,
+        slip_aware: bool = True,
+        speed_aware: bool = True,
     ) -> None:
         self.gated, self.slip_aware = gated, slip_aware
         self.track = track = track_of(geometry)
@@ -702,39 +728,6 @@ def _usual_speed(seconds: FloatArray, chainage: FloatArray) -> tuple[float, floa
     return mean, np.sqrt(spread), float(np.clip(2.0 * spread / max(change, 1e-9), 5.0, 120.0))
 
 
-def chainage_of(
-    geometry: Geometry,
-    fixes: Fixes,
-    *,
-    gated: bool = True,
-    slip_aware: bool = True,
-    speed_aware: bool = True,
-) -> OnLine:
-    """Chainage of satellite fixes, growing in the direction of travel.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        Of the line as travelled.
-    fixes : Fixes
-        At least two of them with a position.
-    gated : bool
-        Whether fixes are rejected at all.
-    slip_aware : bool
-        Whether wheel speeds are set aside at all.
-    speed_aware : bool
-        Whether satellite speeds are set aside, or put back by their delay, at all.
-
-    Raises
-    ------
-    InputError
-        If the fixes lie elsewhere or follow another line; if most of them are set aside.
-    AgainstLineError
-        If chainage falls while the train drives.
-    """
-    return OnLine(geometry, fixes, gated=gated, slip_aware=slip_aware, speed_aware=speed_aware)
-
-
 def _apart(seconds: FloatArray, measured: BoolArray) -> FloatArray:
     """Time between the measurements on both sides of each step [s]."""
     at = np.flatnonzero(measured)
@@ -807,7 +800,7 @@ def estimated_state(
     geometry = line.geometry if line is not None else None
     if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
         fixes = _placed(fixes_of(trip), unplaced)
-        matched = chainage_of(
+        matched = OnLine(
             geometry,
             fixes,
             gated=profile.repair.off_line,
