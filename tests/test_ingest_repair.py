@@ -32,9 +32,9 @@ from trainlog.ingest.clock import (
     has_fix,
     longest_nondecreasing,
 )
-from trainlog.ingest.jumps import spikes
 from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import NO_TIME, Table
+from trainlog.ingest.rules import spikes
 from trainlog.trip import Trip
 
 FILES = settings(max_examples=20)
