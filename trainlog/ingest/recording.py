@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import as_text, counted
-from trainlog.errors import InputError
 from trainlog.topics import EVENTS, RECORDED, TOPICS, Field, Topic, column_field, recorded_topic
 from trainlog.trip import frame_of
 
@@ -354,51 +352,6 @@ HORIZONTAL_PER_HDOP = 3.0
 
 VERTICAL_PER_VDOP = 4.2
 """Standard deviation of the altitude [m] at a VDOP of 1."""
-
-
-@dataclass
-class Messages:
-    """Messages as they are read: which are damaged, which are of no use, and how many there are.
-
-    Attributes
-    ----------
-    read : int
-        All messages.
-    others : Counter
-        Messages of kinds that are not used, by name.
-    """
-
-    read: int = 0
-    others: Counter[str] = field(default_factory=Counter)
-    damaged_rows: list[int] = field(default_factory=list)
-    damaged_text: list[str] = field(default_factory=list)
-
-    def damaged(self, row: int, text: str) -> None:
-        """Count a message that cannot be read."""
-        self.damaged_rows.append(int(row))
-        self.damaged_text.append(text)
-
-    def findings(self) -> tuple[Finding, ...]:
-        """The finding that messages are damaged; none if there are none.
-
-        Raises
-        ------
-        InputError
-            If most of them are.
-        """
-        count = len(self.damaged_rows)
-        if count > MOST * self.read:
-            raise InputError(
-                f"{count} of {self.read} messages are damaged",
-                place=f"row {self.damaged_rows[0]}",
-                remedy="copy the file again; is it of this format?",
-            )
-        return tuple(Finding.met("damaged_messages", np.array(self.damaged_rows)))
-
-    def raw(self) -> tuple[Raw, ...]:
-        """The damaged messages as they stood in the file."""
-        rows = np.array(self.damaged_rows, dtype=np.int64)
-        return Raw.lines("damaged_messages", rows, self.damaged_text)
 
 
 def frames(

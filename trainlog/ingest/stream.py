@@ -27,7 +27,7 @@ from trainlog.errors import InputError
 from trainlog.formats.railml import Element
 from trainlog.formats.sfera import Documents, SferaJourney
 from trainlog.ingest.mapping import LATEST, NANOSECONDS_PER, recording_of, wanted_columns
-from trainlog.ingest.nmea import Epochs
+from trainlog.ingest.messages import NAV_PVT, NAV_PVT_HEAD, Epochs, Messages, fixes_of_pvt
 from trainlog.ingest.profile import (
     ARRIVAL,
     WORDS,
@@ -35,10 +35,9 @@ from trainlog.ingest.profile import (
     known_field,
     suggestion,
 )
-from trainlog.ingest.recording import NO_TIME, Cells, Finding, Messages, Table
+from trainlog.ingest.recording import NO_TIME, Cells, Finding, Table
 from trainlog.ingest.sfera import ReportRows, is_of
 from trainlog.ingest.sources import BLOCK
-from trainlog.ingest.tagged import NAV_PVT, NAV_PVT_HEAD, fixes_of_pvt
 from trainlog.ingest.telegrams import chosen, columns_of
 from trainlog.topics import TOPICS
 from trainlog.units import DAY
