@@ -110,6 +110,8 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path):
     pd.testing.assert_frame_equal(some[TRAIN_STATE.name], trip[TRAIN_STATE.name][["speed"]])
     assert some[TRAIN_STATE.name].attrs["units"] == {"speed": "m/s"}
     assert len(some[TRAIN_AXLES.name].columns) == 8
+    one = read_parquet(tmp_path / "trip.parquet", {TRAIN_STATE.name: "speed"})
+    assert list(one[TRAIN_STATE.name].columns) == ["speed"]
 
 
 @pytest.mark.parametrize(

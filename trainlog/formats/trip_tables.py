@@ -668,9 +668,14 @@ def _wanted(index: TripIndex, topics: Selection | None) -> dict[str, list[str] |
     """The columns wanted of each topic, None for all."""
     if topics is None:
         return dict.fromkeys(each.topic for each in index.topics)
-    if isinstance(topics, Mapping):
-        return {name: None if names is None else list(names) for name, names in topics.items()}
-    return dict.fromkeys([topics] if isinstance(topics, str) else topics)
+    if not isinstance(topics, Mapping):
+        topics = dict.fromkeys(_several(topics))
+    return {name: None if names is None else _several(names) for name, names in topics.items()}
+
+
+def _several(names: Iterable[str]) -> list[str]:
+    """Names as a list; a text is one name."""
+    return [names] if isinstance(names, str) else list(names)
 
 
 def _inside(folder: Path, file: str) -> Path:
