@@ -44,7 +44,7 @@ def column_of(field: str, stated: str) -> str:
         (HEAD + "[time]\ncolumn = 't'\nformat = 'parts'", "format 'parts' needs 6 columns"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'isoo'", "format 'isoo' is not one of 'iso'"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'elapsed'", "'elapsed' and start"),
-        (HEAD + "[time]\ncolumn = 't'\ntimezone = 'Mars'", "timezone 'Mars' is not known"),
+        (HEAD + "[time]\ncolumn = 't'\ntimezone = 'Mars'", "'Mars' is not a time zone"),
         (HEAD + "[time]\ncolumn = 't'\ndate = 2024-05-01", "date is for a pattern"),
         (HEAD + "[file]\ndelimiter = ';;'", "file.delimiter: must have at most 1"),
         (HEAD + "[file]\ndelimiter = ','\ndecimal = ','", "delimiter and decimal are both ','"),

@@ -199,7 +199,8 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path):
         assert not page.exists()
     assert kind_of(sample("CH_StGallen_Wil.map")) == "map"
     refused(InputError, "but a line file", kind_of, sample("CH_StGallen_Wil.line.json"))
-    refused(InputError, "is not a time zone", known_zone, "Europe/Wil")
+    for unknown in ("Europe/Wil", ""):
+        refused(InputError, "is not a time zone", known_zone, unknown)
 
 
 @pytest.mark.usefixtures("unpainted_page")

@@ -91,7 +91,7 @@ def check_zone(name: str) -> None:
     """
     try:
         pd.Timestamp(0, tz=name)
-    except (KeyError, ValueError, TypeError, OSError) as error:
+    except (LookupError, ValueError, TypeError, OSError) as error:
         from zoneinfo import available_timezones
 
         near = " or ".join(f"'{each}'" for each in similar(name, sorted(available_timezones())))

@@ -28,6 +28,7 @@ from trainlog.ingest.recording import base_name, field_of
 from trainlog.presentation import facts_table
 from trainlog.railway.train import Train
 from trainlog.railway.weather import given_condition
+from trainlog.spans import check_zone
 from trainlog.topics import RECORDED, TOPICS, Bounds, Field as Item, Topic, recorded_topic
 from trainlog.units import factor, si_unit, to_si
 
@@ -608,18 +609,7 @@ class TimeOptions(Strict):
             )
         if self.date is not None and not (patterned and "%d" not in form):
             yield "date is for a pattern that holds the time of day only"
-        yield problem_of(_check_timezone, self.timezone)
-
-
-def _check_timezone(name: str) -> None:
-    import pandas as pd
-
-    try:
-        pd.Timestamp(0, tz=name)
-    except Exception:  # noqa: BLE001 - pandas raises what its zone library raises
-        raise ValueError(
-            f"timezone '{name}' is not known; for example 'UTC', 'Europe/Zurich' or '+02:00'"
-        ) from None
+        yield problem_of(check_zone, self.timezone)
 
 
 class RideOptions(Strict):

@@ -17,7 +17,6 @@ from abc import ABC, abstractmethod
 from collections import deque
 from pathlib import Path
 from queue import Empty, Queue
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 from urllib.parse import unquote, urlsplit
 
@@ -130,12 +129,7 @@ class Source(ABC):
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._stopping = True
 
 
