@@ -119,3 +119,6 @@ def test_a_line_that_the_train_runs_out_of_is_refused():
     short = replace(level_line(5_000.0, limit=30.0), name="short")
     with pytest.raises(InputError, match=r"recorder\.csv: positions reach km 29\..*line 'short'"):
         ingest(sample("recorder.csv"), profile=PROFILE, line=short)
+    long, before = replace(short, name="long", length=40_000.0), {"start_position": "-20000"}
+    with pytest.raises(InputError, match=r"positions reach km -20\.0.*line 'long' begins at km 0"):
+        ingest(sample("recorder.csv"), profile=PROFILE, line=long, metadata=before)

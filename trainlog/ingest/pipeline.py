@@ -474,16 +474,18 @@ def _finished(source: _Source, job: _Job, given: Given) -> Trip:
 def _check_on_line(trip: Trip, line: Line) -> None:
     """Refuse a line that the recorded positions run out of."""
     for topic in ("/train/state", "/estimates/state"):
-        if topic not in trip or not trip[topic]["position"].notna().any():
+        if topic not in trip:
             continue
-        furthest = float(trip[topic]["position"].max())
-        if furthest > line.length + FAR:
+        low, high = trip[topic]["position"].agg(["min", "max"])
+        ends = (-low, low, 0.0, "begins"), (high - line.length, high, line.length, "ends")
+        for beyond, furthest, end, words in ends:
+            if not beyond > FAR:
+                continue
             reached = f"km {furthest / 1e3:.3f}"
             if line.reference is not None:
-                reached = f"{(furthest - line.length) / 1e3:.3f} km further"
+                reached = f"{beyond / 1e3:.3f} km further"
             raise InputError(
-                f"positions reach {reached}, line '{line.name}' ends at"
-                f" {km_words(line, line.length)}",
+                f"positions reach {reached}, line '{line.name}' {words} at {km_words(line, end)}",
                 remedy="give the line it was driven on, or check the unit of the position; if the"
                 " counter starts elsewhere than the line, give start_position under [trip] of the"
                 " profile, or --set start_position=0.2km (or =stations: where the stops match)",
