@@ -1,4 +1,4 @@
-"""Names of array types, the robust scale of a series, and whether two results are equal."""
+"""Names of array types, and what is asked of any array."""
 
 from __future__ import annotations
 
@@ -45,6 +45,18 @@ def robust_std(deviations: ArrayLike) -> float:
     ordered = np.partition(size, half if size.size % 2 else (half - 1, half))
     middle = ordered[half] if size.size % 2 else 0.5 * (ordered[half - 1] + ordered[half])
     return MEDIAN_TO_STD * float(middle)
+
+
+def numbered(counts: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows of which each of several owners has so many: the owner, and the number among its own.
+
+    Examples
+    --------
+    >>> numbered(np.array([2, 0, 3]))
+    (array([0, 0, 2, 2, 2]), array([0, 1, 0, 1, 2]))
+    """
+    owner = np.repeat(np.arange(counts.size), counts)
+    return owner, np.arange(owner.size) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def same_values(first: Any, second: Any) -> bool:

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
 from trainlog.errors import InputError, LogError
 from trainlog.railway.trajectory import Trajectory
 from trainlog.topics import (
@@ -542,8 +542,8 @@ def planned_time_distance(trajectory: Trajectory, row: int, start: int = 0) -> T
     """
     nodes = trajectory.positions
     parts = np.maximum(1, np.ceil(np.diff(nodes) / _PLAN_STEP)).astype(np.int64)
-    cell = np.repeat(np.arange(parts.size), parts)
-    share = (np.arange(cell.size) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[cell]
+    cell, number = numbered(parts)
+    share = number / parts[cell]
     place = nodes[cell] + share * (nodes[cell + 1] - nodes[cell])
     speed = trajectory.speeds[row]
     with np.errstate(invalid="ignore", divide="ignore"):

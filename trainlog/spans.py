@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import BoolArray, IntArray
+from trainlog.arrays import BoolArray, IntArray, numbered
 from trainlog.errors import InputError, similar
 
 Spans = IntArray
@@ -297,8 +297,8 @@ def overlapping(spans: Spans, others: Spans) -> Spans:
     beyond = np.searchsorted(others[:, 0], spans[:, 1], side="right")
     # Each span meets a run of the others, of which it cuts the first and the last.
     count = np.maximum(beyond - first, 0)
-    mine = np.repeat(np.arange(len(spans)), count)
-    theirs = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[mine]
+    mine, number = numbered(count)
+    theirs = number + first[mine]
     begin = np.maximum(spans[mine, 0], others[theirs, 0])
     return np.column_stack((begin, np.minimum(spans[mine, 1], others[theirs, 1])))
 

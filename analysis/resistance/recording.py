@@ -10,7 +10,7 @@ import pandas as pd
 
 from analysis.view import TripView
 from estimators.motion import smooth_motion
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import line_of
 from trainlog.ingest.report import CLOCK_RULES
@@ -764,8 +764,7 @@ def gradient_pieces(line: Line, position: FloatArray) -> tuple[IntArray, IntArra
         return piece.astype(np.int64), nearest
     lengths = np.diff(np.append(edges, max(line.length, edges[-1] + 1.0)))
     parts = np.maximum(np.ceil(lengths / LONGEST_SECTION), 1.0).astype(np.int64)
-    owner = np.repeat(np.arange(edges.size), parts)
-    number = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
+    owner, number = numbered(parts)
     starts = edges[owner] + number * (lengths / parts)[owner]
     section = np.searchsorted(starts, position, side="right") - 1
     return section.astype(np.int64), nearest

@@ -26,7 +26,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from analysis.resistance.recording import Recording
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
+from trainlog.spans import runs_of
 
 WINDOW = 1.0
 """Length of a window [s]; short beside the time a train takes over a piece of gradient."""
@@ -228,14 +229,11 @@ def _window_ends(
     time: FloatArray, usable: BoolArray, window: float
 ) -> tuple[FloatArray, FloatArray]:
     """Start and end of every window [s]: each usable stretch cut into equal windows."""
-    padded = np.concatenate(([False], usable, [False])).astype(np.int8)
-    first = np.flatnonzero(np.diff(padded) == 1)
-    last = np.flatnonzero(np.diff(padded) == -1) - 1
-    begin, finish = time[first] + 0.5 * window, time[last] - 0.5 * window
+    first, end = np.array(runs_of(usable), dtype=np.int64).reshape(-1, 2).T
+    begin, finish = time[first] + 0.5 * window, time[end - 1] - 0.5 * window
     length = finish - begin
     pieces = np.maximum(np.floor(length / window + 1e-6), 0.0).astype(int)
-    stretch = np.repeat(np.arange(pieces.size), pieces)
-    number = np.arange(stretch.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    stretch, number = numbered(pieces)
     width = (length / np.maximum(pieces, 1))[stretch]
     start = begin[stretch] + number * width
     return start, start + width

@@ -28,7 +28,7 @@ from estimators.receiver import (
     series_of,
 )
 from estimators.receiver_states import SPACING, Lateness, lateness, receiver_states
-from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, numbered, robust_std
 from trainlog.ingest.clock import Result
 from trainlog.ingest.motion import (
     ACCURACY,
@@ -231,9 +231,8 @@ def _with_outages(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
     usual = min(int(np.median(steps)), NANOSECONDS)
     lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_LINK * NANOSECONDS))
     count = -(-steps[lost] // usual)
-    start, width = np.repeat(time[lost], count), np.repeat(steps[lost] / count, count)
-    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    extra = start + (within * width).astype(np.int64)
+    gap, number = numbered(count)
+    extra = time[lost][gap] + (number * (steps[lost] / count)[gap]).astype(np.int64)
     return pd.DatetimeIndex(np.union1d(time, extra), tz="UTC", name=index.name)
 
 

@@ -716,12 +716,8 @@ def _spaced(kilometre: FloatArray, words: NDArray[np.object_], known: BoolArray)
 
 def _chainages(line: Line, kilometre: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """Chainage of kilometres on each piece of a line, and how far beyond its ends they are [m]."""
-    known = line.reference
-    if known is None:
-        inside = np.clip(kilometre, 0.0, line.length)
-        return [(inside, np.abs(kilometre - inside))]
-    ends = np.append(known.positions[1:], line.length)
-    found = []
+    known, found = line.kilometres, []
+    ends = known.ends(line.length)
     for first, last, start, end in zip(known.positions, ends, known.start, known.end, strict=True):
         inside = np.clip(kilometre, min(start, end), max(start, end))
         share = (inside - start) / (end - start) if end != start else np.zeros(inside.shape)

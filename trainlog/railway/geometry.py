@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import ComplexArray, FloatArray, IntArray
+from trainlog.arrays import ComplexArray, FloatArray, IntArray, numbered
 from trainlog.errors import InputError
 from trainlog.railway.line import CurvatureProfile, Geometry, Line
 
@@ -82,8 +82,7 @@ def plane_curve(
     """
     starts = np.append(curvatures.positions, length)
     pieces = np.maximum(np.ceil(np.diff(starts) / step), 1.0).astype(np.int64)
-    element = np.repeat(np.arange(pieces.size), pieces)
-    within = np.arange(element.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    element, within = numbered(pieces)
     width = np.diff(starts)[element]
     span = width / pieces[element]
     rate = (curvatures.end - curvatures.start)[element] / width

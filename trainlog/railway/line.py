@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray, numbered
 from trainlog.declaration import (
     INFINITY,
     POSITIVE,
@@ -1100,9 +1100,8 @@ class Line(Declared):
         """Pieces of at most `LONGEST_PIECE` between the edges, for a train of a length."""
         edges = self.edges(train_length)
         counts = np.ceil(np.diff(edges) / LONGEST_PIECE).astype(np.int64)
-        first = np.repeat(np.cumsum(counts) - counts, counts)
-        share = (np.arange(counts.sum()) - first) / np.repeat(counts, counts)
-        start = np.repeat(edges[:-1], counts) + share * np.repeat(np.diff(edges), counts)
+        cell, number = numbered(counts)
+        start = edges[cell] + number / counts[cell] * np.diff(edges)[cell]
         width = np.diff(np.append(start, self.length))
         sine = self.track_acceleration(np.append(start, self.length), train_length) / GRAVITY
         none = np.zeros(start.size)
