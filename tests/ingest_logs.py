@@ -10,7 +10,8 @@ import pandas as pd
 from hypothesis import strategies as st
 from recorder_files import SECOND, START, Drive, ublox_text
 
-from trainlog.ingest import Profile, profile_of
+from trainlog import Trip
+from trainlog.ingest import Profile, ingest, profile_of
 
 HEAD = {"format": "trainlog/recorder-profile", "version": 1, "name": "plain"}
 PLAIN = {
@@ -47,6 +48,11 @@ def plain_rows(count: int = 20, step: float = 1.0) -> list[str]:
 def write(path: Path, rows: list[str], header: str = "t,v,s") -> Path:
     path.write_text(plain_text(rows, header), "utf-8")
     return path
+
+
+def read_plain(folder: Path, rows: list[str], **sections: object) -> Trip:
+    """The trip of rows, by the plain profile with sections added or replaced."""
+    return ingest(write(folder / "run.csv", rows), profile=plain_profile(**sections))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from trajectory_cases import (
     observed,
     optimised,
 )
+from trip_parts import without
 
 from analysis.comparison.compare import compare
 from analysis.control.advised import EXACT, AdvisedDriver, Attention, obeyed_trip
@@ -312,7 +313,7 @@ def test_a_trip_is_compared_with_its_advice():
     assert abs(letter - direction.trips[0].sum("traction")) < 0.2 * JOULES_PER_KWH
     assert direction.trips[0].within_advice > 0.6
     # A log that holds no advice is compared with the speeds of the plan, here of another one.
-    bare = replace(trip, topics={n: f for n, f in trip.topics.items() if n != "/reference"})
+    bare = without(trip, "/reference")
     other = compare(bare, plan_of("flirt", 0.5)).directions[0].trips[0]
     assert other.within_advice < 0.5 * direction.trips[0].within_advice
     # Where a plan gives no advice the rest is compared.

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from refusals import refused
+from trip_parts import without
 
 from analysis.comparison.compare import compare
 from analysis.comparison.driven import driven_trip
@@ -325,10 +326,7 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own():
 
 
 def test_without_efforts_the_energy_is_unknown():
-    none = replace(
-        stopping(), topics={k: v for k, v in stopping().topics.items() if k != "/train/controls"}
-    )
-    found = compare(none)
+    found = compare(without(stopping(), "/train/controls"))
     assert found.trip("trip-03").table["traction"].isna().all()
     assert "no efforts are recorded" in found._repr_html_()
 

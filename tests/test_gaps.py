@@ -7,21 +7,19 @@ from functools import cache
 
 import numpy as np
 import pytest
+from test_calculated import TRAIN, driven, true_work
+from trip_parts import without
 
 from analysis.comparison.calculated import Calculation, calculate, judged_together, together_words
 from analysis.comparison.compare import ComparedTrip, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
-from trainlog import read_line, read_train
-from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.samples import sample
 from trainlog.mcap import read_log
 from trainlog.railway import RunningResistance
-from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
 pytestmark = pytest.mark.usefixtures("remembered")
-
-TRAIN = read_train(sample(DEFAULT_TRAIN))
 
 
 @cache
@@ -34,13 +32,7 @@ def compared_whole() -> ComparedTrip:
     return compare(whole()).trip("trip-03")
 
 
-def true_work(trip: Trip) -> float:
-    """Of the simulated efforts over the true way [J], by the truth that no analysis reads."""
-    speed, effort = trip["/truth"]["speed"], trip["/train/controls"]["tractive_effort"]
-    return float((effort.to_numpy() * speed.to_numpy()).sum() * 0.1)
-
-
-def without(trip: Trip, topic: str, *columns: str, first: float) -> Trip:
+def interrupted(trip: Trip, topic: str, *columns: str, first: float) -> Trip:
     """A trip without some columns for 20 s; without columns, without rows."""
     frame = trip[topic]
     since = (frame.index - trip["/train/state"].index[0]).total_seconds().to_numpy()
@@ -49,10 +41,6 @@ def without(trip: Trip, topic: str, *columns: str, first: float) -> Trip:
     for column in columns:
         changed.loc[inside, column] = np.nan
     return trip.with_topic(changed)
-
-
-def less(trip: Trip, *topics: str) -> Trip:
-    return replace(trip, topics={k: v for k, v in trip.topics.items() if k not in topics})
 
 
 STATE, CONTROLS, AXLES, MOTION = "/train/state", "/train/controls", "/train/axles", "/gnss/motion"
@@ -69,7 +57,7 @@ STATE, CONTROLS, AXLES, MOTION = "/train/state", "/train/controls", "/train/axle
     ],
 )
 def test_work_over_a_bridged_gap_is_that_of_the_true_motion(lost, topics, first, words):
-    trip = less(without(whole(), *lost, first=first), *topics)
+    trip = without(interrupted(whole(), *lost, first=first), *topics)
     found, own = compare(trip).trip("trip-03"), compared_whole()
     assert found.trip.sums["traction"][-1] == pytest.approx(true_work(trip), rel=0.01)
     np.testing.assert_allclose(found.table["traction"], own.table["traction"], rtol=0.01)
@@ -87,7 +75,7 @@ def test_work_over_a_bridged_gap_is_that_of_the_true_motion(lost, topics, first,
     ],
 )
 def test_work_over_a_gap_that_nothing_bridges_is_not_stated(lost, topics, words):
-    trip = less(without(whole(), *lost, first=600.0), *topics)
+    trip = without(interrupted(whole(), *lost, first=600.0), *topics)
     cost = trip_cost(trip)
     assert np.isnan(cost.traction)
     assert cost.unknown
@@ -103,7 +91,7 @@ def test_work_over_a_gap_that_nothing_bridges_is_not_stated(lost, topics, words)
 
 
 def test_energy_from_the_line_lacks_what_lacks_of_traction_or_brake():
-    trip = without(whole(), CONTROLS, "dynamic_braking_effort", first=600.0)
+    trip = interrupted(whole(), CONTROLS, "dynamic_braking_effort", first=600.0)
     found = compare(trip).trip("trip-03")
     assert found.recorded_energy("traction")[1] == pytest.approx(0.0, abs=1e-9)
     share = 20.0 / found.trip.running[-1]
@@ -115,23 +103,17 @@ def test_a_trip_with_position_alone_has_its_speed_from_there():
     assert trip_cost(trip).traction == pytest.approx(true_work(trip), rel=0.01)
 
 
-@cache
-def simulated() -> Trip:
-    """Resistance, load and gradients are drawn: they are not those of the files."""
-    return simulate(draw_scenarios(read_line(sample(DEFAULT_LINE)), TRAIN, 3, seed=11)[2])
-
-
 def calculated(trip: Trip) -> Calculation:
     return calculate(trip, TRAIN)
 
 
 @pytest.mark.parametrize("bridged", [True, False])
 def test_a_calculation_starts_anew_behind_a_gap(bridged):
-    trip = without(simulated(), "/train/state", "speed", first=200.0)
+    trip = interrupted(driven(), "/train/state", "speed", first=200.0)
     if not bridged:
-        trip = without(trip, "/train/state", "position", first=200.0)
-        trip = less(trip, "/train/axles", "/gnss/motion")
-    found, own = calculated(trip), calculated(simulated())
+        trip = interrupted(trip, "/train/state", "position", first=200.0)
+        trip = without(trip, "/train/axles", "/gnss/motion")
+    found, own = calculated(trip), calculated(driven())
     sums = driven_trip(trip).unknown()
     assert sums is not bridged
     if bridged:
@@ -156,13 +138,13 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged):
 
 
 def test_a_drive_given_twice_is_judged_once():
-    found = calculated(simulated())
+    found = calculated(driven())
     assert judged_together([found, replace(found, notes=("copy",))]).judged_trips == 1
     assert "1 given twice, counted once" in together_words([found, found], found.diagnosis)
 
 
 def test_what_a_model_does_not_determine_is_said_so():
-    found = calculated(simulated())
+    found = calculated(driven())
     first = found.table.index[0]
     table = found.table.copy()
     table.loc[first, "time_determined"] = False
@@ -172,4 +154,4 @@ def test_what_a_model_does_not_determine_is_said_so():
     # A resistance ten times the train's stops it before the section ends.
     own = TRAIN.resistance
     heavy = replace(TRAIN, resistance=RunningResistance(12 * own.r0, 12 * own.r1, 12 * own.r2))
-    assert calculate(simulated(), heavy).not_determined["running time"]
+    assert calculate(driven(), heavy).not_determined["running time"]

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import assume, given, settings, strategies as st
-from ingest_logs import SECOND, START, plain_profile, write
+from ingest_logs import SECOND, START, read_plain
 
 from trainlog.errors import InputError
-from trainlog.ingest import ingest, repairs_of, report_of
+from trainlog.ingest import repairs_of, report_of
 from trainlog.trip import Trip
 
 FILES = settings(max_examples=10)
@@ -47,11 +47,9 @@ def rows_of(seconds: np.ndarray, speed: np.ndarray, position: np.ndarray) -> lis
 
 
 def read_rows(tmp_path: Path, rows: list[str], *, with_speed: bool = True, **more: object) -> Trip:
-    profile = plain_profile(**more)
     if not with_speed:
-        columns = {COLUMN: {"column": "s", "unit": "m"}}
-        profile = plain_profile(columns=columns)
-    return ingest(write(tmp_path / "run.csv", rows), profile=profile)
+        more["columns"] = {COLUMN: {"column": "s", "unit": "m"}}
+    return read_plain(tmp_path, rows, **more)
 
 
 def assert_grows(trip: Trip, distance: np.ndarray, within: float) -> None:

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
-from ingest_logs import SECOND, Run, clean_run, plain_profile, ublox, write
+from ingest_logs import SECOND, Run, clean_run, plain_profile, read_plain, ublox, write
 from refusals import refused
 
-from trainlog import DEFAULT_TRAIN, InputError, Trip, read_train, repairs_of, report_of, sample
+from trainlog import DEFAULT_TRAIN, InputError, read_train, repairs_of, report_of, sample
 from trainlog.ingest import ingest
 
 FILES = settings(max_examples=10)
 
 WEEKS = 1024 * 7 * 86_400
-
-
-def read(tmp_path: Path, rows: list[str], **sections: object) -> Trip:
-    return ingest(write(tmp_path / "run.csv", rows), profile=plain_profile(**sections))
 
 
 def shifted(run: Run, rows: slice, seconds: float) -> list[str]:
@@ -64,7 +59,7 @@ def test_a_clock_that_was_set_costs_nothing(tmp_path, data):
     if where == "end" and -60 < size < 0:
         # Set at the end to what is right, before it was late.
         truth, count, size = truth + size * 1_000_000_000, run.time.size - count, -size
-    trip = read(tmp_path, shown)
+    trip = read_plain(tmp_path, shown)
     report = report_of(trip)
     assert report.counts == {"clock_step": count}
     stated = (
@@ -95,7 +90,7 @@ def test_blocks_written_late_or_twice_are_no_steps(tmp_path, data):
     else:
         damaged = [*rows[: place + length], *block, *rows[place + length :]]
         expected = {"duplicates": length, "time_backwards": length}
-    trip = read(tmp_path, damaged)
+    trip = read_plain(tmp_path, damaged)
     counts = report_of(trip).counts
     assert counts.keys() == expected.keys()
     assert all(counts[rule] <= count for rule, count in expected.items())
@@ -105,7 +100,7 @@ def test_blocks_written_late_or_twice_are_no_steps(tmp_path, data):
 
 def test_an_hours_pause_is_a_gap_and_stays_one(tmp_path):
     run = clean_run(200, 1.0)
-    trip = read(tmp_path, shifted(run, slice(100, None), 3600))
+    trip = read_plain(tmp_path, shifted(run, slice(100, None), 3600))
     # The train goes on where it was, as fast: whether the clock was set is asked, not answered.
     assert report_of(trip).counts == {"gaps": 1, "clock_step_suspected": 1}
     assert trip.duration == pytest.approx(199 + 3600)
@@ -229,7 +224,7 @@ def test_quantised_columns_are_reported_with_their_step(tmp_path, phase, step):
     run = clean_run(1200, 0.1, phase)
     coarse = np.round(run.speed / step) * step
     rows = Run(run.time, coarse, run.position).rows()
-    trip = read(tmp_path, rows)
+    trip = read_plain(tmp_path, rows)
     (finding,) = report_of(trip).findings
     assert (finding.rule, finding.column, finding.count) == (
         "quantised",

@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
-from ingest_logs import SECOND, START, plain_profile, write
+from ingest_logs import SECOND, START, read_plain
 
 from trainlog import read
-from trainlog.ingest import Finding, Table, ingest
+from trainlog.ingest import Finding, Table
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.rules import repaired
 
@@ -170,7 +170,7 @@ def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path):
         f"{pd.Timestamp(START + int(i) * SECOND, tz='UTC').isoformat()},{v:.2f},{s:.1f}"
         for i, v, s in zip(seconds, dead, position, strict=True)
     ]
-    trip = ingest(write(tmp_path / "run.csv", rows), profile=plain_profile())
+    trip = read_plain(tmp_path, rows)
     state = trip["/train/state"]
     assert state["speed"].iloc[302:420].isna().all()
     assert state["speed"].iloc[:60].notna().all()

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from contents import put
 from hypothesis import given, settings, strategies as st
-from ingest_logs import clean_run, damaged_runs, plain_profile, plain_text, ublox, write
+from ingest_logs import clean_run, damaged_runs, plain_text, read_plain, ublox
 from recorder_files import gpx, mtk
 from refusals import refused
 
@@ -75,7 +75,7 @@ def plain_raw(rows: list[str]) -> pd.DataFrame:
 @FILES
 @given(damaged_runs())
 def test_a_damaged_file_is_found_again(tmp_path, damaged):
-    trip = ingest(write(tmp_path / "run.csv", damaged.rows), profile=plain_profile())
+    trip = read_plain(tmp_path, damaged.rows)
     assert_restored(trip, plain_raw(damaged.rows))
     entries = repairs_of(trip)
     cut = entries[entries["rule"] == "truncated_rows"]
@@ -140,7 +140,7 @@ def test_raw_values_survive_the_log(tmp_path):
 
 
 def test_a_clean_file_keeps_no_raw_values(tmp_path):
-    trip = ingest(write(tmp_path / "run.csv", clean_run(50, 0.1).rows()), profile=plain_profile())
+    trip = read_plain(tmp_path, clean_run(50, 0.1).rows())
     assert REPAIRS_ATTACHMENT not in trip.attachments
     assert len(repairs_of(trip)) == 0
     assert list(repairs_of(trip).columns)[:3] == ["row", "table", "column"]
@@ -151,7 +151,7 @@ def test_what_is_kept_is_bounded_and_the_rest_counted(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "Repairs", partial(Repairs, most=100))
     rows = clean_run(400, 1.0).rows()
     doubled = [row for row in rows for _ in range(2)]
-    trip = ingest(write(tmp_path / "run.csv", doubled), profile=plain_profile())
+    trip = read_plain(tmp_path, doubled)
     report = report_of(trip)
     assert report.raw_kept == len(repairs_of(trip)) == 100
     assert report.raw_beyond == 3 * 400 - 100

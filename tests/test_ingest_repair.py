@@ -17,6 +17,7 @@ from ingest_logs import (
     damaged_runs,
     plain_profile,
     plain_rows,
+    read_plain,
     ublox,
     write,
 )
@@ -40,10 +41,6 @@ from trainlog.trip import Trip
 FILES = settings(max_examples=20)
 
 
-def read(tmp_path: Path, rows: list[str], **sections: object) -> Trip:
-    return ingest(write(tmp_path / "run.csv", rows), profile=plain_profile(**sections))
-
-
 def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path):
     """Each time is written once, so that no row is of a clock that was a second ahead."""
     swapped = 5, 45, 49, 53, 57
@@ -54,7 +51,7 @@ def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path):
     for place in swapped:
         rows[place], rows[place + 1] = rows[place + 1], rows[place]
     del rows[25]
-    report = report_of(read(tmp_path, rows))
+    report = report_of(read_plain(tmp_path, rows))
     assert report.counts.get("clock_step", 0) == 0
     assert report.count("time_backwards") == len(swapped)
 
@@ -62,7 +59,7 @@ def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path):
 @FILES
 @given(damaged_runs())
 def test_damage_is_undone_and_counted(tmp_path, damaged):
-    trip = read(tmp_path, damaged.rows)
+    trip = read_plain(tmp_path, damaged.rows)
     report = report_of(trip)
     assert report.count("duplicates") == damaged.doubled
     assert report.count("time_backwards") == damaged.swapped
@@ -189,14 +186,14 @@ def test_what_changes_no_faster_than_the_rate_is_no_spike(steps, changes, rate):
 def test_gaps_are_counted_and_never_filled(tmp_path):
     rows = plain_rows(200)
     kept = rows[:50] + rows[80:120] + rows[130:]
-    trip = read(tmp_path, kept)
+    trip = read_plain(tmp_path, kept)
     report = report_of(trip)
     assert report.counts == {"gaps": 2}
     assert report.findings[0].note == "longest 31.0 s, beyond 5 s"
     assert report.findings[0].rows == (52, 92)
     assert trip.metadata["repair.gaps"] == "2"
     assert len(trip["/train/state"]) == len(kept)
-    wide = read(tmp_path, kept, limits={"gap": 20.0})
+    wide = read_plain(tmp_path, kept, limits={"gap": 20.0})
     assert report_of(wide).count("gaps") == 1
 
 
@@ -209,7 +206,7 @@ def test_rows_of_one_instant_are_merged(tmp_path):
         for stamp, speed, position in [row.split(",")]
         for part in (f"{stamp},{speed},", f"{stamp},,{position}")
     ]
-    trip = read(tmp_path, rows)
+    trip = read_plain(tmp_path, rows)
     assert report_of(trip).count("same_time") == 30
     np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
@@ -218,7 +215,7 @@ def test_rows_of_one_instant_are_merged(tmp_path):
 def test_contradictory_rows_of_one_instant_keep_the_first_value(tmp_path):
     rows = plain_rows(20)
     stamp, _, position = rows[7].split(",")
-    trip = read(tmp_path, [*rows[:8], f"{stamp},3.0,{position}", *rows[8:]])
+    trip = read_plain(tmp_path, [*rows[:8], f"{stamp},3.0,{position}", *rows[8:]])
     assert report_of(trip).counts == {"same_time": 1}
     assert trip["/train/state"]["speed"].iloc[7] == float(rows[7].split(",")[1])
 
@@ -228,10 +225,10 @@ def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path):
     stamp, _, position = rows[30].split(",")
     rows[30] = f"{stamp},70.0,{position}"
     limits = {"columns": {"/train/state.speed": {"unit": "km/h", "min": 0, "max": 240}}}
-    report = report_of(read(tmp_path, rows, limits=limits))
+    report = report_of(read_plain(tmp_path, rows, limits=limits))
     assert report.counts == {"out_of_limits": 1}
     # Without the profile's limit the value is possible, but nothing can have jumped to it.
-    report = report_of(read(tmp_path, rows))
+    report = report_of(read_plain(tmp_path, rows))
     assert report.counts == {"spikes": 1}
 
 
@@ -264,9 +261,9 @@ def test_rules_that_are_off_refuse_what_they_would_repair(tmp_path, rule, reques
         "duplicates": [*rows[:30], rows[30], *rows[30:]],
         "same_time": [*rows[:30], f"{stamp},1.0,{position}", *rows[30:]],
     }[rule.name]
-    assert report_of(read(tmp_path, damage)).count(rule.name) == 1
+    assert report_of(read_plain(tmp_path, damage)).count(rule.name) == 1
     with pytest.raises(InputError, match=rf"run\.csv, row 3[234].*1 times '{rule.name}'"):
-        read(tmp_path, damage, repair={rule.name: False})
+        read_plain(tmp_path, damage, repair={rule.name: False})
 
 
 def test_values_stay_when_their_rules_are_off(tmp_path):
@@ -274,7 +271,7 @@ def test_values_stay_when_their_rules_are_off(tmp_path):
     stamp, _, position = rows[30].split(",")
     rows[30] = f"{stamp},400.0,{position}"
     off = {"out_of_limits": False, "spikes": False}
-    trip = read(tmp_path, rows, repair=off)
+    trip = read_plain(tmp_path, rows, repair=off)
     assert trip["/train/state"]["speed"].iloc[30] == 400.0
     assert report_of(trip).switched_off == ("out_of_limits", "spikes")
     assert trip.metadata["repair.switched_off"] == "out_of_limits, spikes"
@@ -420,7 +417,7 @@ def test_runs_of_wild_speeds_go_and_the_sample_after_stays(tmp_path, length, siz
         for place in range(first, first + length):
             stamp, speed, position = rows[place].split(",")
             rows[place] = f"{stamp},{max(0.0, float(speed) + size):.3f},{position}"
-    trip = ingest(write(tmp_path / "run.csv", rows), profile=plain_profile())
+    trip = read_plain(tmp_path, rows)
     absent = np.flatnonzero(trip["/train/state"]["speed"].isna())
     assert absent.tolist() == [place for first in wild for place in range(first, first + length)]
     assert len(repairs_of(trip)) == 2 * length == report_of(trip).count("spikes")

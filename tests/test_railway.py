@@ -1,16 +1,18 @@
 """Lines, trains, resistance and creep curves as data and pure functions."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from refusals import refused
+from simulated_line import level_line, steps
 
 from trainlog.errors import InputError
 from trainlog.railway import (
     Configuration,
     CreepCurve,
     CurvatureProfile,
-    Line,
     RunningResistance,
     Station,
     StepProfile,
@@ -18,12 +20,11 @@ from trainlog.railway import (
     Tunnel,
 )
 
-LINE = Line(
+LINE = level_line(
+    1000.0,
     name="test",
-    length=1000.0,
-    stations=(Station("A", 0.0), Station("B", 1000.0)),
-    speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([20.0, 30.0])),
-    gradients=StepProfile(np.array([0.0, 250.0, 500.0]), np.array([0.01, -0.02, 0.0])),
+    speed_limits=steps((0.0, 20.0), (400.0, 30.0)),
+    gradients=steps((0.0, 0.01), (250.0, -0.02), (500.0, 0.0)),
     curvatures=CurvatureProfile(
         np.array([0.0, 100.0, 200.0]), np.array([0.0, 0.0, 0.002]), np.array([0.0, 0.002, 0.002])
     ),
@@ -86,32 +87,24 @@ def test_curves_that_do_not_rise_from_zero_are_refused(curve):
 
 
 def test_nonsensical_lines_are_refused_with_the_place():
-    def line(**changes: object) -> Line:
-        fields = {
-            "name": "L",
-            "length": 1000.0,
-            "stations": (Station("A", 0.0), Station("B", 1000.0)),
-            "speed_limits": StepProfile(np.array([0.0]), np.array([20.0])),
-            "gradients": StepProfile(np.array([0.0]), np.array([0.0])),
-        }
-        return Line(**{**fields, **changes})
-
-    with pytest.raises(InputError, match=r"speed limit at km 0\.400 is not positive"):
-        line(speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([20.0, 0.0])))
-    with pytest.raises(InputError, match="steeper than 200 per mille"):
-        line(gradients=StepProfile(np.array([0.0]), np.array([11.9])))
+    line = partial(level_line, 1000.0)
+    for words, changes in (
+        (
+            r"speed limit at km 0\.400 is not positive",
+            {"speed_limits": ((0.0, 20.0), (400.0, 0.0))},
+        ),
+        ("steeper than 200 per mille", {"gradients": ((0.0, 11.9),)}),
+        ("beyond the line's end", {"speed_limits": ((0.0, 20.0), (1500.0, 30.0))}),
+    ):
+        refused(InputError, words, line, **{name: steps(*rows) for name, rows in changes.items()})
     # Just the steepest gradient stays one where its mean over a distance is rounded up.
-    line(gradients=StepProfile(np.array([0.0, 66.3]), np.array([0.06, -0.2])))
-    with pytest.raises(InputError, match="beyond the line's end"):
-        line(speed_limits=StepProfile(np.array([0.0, 1500.0]), np.array([20.0, 30.0])))
+    line(gradients=steps((0.0, 0.06), (66.3, -0.2)))
     refused(InputError, "not in the order", line, stations=(Station("B", 900.0), Station("A", 0.0)))
     refused(InputError, "leaves the line", line, tunnels=(Tunnel(900.0, 200.0, 40.0),))
     for length, section in ((-200.0, 40.0), (0.0, 40.0), (200.0, 0.0), (200.0, np.nan)):
         refused(InputError, "is not positive and finite", Tunnel, 300.0, length, section)
-    with pytest.raises(
-        InputError, match=r"values\[2\]: position 5 m follows 10 m; positions must increase"
-    ):
-        StepProfile(np.array([0.0, 10.0, 5.0]), np.zeros(3))
+    said = r"values\[2\]: position 5 m follows 10 m; positions must increase"
+    refused(InputError, said, StepProfile, np.array([0.0, 10.0, 5.0]), np.zeros(3))
     refused(InputError, "finite", StepProfile, np.array([0.0]), np.array([np.nan]))
 
 

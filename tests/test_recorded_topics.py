@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from ingest_logs import plain_profile, write
 from refusals import refused
 from rerun.chunk import RrdReader
 
 import trainlog
 from trainlog.errors import InputError, LogError, TrainlogError
-from trainlog.ingest import ingest, profile_of, report_of
+from trainlog.ingest import ingest, report_of
 from trainlog.mcap.convert import convert
 from trainlog.topics import RECORDED, Field, recorded_topic
 from trainlog.trip import Trip, frame_of
@@ -96,23 +97,15 @@ def test_the_replay_draws_a_plot_a_unit(tmp_path):
 
 def test_a_profile_keeps_any_column_in_si(tmp_path):
     rows = [f"2024-05-01T06:00:{i:02d}Z,{60 + i},{300 + i},{25.1},{i % 2},x{i}" for i in range(30)]
-    path = tmp_path / "run.csv"
-    path.write_text("t,v,T,U,pump,note\n" + "\n".join(rows) + "\n", "utf-8")
-    profile = profile_of(
-        {
-            "format": "trainlog/recorder-profile",
-            "version": 1,
-            "name": "own",
-            "time": {"column": "t"},
-            "columns": {
-                "/train/state.speed": {"column": "v", "unit": "km/h"},
-                "/train/supply.line_voltage": {"column": "U", "unit": "kV"},
-                "/recorded/motor.temperature": {"column": "T", "unit": "degF", "meaning": "coil"},
-                "/recorded/motor.pump": {"column": "pump", "between": "previous"},
-            },
-        }
+    columns = {
+        "/train/state.speed": {"column": "v", "unit": "km/h"},
+        "/train/supply.line_voltage": {"column": "U", "unit": "kV"},
+        "/recorded/motor.temperature": {"column": "T", "unit": "degF", "meaning": "coil"},
+        "/recorded/motor.pump": {"column": "pump", "between": "previous"},
+    }
+    trip = ingest(
+        write(tmp_path / "run.csv", rows, "t,v,T,U,pump,note"), plain_profile(columns=columns)
     )
-    trip = ingest(path, profile)
     motor = trip["/recorded/motor"]
     assert motor.attrs["units"] == {"temperature": "K", "pump": "1"}
     assert motor.attrs["meanings"]["temperature"] == "coil"
@@ -133,15 +126,12 @@ def test_names_units_and_descriptions_that_cannot_be_are_refused(tmp_path):
     ):
         listed = [Field(field, "1", "") for field in fields]
         refused(InputError, "recorded/", recorded_topic, name, listed)
-    content = {"format": "trainlog/recorder-profile", "version": 1, "name": "own",
-               "time": {"column": "t"}}  # fmt: skip
     for topic, column, said in (
         ("/recorded/oil.level", {"unit": "thumbs"}, "unit 'thumbs' is not known"),
         ("/train/state.speed", {"unit": "m/s", "meaning": "speed"},
          "meaning and between are for topics below /recorded/"),
     ):  # fmt: skip
-        columns = {topic: {"column": "x", **column}}
-        refused(InputError, said, profile_of, content | {"columns": columns})
+        refused(InputError, said, plain_profile, columns={topic: {"column": "x", **column}})
     bare = made()
     bare[PANTOGRAPH.name].attrs = {"topic": PANTOGRAPH.name}
     refused(LogError, "does not describe its columns", trainlog.write, bare, tmp_path / "bare.mcap")

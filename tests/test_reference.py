@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from refusals import refused
+from simulated_line import level_line, steps
 
 from analysis.studies.hauck_2023 import model as dynamics, reference as shooting
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
@@ -27,14 +27,12 @@ GRIP = StepProfile(np.zeros(1), np.array([0.3]))
 
 
 def line(slope: float = 0.0, limit: float = 80.0, length: float = 3_000.0) -> Line:
-    return Line(
-        name="short",
-        length=length,
+    limits = (0.0, limit / 3.6), (900.0, 0.7 * limit / 3.6), (1_300.0, limit / 3.6)
+    return level_line(
+        length,
         stations=(Station("A", 100.0), Station("B", length - 500.0)),
-        speed_limits=StepProfile(
-            np.array([0.0, 900.0, 1_300.0]), np.array([limit, 0.7 * limit, limit]) / 3.6
-        ),
-        gradients=StepProfile(np.array([0.0, 600.0, 1_500.0]), np.array([0.0, slope, 0.0])),
+        speed_limits=steps(*limits),
+        gradients=steps((0.0, 0.0), (600.0, slope), (1_500.0, 0.0)),
     )
 
 
@@ -76,8 +74,7 @@ def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved):
 def test_on_the_level_without_limits_the_answer_is_the_analytic_one():
     """With constant effort and no resistance the lever falls on a straight line: cubic motion."""
     train = PUBLISHED_TRAIN._replace(k1=0.0, k3=60e3, drag=0.0, rolling=0.0)
-    track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
-    track = replace(track, speed_limits=StepProfile(np.zeros(1), np.array([80.0])))
+    track = level_line(3_000.0, limit=80.0)
     time, way, mass = 180.0, 1_500.0, 78_200.0
     stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 100.0 + way, time, time)
     found = reference(section_of(track, train, GRIP, *stops), mass)
@@ -115,8 +112,7 @@ def test_the_fastest_run_bounds_every_reference_and_is_slower_with_more_mass():
 def test_what_the_lightest_train_may_do_bounds_the_fastest_run():
     """On the level without a limit: comfort of the light train, until it may run a little on."""
     c = PUBLISHED_TRAIN._replace(drag=0.0, rolling=0.0)
-    track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
-    track = replace(track, speed_limits=StepProfile(np.zeros(1), np.array([80.0])))
+    track = level_line(3_000.0, limit=80.0)
     stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 180.0, 100.0, 100.0)
     found = fastest_unweighed(section_of(track, c, GRIP, *stops), c.heavy)
     # 1 m/s² of the light train is 0.77 of the heavy one, in traction and in braking.

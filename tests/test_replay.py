@@ -23,6 +23,7 @@ from replay_trips import (
     trajectory_of,
 )
 from rerun.chunk import RrdReader
+from trip_parts import without
 
 from trainlog import InputError, LogError, ReplayOptions, Trip, frame_of, topics, write_replay
 from trainlog.formats.railway import line_to_bytes
@@ -255,10 +256,7 @@ def test_a_trip_is_compared_with_what_is_planned_unless_it_followed_or_ran_backw
     trip, tmp_path
 ):
     path, down = tmp_path / "plan.rrd", made_trip("down", "reverse")
-    own, back = (
-        replace(each, topics={k: v for k, v in each.topics.items() if k != "/reference"})
-        for each in (trip, down)
-    )
+    own, back = (without(each, "/reference") for each in (trip, down))
     followed = replace(trip, metadata={**trip.metadata, "trip": "followed"})
     write_replay([own, back, followed], path, trajectory=trajectory_of())
     entity = "/trips/up/speed/trajectory"

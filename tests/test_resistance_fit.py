@@ -12,6 +12,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from refusals import refused
 from resistance_trips import RESISTANCE, changed, trip, with_exact_efforts
+from trip_parts import without
 
 import analysis
 from analysis import TripRefusedError, coast_down, fit_trip, view_of, with_estimates
@@ -99,13 +100,8 @@ def test_any_trip_is_fitted_or_refused(seed, duration, noise, tail):
 
 
 def test_fitting_does_not_read_the_truth(simulated, fitted):
-    blind = replace(
-        simulated[0],
-        topics={name: frame for name, frame in simulated[0].topics.items() if name != "/truth"},
-        attachments={
-            name: data for name, data in simulated[0].attachments.items() if "scenario" not in name
-        },
-    )
+    shown = {n: data for n, data in simulated[0].attachments.items() if "scenario" not in n}
+    blind = replace(without(simulated[0], "/truth"), attachments=shown)
     again = fit_trip(blind)
     np.testing.assert_array_equal(again.beta, fitted[0].beta)
     np.testing.assert_array_equal(again.covariance, fitted[0].covariance)
@@ -211,7 +207,7 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded():
         change = np.interp(windows.end, time, slip) - np.interp(windows.start, time, slip)
         return float(np.sqrt(np.mean(change**2))), float(windows.duration.sum())
 
-    bare = replace(trip, topics={n: f for n, f in trip.topics.items() if n != TRAIN_AXLES.name})
+    bare = without(trip, TRAIN_AXLES.name)
     speeds = np.tile(state["speed"].to_numpy()[:, None], (1, train.axles.count))
     # Axles that turn as the train moves hide slip from masks.
     hidden = bare.with_topic(frame_of(TRAIN_AXLES, state.index, {"wheel_speed": speeds}))

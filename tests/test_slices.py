@@ -21,19 +21,11 @@ instants = st.integers(0, 5 * 10**18)
 
 def driven(times: list[float], positions: list[float]) -> Trip:
     """A trip with its position, and an event every half second."""
-    first, last = times[0], times[-1]
-    events = np.arange(first, last + 0.25, 0.5)
-    return Trip(
-        {
-            TRAIN_STATE.name: frame_of(
-                TRAIN_STATE, START + np.array(times) * SECOND, {"position": positions}
-            ),
-            EVENTS.name: frame_of(
-                EVENTS, START + events * SECOND, {"message": [f"{at:g} s" for at in events]}
-            ),
-        },
-        {"trip": "test"},
-    )
+    halves = np.arange(times[0], times[-1] + 0.25, 0.5)
+    state = frame_of(TRAIN_STATE, START + np.array(times) * SECOND, {"position": positions})
+    shown = {"message": [f"{at:g} s" for at in halves]}
+    events = frame_of(EVENTS, START + halves * SECOND, shown)
+    return Trip({TRAIN_STATE.name: state, EVENTS.name: events}, {"trip": "test"})
 
 
 def stamp(nanoseconds: int) -> pd.Timestamp:

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
+from trip_parts import without
 
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.estimates import estimate_log
@@ -145,10 +146,6 @@ pytestmark = pytest.mark.usefixtures("remembered")
 def trips() -> list[Seen]:
     """Dry and wet, forward and reverse."""
     return [seen(scenario) for scenario in draw_scenarios(hilly_line(), flirt(), 4, seed=1)]
-
-
-def without(trip: Trip, *topics: str) -> Trip:
-    return replace(trip, topics={n: f for n, f in trip.topics.items() if n not in topics})
 
 
 def score(trips: list[Seen]) -> Score:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from contents import put
@@ -30,16 +28,11 @@ quick = settings(max_examples=20, suppress_health_check=list(HealthCheck))
 
 
 @pytest.mark.parametrize(
-    ("kind", "read", "expected"),
-    [
-        ("line", read_line, example(Line)),
-        ("train", read_train, example(Train)),
-        ("journey", read_journey, example(Journey)),
-    ],
+    ("kind", "read"), [(Line, read_line), (Train, read_train), (Journey, read_journey)]
 )
-def test_a_template_is_valid_as_it_is(tmp_path, kind, read, expected):
-    path = write_template(kind, tmp_path / f"mine.{kind}.toml")
-    assert_same(read(path), expected, ROUNDING)
+def test_a_template_is_valid_as_it_is(tmp_path, kind, read):
+    path = write_template(kind.__name__.lower(), tmp_path / "mine.toml")
+    assert_same(read(path), example(kind), ROUNDING)
     text = path.read_text("utf-8")
     assert text.startswith("# A ")
     assert text.count("\n#") > 2
@@ -72,10 +65,9 @@ def test_the_profiles_template_reads_what_it_describes(tmp_path):
     """Its optional columns may be missing, the others not."""
     path = write_template("profile", tmp_path / "mine.profile.toml")
     profile = read_profile(path)
-    rows = [f"01.05.2024 08:00:{i:02d}.0;{0.02 * i:.2f};72;{50 - 2 * i}".replace(".0;", ".0;", 1)
-            for i in range(40)]  # fmt: skip
-    text = "\n".join(["Time;Distance;Speed;Effort", *(row.replace("0.", "0,", 0) for row in rows)])
-    trip = ingest(put(tmp_path / "run.csv", text.replace(";0.", ";0,") + "\n"), profile=profile)
+    rows = [f"01.05.2024 08:00:{i:02d}.0;{0.02 * i:.2f};72;{50 - 2 * i}" for i in range(40)]
+    cells = [row.replace(";0.", ";0,") for row in rows]
+    trip = ingest(put(tmp_path / "run.csv", ["Time;Distance;Speed;Effort", *cells]), profile)
     assert trip["/train/state"]["speed"].iloc[0] == pytest.approx(20.0)
     assert trip["/train/controls"]["dynamic_braking_effort"].iloc[-1] == 28_000.0
     assert trip.start.isoformat() == "2024-05-01T06:00:00+00:00"
@@ -102,13 +94,9 @@ def test_a_train_is_not_made_from_a_table(tmp_path):
         write_template("profile", tmp_path / "a.toml", table=tmp_path / "b.csv")
 
 
-def table(tmp_path: Path, text: str, name: str = "A-B.csv") -> Path:
-    return put(tmp_path / name, text)
-
-
 def test_a_table_becomes_a_line(tmp_path):
-    path = table(
-        tmp_path,
+    path = put(
+        tmp_path / "A-B.csv",
         """\
 # surveyed 2019
 Kilometrierung [km];Neigung [‰];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];Länge [deg]
@@ -149,7 +137,7 @@ def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
         for s, slope, limit, no in zip(at, slopes, limits, empty, strict=True)
     ]
     rows[-1] = f"{at[-1] / 1000:.3f}"
-    path = table(tmp_path, "\n".join(["km\tgradient [permil]\tlimit [km/h]", *rows]) + "\n")
+    path = put(tmp_path / "A-B.csv", ["km\tgradient [permil]\tlimit [km/h]", *rows])
     line = read_line_table(path)
     held = slopes[0], limits[0]
     for row in range(at.size - 1):
@@ -189,7 +177,7 @@ def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
     ],
 )
 def test_tables_that_are_no_line(tmp_path, text, message):
-    path = table(tmp_path, text)
+    path = put(tmp_path / "A-B.csv", text)
     caught = refused(InputError, message, read_line_table, path)
     assert str(caught).startswith(str(path))
     assert "\n" not in str(caught)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import runpy
-from functools import cache
 from pathlib import Path
 
 import cvxpy as cp
@@ -12,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 from scipy.linalg import expm, solve_discrete_are
+from simulated_line import level_line, steps
 
 from analysis.control.prediction import SOFTNESS, solve, terminal_weight
 from analysis.studies.hauck_2023 import model, model as dynamics
@@ -24,7 +24,7 @@ from analysis.studies.hauck_2023.controller import (
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
 from analysis.studies.hauck_2023.section import fastest_unweighed, section_of
-from trainlog import InputError, Line, Station, StepProfile, read_line, sample
+from trainlog import InputError, read_line, sample
 from trainlog.formats.railway import line_to_bytes
 from trainlog.simulation.drivers import PERIOD, Stop
 from trainlog.simulation.plant import HOLDING
@@ -33,23 +33,14 @@ from trainlog.units import GRAVITY
 LIGHT, HEAVY = PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy
 
 
-@cache
-def short_plan() -> Reference:
-    track = Line(
-        name="short",
-        length=2_600.0,
-        stations=(Station("A", 100.0), Station("B", 2_000.0)),
-        speed_limits=StepProfile(np.array([0.0, 1_000.0]), np.array([70.0, 55.0]) / 3.6),
-        gradients=StepProfile(np.array([0.0, 500.0, 900.0]), np.array([0.0, 0.01, 0.0])),
-    )
-    rail = StepProfile(np.array([0.0, 150.0, 250.0]), np.array([0.3, 0.08, 0.3]))
-    stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 2_000.0, 180.0, 180.0)
-    return reference(section_of(track, PUBLISHED_TRAIN, rail, *stops))
-
-
 @pytest.fixture(scope="module")
 def plan() -> Reference:
-    return short_plan()
+    limits = steps((0.0, 70.0 / 3.6), (1_000.0, 55.0 / 3.6))
+    slopes = steps((0.0, 0.0), (500.0, 0.01), (900.0, 0.0))
+    track = level_line(2_600.0, speed_limits=limits, gradients=slopes)
+    rail = steps((0.0, 0.3), (150.0, 0.08), (250.0, 0.3))
+    stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 2_000.0, 180.0, 180.0)
+    return reference(section_of(track, PUBLISHED_TRAIN, rail, *stops))
 
 
 def driven(plan: Reference, controller: Controller, mass: float, delay: float = 0.0) -> np.ndarray:
@@ -106,13 +97,12 @@ def test_terminal_cost_is_that_of_the_stationary_regulator(gain):
 
 @settings(max_examples=12)
 @given(seed=st.integers(0, 1000))
-def test_the_solver_finds_what_another_solver_finds(seed):
+def test_the_solver_finds_what_another_solver_finds(plan, seed):
     """Clarabel on the same program, with rules that may be broken at the same price a row.
 
     DAQP counts what a row is broken by over the row's norm, so that the two may differ by what
     the softness allows.
     """
-    plan = short_plan()
     rng = np.random.default_rng(seed)
     now = float(rng.integers(2, 150))
     p, v, _ = plan.at(now)

@@ -90,9 +90,8 @@ def test_a_long_log_without_positions_is_parted_by_its_speed(there_and_back, tmp
     pd.testing.assert_frame_equal(together, motion[GNSS_MOTION.name])
     fixes = read_log(there_and_back, ["/gnss/fix"])
     write_log(fixes, tmp_path / "fixes.mcap")
-    refused(LogError, "knows neither position nor speed", lambda: next(
-        module.views_of(tmp_path / "fixes.mcap", rows=100)
-    ))  # fmt: skip
+    parts = module.views_of(tmp_path / "fixes.mcap", rows=100)
+    refused(LogError, "knows neither position nor speed", next, parts)
 
 
 def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path, nonstop):
