@@ -215,6 +215,18 @@ def shell(
 
 
 @pytest.fixture
+def works(shell: Callable[..., tuple[int, str, str]]) -> Callable[..., str]:
+    """Runs the words of a command that ends with 0: its standard output."""
+
+    def printed(*words: object) -> str:
+        status, shown, complaint = shell(*words)
+        assert status == 0, complaint
+        return shown
+
+    return printed
+
+
+@pytest.fixture
 def unpainted() -> Iterator[None]:
     """Figures are made and written, but not painted, which takes half a second each.
 

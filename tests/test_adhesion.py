@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from simulated_line import flirt, level_line
+from test_adhesion_characteristic import eurosprinter
 
 from analysis.adhesion.slip import onset
 from estimators.adhesion import AdhesionObserver, smoothed_force
@@ -22,7 +21,6 @@ from trainlog.railway import RunningResistance, StepProfile
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, PolachCurve
 from trainlog.simulation.plant import Plant
 
-CREEP = Path(__file__).parents[2] / "shared" / "data" / "creep" / "eurosprinter_creep_curves.csv"
 AXLES, ROTATING_MASS, AXLE_LOAD = 4, 2_000.0, 16_000.0 * 9.81
 FORCE_RATE = 0.12 * AXLE_LOAD
 
@@ -184,14 +182,9 @@ class TestOnset:
 
     def test_measured_creep_curves(self):
         """Curves after a measurement peak at 0.16 m/s and lie flat or fall slowly beyond."""
-        if not CREEP.exists():
-            pytest.skip("the CONTACT creep curves are not beside the checkout")
-        with CREEP.open(encoding="utf-8") as file:
-            rows = [row for row in csv.DictReader(file) if row["curve"] == "2"]
-        slip = np.array([float(r["long_creepage"]) * float(r["rolling_speed_mps"]) for r in rows])
-        adhesion = np.array([float(row["traction_coeff"]) for row in rows])
+        creepage, adhesion, speed = eurosprinter(2)
         time = np.arange(0.0, 12.0, 0.05)
-        wheel, used, effort = climb(slip, adhesion, time)
+        wheel, used, effort = climb(creepage * speed, adhesion, time)
         noise = 0.02 * np.random.default_rng(3).standard_normal(wheel.shape)
         force = smoothed_force(
             time, wheel + noise, effort, ROTATING_MASS, 0.02, FORCE_RATE

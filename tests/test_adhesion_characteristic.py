@@ -18,7 +18,6 @@ from simulated_line import flirt, hilly_line, level_line, steps
 
 import trainlog
 from analysis import fit_adhesion_characteristic
-from trainlog.cli.main import run
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import CharacteristicFile, read_adhesion_points
 from trainlog.formats.declared import file_content, thing_from_bytes, thing_to_bytes
@@ -41,12 +40,13 @@ CREEP = Path(__file__).parents[2] / "shared" / "data" / "creep" / "eurosprinter_
 
 
 def eurosprinter(curve: int) -> np.ndarray:
-    """Creepages and adhesions of one of CONTACT's curves, (2, 30)."""
+    """Creepages, adhesions and rolling speeds [m/s] of one of CONTACT's curves, (3, 30)."""
     if not CREEP.exists():
         pytest.skip("the CONTACT creep curves are not beside the checkout")
     with CREEP.open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["curve"] == str(curve)]
-    return np.array([[float(r["long_creepage"]), float(r["traction_coeff"])] for r in rows]).T
+    names = ("long_creepage", "traction_coeff", "rolling_speed_mps")
+    return np.array([[float(row[name]) for name in names] for row in rows]).T
 
 
 def polach_adhesion(creepage: float, speed: float, condition: str) -> float:
@@ -93,7 +93,7 @@ def test_polach_with_the_published_parameters(condition, speed):
 
 
 def test_a_table_keeps_the_shape_of_its_points():
-    creepage, adhesion = eurosprinter(2)
+    creepage, adhesion, _ = eurosprinter(2)
     table = AdhesionTable(creepage, adhesion)
     np.testing.assert_allclose(table.over_creepage(creepage, 10.0), adhesion, rtol=1e-12)
     dense = table.over_creepage(np.linspace(0.0, 0.25, 20_001), 10.0)
@@ -219,7 +219,7 @@ def magic_formula(slips: np.ndarray, maximum: float, optimum: float, form: float
 @pytest.mark.parametrize(("curve", "optimum"), [(1, (0.0034, 0.016)), (2, (0.013, 0.019))])
 def test_the_eurosprinter_curves(curve, optimum):
     """At most 2 % of the maximum (RMS), where the plant's own shape misses by more than half."""
-    creepage, adhesion = eurosprinter(curve)
+    creepage, adhesion, _ = eurosprinter(curve)
     fit = fit_adhesion_characteristic(AdhesionPoints(creepage, adhesion), speed=10.0)
     found = fit.characteristic.over_creepage(creepage, 10.0)
     residual = np.sqrt(np.mean((found - adhesion) ** 2)) / adhesion.max()
@@ -356,14 +356,13 @@ def test_tables_that_would_mislead_are_refused(tmp_path, text, message):
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_from_measured_points_to_a_trip_on_that_rail(tmp_path, capsys, monkeypatch):
+def test_from_measured_points_to_a_trip_on_that_rail(tmp_path, works, monkeypatch):
     slips = np.linspace(0.2, 20.0, 40)
     adhesions = magic_formula(slips, 0.2, 2.0, 1.5)
     rows = "\n".join(f"{s:.3f};{mu:.5f};72" for s, mu in zip(slips, adhesions, strict=True))
     path = written(tmp_path, f"creepage [%];adhesion;speed [km/h]\n{rows}\n")
     output = tmp_path / "rail.json"
-    assert run(["fit", "adhesion", str(path), "-o", str(output)]) == 0
-    shown = capsys.readouterr().out
+    shown = works("fit", "adhesion", path, "-o", output)
     stated = re.search(r"maximum adhesion +([0-9.]+) ± ", shown)
     assert float(stated[1]) == pytest.approx(0.2, rel=0.01)
     assert output.with_suffix(".png").is_file()
@@ -376,8 +375,8 @@ def test_from_measured_points_to_a_trip_on_that_rail(tmp_path, capsys, monkeypat
     scenarios = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2:]
     monkeypatch.setattr("trainlog.simulation.draw_scenarios", lambda *_, **__: scenarios)
     folder = tmp_path / "trips"
-    options = ["--count=1", "--line=sample", "--train=sample", "--characteristic", str(output)]
-    assert run(["simulate", "drive", *options, "-o", str(folder)]) == 0
+    options = ("--count=1", "--line=sample", "--train=sample", "--characteristic", output)
+    works("simulate", "drive", *options, "-o", folder)
     (log,) = folder.glob("*.mcap")
     truth = json.loads(trainlog.read(log).attachments["scenario.json"])
     assert truth["characteristic"]["polach"] == content["polach"]

@@ -9,11 +9,11 @@ from functools import cache
 import numpy as np
 import pytest
 from refusals import refused
+from trip_parts import without
 
 from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
-from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.railway import write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
@@ -145,10 +145,7 @@ def test_without_a_recorded_load_a_mass_is_not_named_and_the_band_is_wide():
 
 
 def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_truth():
-    topics = {
-        k: v for k, v in driven().topics.items() if k not in ("/train/controls", "/train/axles")
-    }
-    found = calculate(replace(driven(), topics=topics), TRAIN, wind_std=3.0)
+    found = calculate(without(driven(), "/train/controls", "/train/axles"), TRAIN, wind_std=3.0)
     assert not found.inputs.efforts
     assert found.table["work"].isna().all()
     energy = true_work(driven())
@@ -176,12 +173,11 @@ def test_brakes_that_are_not_recorded_are_no_error_of_the_model():
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_names_what_is_wrong(tmp_path, capsys):
+def test_the_command_names_what_is_wrong(tmp_path, works):
     path = tmp_path / "wrong.train.json"
     write_train(replace(TRAIN, resistance=replace(OWN, r2=4.0 * OWN.r2)), path)
-    log = str(sample("stopping.mcap"))
-    assert cli.run(["compare", "calculated", log, "--model", str(path), "--json"]) == 0
-    (trip,) = json.loads(capsys.readouterr().out)["trips"]
+    log = sample("stopping.mcap")
+    (trip,) = json.loads(works("compare", "calculated", log, "--model", path, "--json"))["trips"]
     assert [each["name"] for each in trip["wrong"]] == ["r2"]
     assert len(trip["sections"]) == 4
 

@@ -16,7 +16,6 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 import sqlalchemy as sa
-from command import run
 from hypothesis import given, settings, strategies as st
 from killed import in_own_process
 from refusals import refused
@@ -295,17 +294,16 @@ def test_what_is_no_catalogue_is_refused(tmp_path):
     refused(InputError, "file is not a database", open_catalogue, tmp_path)
 
 
-def test_commands_take_the_trips_of_an_expression(monkeypatch, capsys, logs, tmp_path):
+def test_commands_take_the_trips_of_an_expression(shell, logs, tmp_path):
     fleet = str(tmp_path / "fleet")
 
     def ran(*words: object) -> tuple[int, str, str]:
-        return run(monkeypatch, capsys, *words, "--catalogue", fleet)
+        return shell(*words, "--catalogue", fleet)
 
     assert ran("fleet", "show")[0] == 2
     status, shown, _ = ran("fleet", "add", logs)
     assert (status, shown) == (0, "2 new trips, 1 other recording of the same drives\n")
-    status, shown, _ = ran("fleet", "query", "to_km > 20 and duration_s > '1 s'")
-    assert status == 0
+    assert ran("fleet", "query", "to_km > 20 and duration_s > '1 s'")[0] == 0
     status, _, said = ran("fleet", "query", "weather = 'Wet'")
     assert status == 0
     assert "no trip has the weather 'Wet'; did you mean 'wet'?" in " ".join(said.split())
@@ -324,7 +322,7 @@ def test_commands_take_the_trips_of_an_expression(monkeypatch, capsys, logs, tmp
         status, _, said = ran("show", "--check", *words)
         assert status == 2
         assert complaint in said
-    assert "--trips" in run(monkeypatch, capsys, "show", "--check")[2]
+    assert "--trips" in shell("show", "--check")[2]
     (logs / "nonstop.mcap").unlink()
     status, shown, _ = ran("fleet", "refresh")
     assert status == 1

@@ -239,11 +239,10 @@ def test_a_damaged_log_is_reported_once_a_command(tmp_path, shell):
         assert complaint.startswith(f"trainlog: warning: {half}: is damaged: ")
 
 
-def test_brackets_in_names_and_findings_are_shown(tmp_path, shell):
+def test_brackets_in_names_and_findings_are_shown(tmp_path, works):
     recording = put(tmp_path / "run [1].csv", sample("gnss.csv").read_bytes())
     profile = ("--profile", sample("recorder.profile.toml"))
-    status, shown, _ = shell("ingest", recording, *profile, "-o", tmp_path)
-    assert status == 0
+    shown = works("ingest", recording, *profile, "-o", tmp_path)
     assert "run [1]: " in shown
     assert "not used: [time] of the profile" in shown
     assert "run [1].mcap" in shown

@@ -16,7 +16,6 @@ from analysis.resistance.coast_down import CoastDown, lever_at_rest
 from analysis.resistance.coasting_detection import motion_of
 from analysis.truth import truth_of
 from trainlog.arrays import FloatArray
-from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.railway import CoastDownResult, line_to_bytes, read_coast_down, train_of
@@ -292,10 +291,9 @@ def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path):
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_writes_result_and_picture(tmp_path, capsys):
+def test_the_command_writes_result_and_picture(tmp_path, works):
     output = tmp_path / "coast-down.json"
-    assert run(["fit", "coasting", str(sample("nonstop.mcap")), "-o", str(output)]) == 0
-    stated = capsys.readouterr().out
+    stated = works("fit", "coasting", sample("nonstop.mcap"), "-o", output)
     assert "Running resistance of the coasting train" in stated
     assert read_coast_down(output).gradient == "line"
     assert output.with_suffix(".png").is_file()

@@ -29,7 +29,6 @@ from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.catalogue.results import STATES
-from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import MapFile, read_map
 
@@ -166,17 +165,15 @@ def test_a_log_that_cannot_be_read_is_named_and_tried_again(place, tmp_path):
     assert updated(place, "checks").counts["checks"].done == 1
 
 
-def test_trips_whose_logs_are_gone_are_counted_apart(place, tmp_path, capsys):
+def test_trips_whose_logs_are_gone_are_counted_apart(place, tmp_path, works):
     first, *_ = sorted((tmp_path / "logs").rglob("*.mcap"))
     first.unlink()
     with open_catalogue(place) as catalogue:
         catalogue.refresh()
         assert fleet_status(catalogue, ["checks"]).gone == catalogue.gone() == 1
-    known = ["--catalogue", str(place), "--analysis", "checks"]
-    assert cli.run(["fleet", "show", *known, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["gone"] == 1
-    assert cli.run(["fleet", "update", "--workers", "0", *known, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["gone"] == 1
+    known = ("--catalogue", place, "--analysis", "checks", "--json")
+    for words in (("fleet", "show"), ("fleet", "update", "--workers", "0")):
+        assert json.loads(works(*words, *known))["gone"] == 1
 
 
 # ---------------------------------------------------------------------------------------- maps

@@ -742,7 +742,7 @@ def test_public_tables_that_are_no_trip():
         refused(InputError, reason, propose_profile, folder / name)
 
 
-def test_the_command_proposes_and_then_ingests(tmp_path, shell):
+def test_the_command_proposes_and_then_ingests(tmp_path, shell, works):
     run = drive()
     (tmp_path / "in").mkdir()
     stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
@@ -761,12 +761,10 @@ def test_the_command_proposes_and_then_ingests(tmp_path, shell):
     proposed = output / "run-2.profile.toml"
     assert f"--profile {proposed} -o {output}" in " ".join(said.split())
     assert not list(output.glob("*.mcap"))
-    assert shell(*given, "--profile", proposed)[0] == 0
+    works(*given, "--profile", proposed)
     # Of a folder, one proposal for all files of a layout.
     words = ("ingest", tmp_path / "in", "-o", tmp_path / "all", "--accept", "--json")
-    status, shown, _ = shell(*words)
-    assert status == 0
-    assert json.loads(shown)["counts"]["refused"] == 0
+    assert json.loads(works(*words))["counts"]["refused"] == 0
     assert sorted(each.name for each in (tmp_path / "all").iterdir()) == [
         "run-1.mcap",
         "run-1.profile.toml",

@@ -128,16 +128,14 @@ def test_rows_of_a_receiver_are_kept_as_they_came(tmp_path):
     assert live.longest_gap == pytest.approx(45.0, abs=1.1)
 
 
-def test_a_stream_on_standard_input_is_kept_as_it_came(tmp_path, monkeypatch, shell):
+def test_a_stream_on_standard_input_is_kept_as_it_came(tmp_path, monkeypatch, shell, works):
     file = tmp_path / "part.csv"
     file.write_bytes(b"".join((SAMPLES / "recorder.csv").read_bytes().splitlines(True)[:600]))
     log, raw = tmp_path / "a.mcap", tmp_path / "raw.csv"
     words = ["record", "--from", "stdin", "-o", log, "--profile", PROFILE, "--raw", raw, "--json"]
     with file.open() as stream:
         monkeypatch.setattr(sys, "stdin", stream)
-        status, shown, _ = shell(*words)
-    assert status == 0
-    stated = json.loads(shown)
+        stated = json.loads(works(*words))
     assert stated["messages"][STATE] == 599
     assert stated["malformed"] == {}
     assert raw.read_bytes() == file.read_bytes()

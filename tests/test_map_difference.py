@@ -19,7 +19,6 @@ import analysis
 import trainlog
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.map_difference import detectable_ratio, q_values
-from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
 from trainlog.railway import Station, TrackConditionMap
@@ -209,27 +208,26 @@ def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(whole):
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_commands_draw_list_and_end_as_diff_does(tmp_path, capsys):
+def test_the_commands_draw_list_and_end_as_diff_does(tmp_path, shell, works):
     path, line = tmp_path / "wet.map", tmp_path / "A-B.line.json"
     trainlog.write_map(estimated(a_map(range(21, 41))), path)
     trainlog.write_line(LINE, line)
-    words = ["map", "diff", str(path), "--from", "2026-06-25", "--line", str(line)]
-    assert run([*words, "--picture", str(tmp_path / "diff.png")]) == 1
-    shown = " ".join(capsys.readouterr().out.split())
+    words = ["map", "diff", path, "--from", "2026-06-25", "--line", line]
+    status, shown, _ = shell(*words, "--picture", tmp_path / "diff.png")
+    shown = " ".join(shown.split())
+    assert status == 1
     assert "1 section changed" in shown
     assert "Mitte" in shown
     assert (tmp_path / "diff.png").is_file()
-    assert run([*words, "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
+    status, document, _ = shell(*words, "--json")
+    found = json.loads(document)
+    assert status == 1
     assert found["changed"] is True
     assert [each["near"] for each in found["sections"]] == ["at Mitte"]
     assert found["sentence"] in shown
-    words = ["map", "show", str(path), "--km", "3.9", "--line", str(line), "--days", "2"]
-    assert run([*words, "--picture", str(tmp_path / "place.png")]) == 0
+    words = ["map", "show", path, "--line", line, "--days", "2", "--km"]
+    works(*words, "3.9", "--picture", tmp_path / "place.png")
     assert (tmp_path / "place.png").is_file()
-    words[words.index("3.9")] = "2"
-    capsys.readouterr()
-    assert run([*words, "--json"]) == 0
-    (place,) = json.loads(capsys.readouterr().out)["layers"]
+    (place,) = json.loads(works(*words, "2", "--json"))["layers"]
     assert place["known"] == []
     assert len(place["used"]) == 20

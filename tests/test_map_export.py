@@ -311,11 +311,10 @@ def test_the_default_time_is_right_after_the_last_evidence(track):
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_prints_json_and_states_the_zone_that_it_assumed(tmp_path, capsys):
-    condition = str(trainlog.sample("CH_StGallen_Wil.map"))
-    words = ["map", "show", condition, "--layer", "wet", "--at", "2024-10-09T08:00"]
-    assert run([*words, "--zone", "Europe/Zurich", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_the_command_prints_json_and_states_the_zone_that_it_assumed(tmp_path, works):
+    condition = trainlog.sample("CH_StGallen_Wil.map")
+    words = ("map", "show", condition, "--layer", "wet", "--at", "2024-10-09T08:00")
+    found = json.loads(works(*words, "--zone", "Europe/Zurich", "--json"))
     assert found["expected_at"] == "2024-10-09T06:00:00+00:00"
     assert [each["layer"] for each in found["layers"]] == ["wet"]
     assert [each["last_day"] for each in found["layers"]] == ["2024-10-07"]
@@ -324,7 +323,6 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(tmp_path, c
     lowest = found["lowest"][0]
     assert lowest["near"] == "at Flawil"
     assert lowest["expected_low"] < lowest["expected"] < lowest["expected_high"]
-    assert run([*words, "--picture", str(tmp_path / "wet.png")]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
+    shown = " ".join(works(*words, "--picture", tmp_path / "wet.png").split())
     assert "states no zone: taken for UTC" in shown
     assert (tmp_path / "wet.png").is_file()

@@ -13,7 +13,6 @@ from refusals import refused
 
 import trainlog
 from tests.mcap_trips import assert_same, trip_of
-from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import read_log, write_log
 from trainlog.mcap.convert import merge
@@ -113,13 +112,12 @@ def test_what_logs_disagree_on_is_left_out_and_attachments_are_kept(whole, tmp_p
     ]
 
 
-def test_the_commands_cut_and_merge(tmp_path, capsys):
+def test_the_commands_cut_and_merge(tmp_path, works):
     log = "sample_logs/nonstop.mcap"
-    parts = [str(tmp_path / f"{number}.mcap") for number in range(2)]
-    assert run(["convert", log, "-o", parts[0], "--to", "600s"]) == 0
-    assert run(["convert", log, "-o", parts[1], "--from", "600s"]) == 0
-    assert run(["convert", *parts, "-o", str(tmp_path / "again.mcap")]) == 0
-    shown = capsys.readouterr().out
+    parts = [tmp_path / f"{number}.mcap" for number in range(2)]
+    works("convert", log, "-o", parts[0], "--to", "600s")
+    works("convert", log, "-o", parts[1], "--from", "600s")
+    shown = works("convert", *parts, "-o", tmp_path / "again.mcap")
     assert "1 row of /train/state in two logs alike: kept once" in shown
     again, whole = trainlog.read(tmp_path / "again.mcap"), trainlog.read(log)
     assert again == whole

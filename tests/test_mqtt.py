@@ -157,7 +157,7 @@ def test_what_comes_while_the_recorder_is_away_is_kept_for_it(broker, tmp_path):
         assert len(recorded(source, tmp_path / "a.mcap", 1.0)["/train/state"]) == 30
 
 
-def test_status_reports_of_sfera_are_recorded_as_they_come(broker, tmp_path, shell):
+def test_status_reports_of_sfera_are_recorded_as_they_come(broker, tmp_path, works):
     """The command, with the sample's journey; the same as ingesting the archive of the reports."""
     (journey,) = read_sfera(JOURNEY)
     log, topic = tmp_path / "a.mcap", f"127.0.0.1:{broker.port}/trains/17"
@@ -172,8 +172,7 @@ def test_status_reports_of_sfera_are_recorded_as_they_come(broker, tmp_path, she
     train.publish(b"<broken")
     train.close()
     words = ["record", topic, "--from", "mqtt", "--line", str(JOURNEY), "--idle", "1s"]
-    status, _, _ = shell(*words, "-o", str(log))
-    assert status == 0
+    works(*words, "-o", log)
     trip = trainlog.read(log)
     assert trip["/train/state"].position.to_numpy().tolist() == pytest.approx(
         [100.0 * number for number in range(100)], abs=1e-3
@@ -184,7 +183,7 @@ def test_status_reports_of_sfera_are_recorded_as_they_come(broker, tmp_path, she
     assert trip.metadata["line"] == journey.line.name
 
 
-def test_a_trip_is_published_as_it_ran_and_recorded_again(broker, tmp_path, shell):
+def test_a_trip_is_published_as_it_ran_and_recorded_again(broker, tmp_path, works):
     topic = f"127.0.0.1:{broker.port}/trains/17"
     with Subscription(topic):
         pass
@@ -193,7 +192,7 @@ def test_a_trip_is_published_as_it_ran_and_recorded_again(broker, tmp_path, shel
     said = write_sfera([sample("nonstop.mcap")], JOURNEY, tmp_path / "reports.zip", options)
     lasted = time.monotonic() - began
     words = ["record", topic, "--from", "mqtt", "--line", str(JOURNEY), "--idle", "1s"]
-    assert shell(*words, "-o", str(tmp_path / "a.mcap"))[0] == 0
+    works(*words, "-o", tmp_path / "a.mcap")
     state = trainlog.read(tmp_path / "a.mcap")["/train/state"]
     assert len(state) == said["published"] == said["reports"]
     own = trainlog.read(sample("nonstop.mcap"))["/train/state"]

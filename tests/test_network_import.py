@@ -446,27 +446,22 @@ def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once():
 
 
 @needs_osrd
-def test_a_planner_imports_a_network_shows_routes_and_exports_it(tmp_path, shell):
-    def command(*words: object) -> str:
-        status, printed, problems = shell(*words)
-        assert status == 0, problems
-        return printed
-
+def test_a_planner_imports_a_network_shows_routes_and_exports_it(tmp_path, works):
     names = ("small_infra.network.json", "r.line.json", "s.geojson")
     net, route, places = (tmp_path / name for name in names)
-    assert "signals: 106" in command("import", OSRD / "infras" / "small_infra.json", "-o", tmp_path)
-    shown = command("show", net, "--json", "--picture", tmp_path / "s.png")
+    assert "signals: 106" in works("import", OSRD / "infras" / "small_infra.json", "-o", tmp_path)
+    shown = works("show", net, "--json", "--picture", tmp_path / "s.png")
     assert (tmp_path / "s.png").stat().st_size > 10_000
     edges = {each["edge"]: each for each in json.loads(shown)["edges"]}
     assert edges["TA6"]["length_m"] == 10_000.0
     assert edges["TA6"]["rise_m"] == pytest.approx(4.2)
     words = ["North_East_station", "West_station"]
     where = f"{net}#{','.join(words)}"
-    assert "45.800 km" in command("show", where)
-    assert "45.800 km" in command("new", "line", "--from", where, "-o", route)
+    assert "45.800 km" in works("show", where)
+    assert "45.800 km" in works("new", "line", "--from", where, "-o", route)
     assert read_line(route) == read_network(net).route(*words).line
     assert read_line(where).legs == read_line(route).legs
-    assert "left out without coordinates: edge 'TA3'" in command("convert", net, "-o", places)
+    assert "left out without coordinates: edge 'TA3'" in works("convert", net, "-o", places)
     features = json.loads(places.read_text())["features"]
     kinds = [each["properties"]["kind"] for each in features]
     assert kinds.count("node") == len(read_network(net).nodes)

@@ -110,12 +110,11 @@ def test_the_risk_of_a_run_is_that_of_what_it_asks_for():
         )
 
 
-def test_a_train_file_alone_is_planned_for_and_the_result_states_it(tmp_path):
+def test_a_train_file_alone_is_planned_for_and_the_result_states_it(tmp_path, works):
     output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
     train = read_train(sample(DEFAULT_TRAIN))
     rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
-    words = ("plan", *rail, "--set", "load=8t", "--km", ":4", "--set", "cells=40", "-o", output)
-    assert cli.run([str(word) for word in words]) == 0
+    works("plan", *rail, "--set", "load=8t", "--km", ":4", "--set", "cells=40", "-o", output)
     found = read_trajectory(output)
     assert found.configurations == (Configuration.of(train, 8_000.0),)
     assert found.planned_for in repr(found)
@@ -123,7 +122,7 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(tmp_path):
     # The same in Python, and the trajectory can be followed.
     asked_for = TrajectoryProblem.nominal(read_line(rail[3]), train, load=8e3, end=4e3)
     assert asked_for.configurations == found.configurations
-    assert cli.run(["simulate", "follow", str(output), *SAMPLES, "-o", str(trips)]) == 0
+    works("simulate", "follow", output, *SAMPLES, "-o", trips)
     assert (trips / "driven-nominal.mcap").is_file()
 
 
@@ -141,21 +140,18 @@ def test_values_are_taken_as_people_write_them(observed, tmp_path):
     assert reserve[0].running_time == reserve[1].running_time
 
 
-def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(tmp_path, capsys):
+def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(tmp_path, works):
     coarse = (*SAMPLES, "--set", "cells=20", "--set", "load=8t")
     stops = ("--stops", "Gossau SG, Flawil", "--running-time", "4:40")
-    assert cli.run(["plan", *coarse, *stops, "-o", str(tmp_path / "a.json")]) == 0
+    works("plan", *coarse, *stops, "-o", tmp_path / "a.json")
     found = read_trajectory(tmp_path / "a.json")
     assert found.running_time == pytest.approx(280.0, abs=1.0)
-    capsys.readouterr()
     three = ("--stops", "Gossau SG,Flawil,Uzwil", "--set", "dwell=30", "--reserve", "7%,3%")
-    words = ["plan", *coarse, *three, "-o", str(tmp_path / "b"), "--json"]
-    assert cli.run(words) == 0
+    document = json.loads(works("plan", *coarse, *three, "-o", tmp_path / "b", "--json"))
     assert {each.name for each in (tmp_path / "b").iterdir()} == {
         *("section-1.json", "section-1.png", "section-2.json", "section-2.png"),
         "energy-over-time.png",
     }
-    document = json.loads(capsys.readouterr().out)
     front = document["front"]
     assert [each["reserve"] for each in front] == pytest.approx([0.03, 0.07], abs=1e-4)
     assert front[0]["energy_J"] > front[1]["energy_J"]
@@ -170,11 +166,11 @@ def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(t
 JOURNEY = ("--stops", "Uzwil,Flawil,Gossau SG", "--reverse", "--set", "dwell=30")
 
 
-def test_a_table_has_the_whole_run_by_kilometre(tmp_path):
+def test_a_table_has_the_whole_run_by_kilometre(tmp_path, works):
     words = (*JOURNEY, "--set", "cells=20")
-    assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run.csv"), "-q"]) == 0
+    works("plan", *SAMPLES, *words, "-o", tmp_path / "run.csv", "-q")
     assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
-    assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run")]) == 0
+    works("plan", *SAMPLES, *words, "-o", tmp_path / "run")
     names = ["Uzwil to Flawil", "Flawil to Gossau SG"]
     table = pd.read_csv(tmp_path / "run.csv")
     assert table.columns.tolist() == [
@@ -183,10 +179,9 @@ def test_a_table_has_the_whole_run_by_kilometre(tmp_path):
     ]
     assert table["section"].unique().tolist() == names
     assert not table.duplicated(["section", "km"]).any()
-    folder, again = str(tmp_path / "run"), tmp_path / "again.csv"
-    assert cli.run(["convert", folder, "-o", str(again)]) == 0
-    assert again.read_bytes() == (tmp_path / "run.csv").read_bytes()
-    assert cli.run(["advice", folder, "-o", str(tmp_path / "advice.html")]) == 0
+    works("convert", tmp_path / "run", "-o", tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "run.csv").read_bytes()
+    works("advice", tmp_path / "run", "-o", tmp_path / "advice.html")
     stops = pd.read_csv(tmp_path / "advice.csv").query("event == 'departs'")["station"]
     assert stops.tolist() == ["Uzwil", "Flawil"]
     sections = [read_trajectory(tmp_path / "run" / f"section-{each}.json") for each in (1, 2)]
@@ -208,13 +203,11 @@ def test_what_ipopt_finds_on_the_same_cells_is_stated(observed, tmp_path):
     assert "referee" not in asked(observed, tmp_path, "--km", ":4").certificate
 
 
-def test_the_plan_of_a_journey_is_followed_section_by_section(tmp_path):
+def test_the_plan_of_a_journey_is_followed_section_by_section(tmp_path, works):
     plan = tmp_path / "plan"
-    words = [*SAMPLES, *JOURNEY, "--set", "cells=20", "-o", str(plan)]
-    assert cli.run(["plan", *words]) == 0
+    works("plan", *SAMPLES, *JOURNEY, "--set", "cells=20", "-o", plan)
     files = sections_in([plan])
-    driven = ["--train", "sample", "-o", str(tmp_path / "driven")]
-    assert cli.run(["simulate", "follow", str(plan), *driven]) == 0
+    works("simulate", "follow", plan, "--train", "sample", "-o", tmp_path / "driven")
     trips = sorted((read_log(log) for log in (tmp_path / "driven").glob("*.mcap")),
                    key=lambda trip: trip.start)  # fmt: skip
     assert len(trips) == len(files) == 2
@@ -231,11 +224,11 @@ def test_the_plan_of_a_journey_is_followed_section_by_section(tmp_path):
 
 
 @pytest.mark.parametrize("protect", ["front", "train"])
-def test_what_of_a_plan_is_less_than_it_seems_is_stated(protect, tmp_path, capsys):
+def test_what_of_a_plan_is_less_than_it_seems_is_stated(protect, tmp_path, works):
     """Limits kept at the front alone, and a final speed that is not permitted there."""
     words = ["plan", *SAMPLES, "--km", "20:", "--set", "cells=60", "--set", f"protect={protect}"]
     fast = ["--set", "final-speed=500"] if protect == "front" else []
-    assert cli.run([*words, *fast, "-o", str(tmp_path / "plan.json"), "--json"]) == 0
-    notes = json.loads(capsys.readouterr().out)["notes"]
+    shown = works(*words, *fast, "-o", tmp_path / "plan.json", "--json")
+    notes = json.loads(shown)["notes"]
     for begins in ("Speed limits hold for the train's front", "The final speed of 500 km/h is"):
         assert any(note.startswith(begins) for note in notes) == (protect == "front")

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run
+from trip_parts import without
 
 import trainlog
 from analysis.resistance import fit_trip
@@ -65,7 +64,7 @@ def test_creep_of_unrecorded_wheels_is_in_the_band_of_the_delay():
     line, train = sample(DEFAULT_LINE), sample(DEFAULT_TRAIN)
     drawn = draw_scenarios(trainlog.read_line(line), trainlog.read_train(train), 2, seed=4)[1]
     trip = simulate(replace(drawn, characteristic=polach_curve("wet")))
-    blind = replace(trip, topics={n: f for n, f in trip.topics.items() if n != "/train/axles"})
+    blind = without(trip, "/train/axles")
     seen, found = estimated_passport(trip), estimated_passport(blind)
 
     low, high = found.effort_delay.band
@@ -94,22 +93,22 @@ def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping)
     assert any(each.startswith("no load recorded") for each in found.findings)
 
 
-def test_ingest_stores_the_passport_and_info_shows_it(tmp_path, monkeypatch, capsys):
+def test_ingest_stores_the_passport_and_info_shows_it(tmp_path, works):
     recording, profile = sample("recorder.csv"), sample("recorder.profile.toml")
-    command: list[str | Path] = ["ingest", recording, "-o", tmp_path, "--profile", profile]
-    command += ["--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN)]
+    command = ("ingest", recording, "-o", tmp_path, "--profile", profile)
+    command += ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
     log, estimated = tmp_path / "recorder.mcap", tmp_path / "estimated"
 
-    assert run(monkeypatch, capsys, *command)[0] == 0
+    works(*command)
     found = passport_of(trainlog.read(log))
     assert found.effort_delay.source == "estimated"
     assert "no load recorded" in "; ".join(found.findings)
     made = log.stat().st_mtime_ns
-    assert run(monkeypatch, capsys, *command)[0] == 0
+    works(*command)
     assert log.stat().st_mtime_ns == made, "what was made before is not made again"
 
-    assert "Passport of trip" in run(monkeypatch, capsys, "show", log)[1]
-    assert run(monkeypatch, capsys, "estimate", log, "-o", estimated)[0] == 0
+    assert "Passport of trip" in works("show", log)
+    works("estimate", log, "-o", estimated)
     assert passport_of(trainlog.read(estimated / log.name)) == found
 
 

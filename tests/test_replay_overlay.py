@@ -10,9 +10,9 @@ from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from refusals import refused
 from replay_trips import LENGTH, LINE, entities, made_trip, rows, trajectory_of
+from trip_parts import without
 
 from trainlog import InputError, ReplayOptions, Trip, write_replay
-from trainlog.cli.main import run
 from trainlog.mcap import stream_log, write_log
 from trainlog.replay.recording import MOST_WHOLE
 from trainlog.replay.samples import clock_of
@@ -21,8 +21,7 @@ from trainlog.replay.survey import OVERVIEW, extremes, thinned_trips
 
 def unlike(name: str, top: float) -> Trip:
     """A trip of another speed that follows no reference."""
-    trip = made_trip(name, top=top)
-    return replace(trip, topics={k: v for k, v in trip.topics.items() if k != "/reference"})
+    return without(made_trip(name, top=top), "/reference")
 
 
 def reached(trip: Trip, position: np.ndarray) -> np.ndarray:
@@ -161,12 +160,11 @@ def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path):
 # --------------------------------------------------------------------------------- the command
 
 
-def test_the_command_states_with_what_trips_are_compared(tmp_path, capsys):
+def test_the_command_states_with_what_trips_are_compared(tmp_path, works):
     for name, top in (("a", 25.0), ("b", 16.0)):
         write_log(unlike(name, top), tmp_path / f"{name}.mcap")
-    one, other, target = (str(tmp_path / each) for each in ("a.mcap", "b.mcap", "ab.rrd"))
-    run(["replay", one, "--reference", other, "-o", target])
-    stated = capsys.readouterr().out
+    one, other, target = (tmp_path / each for each in ("a.mcap", "b.mcap", "ab.rrd"))
+    stated = works("replay", one, "--reference", other, "-o", target)
     assert "compared along the line with b" in stated
     assert f"wrote {target}" in stated
-    assert "/trips/a/behind/time" in entities(tmp_path / "ab.rrd")
+    assert "/trips/a/behind/time" in entities(target)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,12 +63,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def scored(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
-    capsys.readouterr()
-    assert run(["map", "score", *map(str, words), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert isinstance(found, dict)
-    return found
+@pytest.fixture
+def scored(works: Callable[..., str]) -> Callable[..., dict[str, Any]]:
+    return lambda *words: json.loads(works("map", "score", *words, "--json"))
 
 
 @cache
@@ -105,10 +104,10 @@ def test_each_day_is_forecast_from_the_days_before_alone(rolling, first_scored):
     assert persistence[spot] < 0.0 < persistence[[steady, spot + 1]].min()
 
 
-def test_a_map_is_scored_day_by_day(folder, first_scored, capsys):
+def test_a_map_is_scored_day_by_day(folder, first_scored, scored):
     picture = folder / "score.png"
     write_map(estimated(first_days()), folder / "first.map")
-    found = scored(capsys, folder / "first.map", "--rolling", "--picture", picture)
+    found = scored(folder / "first.map", "--rolling", "--picture", picture)
     assert picture.exists()
     wet = found["layers"]["wet"]
     assert wet["days"] == first_scored.layers["wet"].days.size == 6
@@ -117,10 +116,10 @@ def test_a_map_is_scored_day_by_day(folder, first_scored, capsys):
     assert json.loads(as_json_text(first_scored.data())) | common == found
 
 
-def test_the_forecast_of_anyone_is_scored(folder, capsys):
+def test_the_forecast_of_anyone_is_scored(folder, scored):
     path = folder / "forecast.csv"
     path.write_text(FORECAST)
-    found = scored(capsys, path, folder / "stopping.mcap", folder / "nonstop.mcap")
+    found = scored(path, folder / "stopping.mcap", folder / "nonstop.mcap")
     whole = found["layers"]["all"]
     assert whole["onsets"] > 0
     # Beyond km 29 nothing is forecast, and on another day nothing at all.
@@ -128,12 +127,12 @@ def test_the_forecast_of_anyone_is_scored(folder, capsys):
     path.write_text(
         FORECAST.replace("2024-10-08", "2024-10-09").replace("2024-10-07", "2024-10-08")
     )
-    silent = scored(capsys, path, folder / "stopping.mcap")["layers"]["all"]
+    silent = scored(path, folder / "stopping.mcap")["layers"]["all"]
     assert silent["onsets"] == 0
     assert silent["log_score_onsets"] is None
     assert (silent["days"], silent["days_known"], silent["train_km_known"]) == (1, 0, 0.0)
     outside = "1 of 1 day (1 of 1 trip) lie outside the forecast's validity, 2024-10-08T00:00Z to"
-    words = scored(capsys, path, folder / "stopping.mcap", "--picture", folder / "silent.png")
+    words = scored(path, folder / "stopping.mcap", "--picture", folder / "silent.png")
     assert words["notes"][0].startswith(outside)
     path.write_text(FORECAST.replace("CH_StGallen_Wil", "Foo").replace(",15,29,", ",15,99,"))
     with pytest.raises(InputError, match=r"2 problems: .*line 2: .*'Foo'.*line 3: .*'Foo'"):
@@ -141,7 +140,7 @@ def test_the_forecast_of_anyone_is_scored(folder, capsys):
 
 
 def test_a_rail_condition_that_the_forecast_lacks_is_refused_and_another_than_the_logs_stated(
-    folder, capsys
+    folder, scored
 ):
     known, log, path = folder / "earlier.map", folder / "stopping.mcap", folder / "wet.csv"
     path.write_text(FORECAST.replace(",,", ",wet,"))
@@ -152,23 +151,22 @@ def test_a_rail_condition_that_the_forecast_lacks_is_refused_and_another_than_th
     ):
         refused(InputError, words, run, ["map", "score", str(forecast), str(log), "--layer", layer])
     path.write_text(FORECAST)
-    found = scored(capsys, path, log, "--layer", "leaves")
+    found = scored(path, log, "--layer", "leaves")
     assert found["notes"][0] == (
         "trip 'trip-03': scored in 'leaves' as given; the log states 'wet'"
     )
     path.write_text(FORECAST.replace(",,", ",dry,"))
-    notes = scored(capsys, path, log)["notes"]
+    notes = scored(path, log)["notes"]
     assert notes[0] == "no forecast for rail condition 'wet': there all is unknown"
 
 
-def test_a_maps_forecast_in_a_file_scores_as_the_map(folder, capsys):
-    path, known = folder / "own.csv", str(folder / "earlier.map")
-    words = ["map", "forecast", known, "--at", "2024-10-07", "--hours", "24", "-o", str(path)]
-    assert run(words) == 0
-    stated = scored(capsys, known, folder / "stopping.mcap")
+def test_a_maps_forecast_in_a_file_scores_as_the_map(folder, scored, works):
+    path, known = folder / "own.csv", folder / "earlier.map"
+    works("map", "forecast", known, "--at", "2024-10-07", "--hours", "24", "-o", path)
+    stated = scored(known, folder / "stopping.mcap")
     assert stated["notes"][0].startswith("1 day: too few for bands")
     own = stated["layers"]["all"]
-    file = scored(capsys, path, folder / "stopping.mcap")["layers"]["all"]
+    file = scored(path, folder / "stopping.mcap")["layers"]["all"]
     assert file["onsets"] == own["onsets"]
     assert file["used"] == own["used"]
     for what in ("onsets", "used"):

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from contents import put
 from refusals import refused
+from trip_parts import without
 
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import Evidence, evidence
@@ -194,16 +195,14 @@ class TestTrips:
         assert kept["temperature"] == pytest.approx(measured, abs=0.01)
         assert (kept["temperature_source"], kept["humidity"]) == ("log", 0.9)
         assert (kept["condition"], kept["precipitation"]) == ("wet", 0.0)
-        without = replace(
-            trip, topics={n: f for n, f in trip.topics.items() if n != "/environment"}
-        )
-        kept = evidence(without, TRACK, weather=weather).details["weather"]
+        unmeasured = without(trip, "/environment")
+        kept = evidence(unmeasured, TRACK, weather=weather).details["weather"]
         assert (kept["temperature"], kept["temperature_source"]) == (280.0, "weather")
         # Between 8 and 9 in October in eastern Switzerland the sun is low, but up.
         assert 10.0 < kept["sun_elevation"] < 35.0
 
 
-def test_the_command_takes_a_weather_file(trip, tmp_path, shell):
+def test_the_command_takes_a_weather_file(trip, tmp_path, shell, works):
     write_log(trip, tmp_path / "trip.mcap")
     weather, condition = tmp_path / "weather.csv", tmp_path / "wil.map"
     write_weather(changing(trip, (-1.0, 0.4, "leaves"), (0.4, 2.0, "dry")), weather)
@@ -212,7 +211,7 @@ def test_the_command_takes_a_weather_file(trip, tmp_path, shell):
     assert status == 2
     assert "does not state the rail's condition" in complaint
     assert not condition.exists()
-    assert shell(*given, "--weather", weather)[0] == 0
+    works(*given, "--weather", weather)
     track = read_map(condition)
     assert sorted(track.layers) == ["dry", "leaves"]
     assert track.trips[0]["weather"]["humidity"] == 0.9
