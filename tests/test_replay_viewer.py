@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
+import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from killed import PATIENCE
 from PIL import Image
 from refusals import refused
 from replay_trips import condition_of, made_trip, trajectory_of
 
 from trainlog.errors import InputError
+from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.replay import run_viewer, viewer, write_replay
 from trainlog.replay.log_layout import DRAWN, scalars, write_layout
 from trainlog.replay.picture import HeadlessViewer, headless_viewer, take_picture
-from trainlog.replay.viewer import has_display, open_viewer
+from trainlog.replay.viewer import NOWHERE, has_display, offline, open_viewer, web_viewer
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip, frame_of
 
@@ -178,3 +185,81 @@ def test_the_layout_names_every_field_of_the_log(tmp_path):
     assert content[:4] == b"RRF2"
     refused(InputError, r"end it in \.rbl", write_layout, tmp_path / "trainlog.txt", "trainlog")
     assert {topic.name for topic in DRAWN} == set(TOPICS) - {"/gnss/fix", "/events"}
+
+
+# How a replay opens: in a window, in the browser, as a picture; and that nothing stays behind
+
+
+direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+
+
+def listening(port: int) -> set[str]:
+    """Addresses of this machine at which anyone listens on a port, from the kernel's table."""
+    found = set()
+    for name in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(name).read_text().splitlines()[1:]:
+            local, _, state = line.split()[1:4]
+            address, _, number = local.partition(":")
+            if state == "0A" and int(number, 16) == port:
+                found.add(address)
+    return found
+
+
+def test_the_viewer_is_given_no_way_to_the_network():
+    made = offline({"HTTPS_PROXY": "http://proxy.example", "HOME": "/home/me"})
+    assert {made[name] for name in ("https_proxy", "HTTPS_PROXY", "http_proxy")} == {NOWHERE}
+    assert "127.0.0.1" in made["no_proxy"]
+    assert made["CI"] == "true"
+    assert made["HOME"] == "/home/me"
+    assert offline({"HTTPS_PROXY": "p"}, tiles=True) == {"HTTPS_PROXY": "p", "CI": "true"}
+
+
+def test_a_page_in_the_browser_reaches_this_machine_alone(recording):
+    with web_viewer(recording) as (address, process):
+        with direct.open(address) as answer:
+            policy = answer.headers["Content-Security-Policy"]
+            page = answer.read()
+        assert b"re_viewer" in page
+        assert re.search(r"connect-src 'self' blob: data: http://127\.0\.0\.1:\d+$", policy)
+        assert set(re.findall(r"https?://([^:/\s]+)", policy)) == {"127.0.0.1"}
+        with direct.open(address.partition("?")[0] + "re_viewer.js") as answer:
+            assert len(answer.read()) > 10_000
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            direct.open(address.partition("?")[0] + "etc/passwd").close()
+        data = int(re.search(r"http://127\.0\.0\.1:(\d+)$", policy)[1])
+        own = int(re.search(r"127\.0\.0\.1:(\d+)/", address)[1])
+        if Path("/proc/net/tcp").exists():
+            assert listening(data) == listening(own) == {"0100007F"}
+    assert process.poll() is not None
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs a list of processes")
+def test_ctrl_c_ends_the_viewer_and_leaves_nothing(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-m", "trainlog", "replay", str(sample("nonstop.mcap")), "--web"],
+        env={**os.environ, "DISPLAY": "", "WAYLAND_DISPLAY": "", "TMPDIR": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        line = process.stdout.readline()
+        assert line.startswith("http://127.0.0.1:")
+        assert viewers_of(tmp_path)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    assert viewers_of(tmp_path) == []
+    assert not list(tmp_path.iterdir())
+
+
+def viewers_of(folder: Path) -> list[str]:
+    """Command lines of the processes that name a file of a folder."""
+    found = []
+    for each in Path("/proc").iterdir():
+        try:
+            command = (each / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except (OSError, UnicodeDecodeError):
+            continue
+        if each.name.isdigit() and str(folder) in command:
+            found.append(command)
+    return found
