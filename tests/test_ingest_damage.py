@@ -234,6 +234,17 @@ def test_a_satellite_speed_that_the_fixes_contradict(tmp_path, phase, factor):
         assert report_of(ingest(path)).count("unit_suspected") == (factor > 1.15)
 
 
+@pytest.mark.parametrize("share", [0.0, -0.005, 0.1])
+def test_a_position_that_stays_is_suspected_where_it_is_not_refused(tmp_path, share):
+    second = np.arange(1_800)
+    stamps = pd.to_datetime(1_700_000_000 + second, unit="s", utc=True)
+    columns = {"t": stamps, "v": 15.0 + 5.0 * np.sin(second / 50.0), "s": share * 15.0 * second}
+    pd.DataFrame(columns).to_csv(tmp_path / "run.csv", index=False)
+    off = plain_profile(repair={"inconsistent": False, "frozen": False})
+    report = report_of(ingest(tmp_path / "run.csv", profile=off))
+    assert report.count("unit_suspected") == 1
+
+
 @FILES
 @given(st.floats(0.0, 3.0), st.sampled_from([0.5, 1.0, 1.0 / 3.6]))
 def test_quantised_columns_are_reported_with_their_step(tmp_path, phase, step):

@@ -254,7 +254,7 @@ def suspect_units(table: Table, limits: Limits) -> Result:
     """Report columns that disagree by a factor that is too small to be refused."""
     findings: list[Finding] = []
     for name, ratio, problem in ratios(table, limits):
-        size = max(ratio, 1.0 / ratio)
+        size = max(ratio, 1.0 / ratio) if ratio > 0.0 else np.inf
         if size < SUSPECT:
             continue
         nearest = min(CONFUSIONS, key=lambda known: abs(known - size))
