@@ -15,7 +15,16 @@ from satellite_trips import winding
 from scipy.integrate import cumulative_trapezoid
 from simulated_line import flirt, hilly_line
 
-from trainlog import InputError, Trip, draw_scenarios, repairs_of, report_of, simulate
+from trainlog import (
+    InputError,
+    Trip,
+    draw_scenarios,
+    read_line,
+    repairs_of,
+    report_of,
+    sample,
+    simulate,
+)
 from trainlog.cli.options import pairs
 from trainlog.ingest import Profile, ingest, ingest_all, propose_profile
 
@@ -185,6 +194,26 @@ def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, rows: slice | np.
     columns = {field: {"column": name, "unit": unit} for field, (name, unit) in names.items()}
     profile = plain_profile(columns=columns)
     return ingest(tmp_path / "run.csv", profile)
+
+
+def test_fixes_of_one_coordinate_have_no_place(driven, tmp_path):
+    path = recorded(driven, tmp_path)
+    pd.read_csv(path).assign(lon=np.nan).to_csv(path, index=False)
+    given = profile(repair={"no_fix": False, "before_first_fix": False})
+    trip = ingest(path, given, line=LINE)
+    assert trip["/gnss/fix"]["latitude"].notna().any()
+    assert "/estimates/state" not in trip
+
+
+def test_fixes_that_all_lie_further_from_the_line_than_they_say_are_refused(tmp_path):
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    path = tmp_path / "two.csv"
+    path.write_text(
+        "t,lat,lon,acc\n2024-05-01T06:00:00Z,47.42,9.37,1\n2024-05-01T06:00:01Z,47.4197,9.3697,1422\n"
+    )
+    columns = {name: each for name, each in COLUMNS.items() if name.startswith("/gnss")}
+    given = plain_profile(columns=columns)
+    refused(InputError, "none of 2 fixes lies as near", ingest, path, given, line=line)
 
 
 def test_what_no_train_does_is_stated(tmp_path):

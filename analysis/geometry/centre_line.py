@@ -19,7 +19,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.identity import Known, identity_of, same_drives
 from trainlog.ingest.chainage import OnLine
-from trainlog.ingest.receiver import Fixes, distance_driven, fixes_of
+from trainlog.ingest.receiver import Fixes, count_placed, distance_driven, fixes_of
 from trainlog.presentation import Presented
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import (
@@ -309,11 +309,7 @@ def _heights(used: list[_Pass], length: float) -> tuple[HeightProfile | None, st
 
 def _passes(trips: Sequence[Trip]) -> list[_Pass]:
     """Trips with fixes."""
-    found = [
-        _pass_of(trip)
-        for trip in trips
-        if "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 10
-    ]
+    found = [_pass_of(trip) for trip in trips if count_placed(trip) > 10]
     if not found:
         raise InputError(
             "none of the trips has satellite fixes", remedy="give trips with /gnss/fix"

@@ -74,6 +74,7 @@ from trainlog.ingest.receiver import (
     Driven,
     Fixes,
     common_delay,
+    count_placed,
     delay_behind,
     distance_driven,
     extrapolated,
@@ -462,6 +463,11 @@ class OnLine:
                 " given by --reverse, direction= in Python, or direction under [trip] of the"
                 " profile",
             )
+        if not chain.node.size:
+            raise InputError(
+                f"none of {known.size} fixes lies as near to the line as its accuracy says",
+                remedy="give the line that was driven",
+            )
         near_line = np.count_nonzero(np.diff(nodes.first))
         against = backwards[~np.isin(back.node, chain.node)]
         returns = against.size > 0.25 * chain.node.size and np.ptp(against) > FAR
@@ -798,7 +804,7 @@ def estimated_state(
         If the fixes lie elsewhere, or, as `AgainstLineError`, run against the line.
     """
     geometry = line.geometry if line is not None else None
-    if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
+    if geometry is not None and count_placed(trip) > 1:
         fixes = _placed(fixes_of(trip), unplaced)
         matched = OnLine(
             geometry,

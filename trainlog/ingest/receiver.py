@@ -155,6 +155,13 @@ class Fixes:
         return np.where(np.isfinite(self.speed), self.speed, self.wheel_speed)
 
 
+def count_placed(trip: Trip) -> int:
+    """How many of a trip's fixes have a place: both coordinates."""
+    if "/gnss/fix" not in trip:
+        return 0
+    return int(trip["/gnss/fix"][["latitude", "longitude"]].notna().all(axis=1).sum())
+
+
 def fixes_of(trip: Trip) -> Fixes:
     """Fixes, satellite speeds and wheel speeds of a trip on one clock, rows in its outages too.
 
@@ -178,13 +185,14 @@ def fixes_of(trip: Trip) -> Fixes:
     wheels = None
     if "/train/state" in trip:
         wheels = trip["/train/state"]["speed"].loc[index[0] : index[-1]]
-        wheels = wheels if wheels.notna().any() else None
+        wheels = wheels if wheels.count() > 1 else None
     if wheels is not None:
         index = index.union(pd.DatetimeIndex(wheels.index))
     index = _with_outages(index)
     frame = frame.reindex(index)
     absent = np.full(len(frame), np.nan)
     columns = {name: frame[name].to_numpy(np.float64) for name in frame.columns}
+    half = np.isnan(columns["latitude"] + columns["longitude"])
     accuracy = columns["horizontal_accuracy"]
     stated = columns.get("speed_accuracy", absent)
     speed_std = np.maximum(np.where(stated > 0.0, stated, SPEED_STD), SMALLEST_NOISE[1])
@@ -198,8 +206,8 @@ def fixes_of(trip: Trip) -> Fixes:
     return Fixes(
         index=index,
         seconds=np.asarray((index.asi8 - index.asi8[0]) / NANOSECONDS),
-        latitude=columns["latitude"],
-        longitude=columns["longitude"],
+        latitude=np.where(half, np.nan, columns["latitude"]),
+        longitude=np.where(half, np.nan, columns["longitude"]),
         std=np.where(accuracy > 0.0, accuracy, FIX_STD),
         speed=np.where(stands, 0.0, speed),
         speed_std=speed_std,

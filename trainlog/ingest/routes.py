@@ -38,7 +38,7 @@ from trainlog.ingest.matching import (
 from trainlog.ingest.motion import LATITUDE, LIKELY, MOVING, POSITION, SEVERAL
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import DRIFT, NEAR, stops_of
-from trainlog.ingest.receiver import Fixes, fixes_of
+from trainlog.ingest.receiver import Fixes, count_placed, fixes_of
 from trainlog.ingest.recording import NO_TIME, Recording, Table, carried_on
 from trainlog.railway.line import Geometry, Leg, Line
 from trainlog.railway.network import Edge, Network, Route
@@ -296,7 +296,7 @@ def routed(
     if places:
         route = routes.network.route(*places)
         return [(recording, OnRoute(route, f"stated: {', '.join(places)}"))]
-    if "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
+    if count_placed(trip) > 1:
         number = next(i for i, each in enumerate(tables) if LATITUDE in each.signals)
         return list(by_fixes(routes, recording, tables[number], fixes_of(trip), stem))
     return [(recording, _by_stops(routes, tables))]
