@@ -216,6 +216,32 @@ def test_fixes_that_all_lie_further_from_the_line_than_they_say_are_refused(tmp_
     refused(InputError, "none of 2 fixes lies as near", ingest, path, given, line=line)
 
 
+@pytest.mark.parametrize("count", [2, 30])
+def test_some_seconds_of_fixes_without_a_speed_give_a_chainage(driven, tmp_path, count):
+    frame = driven["/gnss/fix"][["latitude", "longitude"]].dropna().iloc[100 : 100 + count]
+    frame = frame.set_axis(["lat", "lon"], axis=1).reset_index(names="t")
+    frame["t"] = frame["t"].iloc[0] + pd.to_timedelta(0.1 * np.arange(count), "s")
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    columns = {name: each for name, each in COLUMNS.items() if name.endswith("itude")}
+    line = LINE if driven.metadata["direction"] == "forward" else LINE.reversed()
+    trip = ingest(tmp_path / "run.csv", plain_profile(columns=columns), line=line)
+    assert trip["/estimates/state"]["position"].notna().all()
+
+
+def test_two_fixes_that_no_train_lies_between_are_refused(tmp_path):
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    path = tmp_path / "two.csv"
+    path.write_text(
+        "t,v,lat,lon\n2024-05-01T06:00:00Z,12,47.416176,9.366504\n"
+        "2024-05-01T06:00:01Z,12.1,47.413755,9.360936\n"
+    )
+    columns = {
+        name: each for name, each in COLUMNS.items() if each["column"] in ("v", "lat", "lon")
+    }
+    given = plain_profile(columns=columns, repair={"spikes": False, "contradicted": False})
+    refused(InputError, "1 of 2 fixes were set aside", ingest, path, given, line=line)
+
+
 def test_what_no_train_does_is_stated(tmp_path):
     second = np.arange(900.0)
     for way, speed, said in (

@@ -30,6 +30,7 @@ from estimators.receiver import (
     LARGEST_GAP,
     Delay,
     ReceiverNoise,
+    Series,
     WheelSpeeds,
     integral,
     mean_square,
@@ -239,19 +240,22 @@ class OnLine:
         fitting, course = self._roughly(speed_aware)
         self.known = np.isfinite(points) & ~self.misplaced
         self.motion = self._run(course, fitting)
-        lost = int(np.count_nonzero(self.rejected | self.computed))
-        if gated and lost > MOST * count:
-            raise InputError(
-                f"{lost} of {count} fixes were set aside"
-                f" ({np.count_nonzero(self.computed)} extrapolated, held or replayed, the others"
-                " away from line or motion): what is left determines no chainage",
-                remedy="give the line that was driven, or another recording of the trip",
-            )
+        if gated and np.count_nonzero(self.rejected | self.computed) > MOST * count:
+            raise self._too_few()
 
     @property
     def rejected(self) -> BoolArray:
         """Fixes that were measured and give no chainage, (n,)."""
         return np.asarray(np.isfinite(self.points) & ~np.isfinite(self.chainage))
+
+    def _too_few(self) -> InputError:
+        count = np.count_nonzero(np.isfinite(self.points) | self.computed)
+        return InputError(
+            f"{np.count_nonzero(self.rejected | self.computed)} of {count} fixes were set aside"
+            f" ({np.count_nonzero(self.computed)} extrapolated, held or replayed, the others"
+            " away from line or motion): what is left determines no chainage",
+            remedy="give the line that was driven, or another recording of the trip",
+        )
 
     @property
     def reasons(self) -> str:
@@ -351,7 +355,10 @@ class OnLine:
         seconds = self.fixes.seconds
         driven = distance_driven(self.fixes, slip_aware=self.slip_aware).distance
         if not np.isfinite(driven).all():
-            mean, *usual = _usual_speed(seconds, chainage)
+            places = series_of(seconds, chainage, 10.0)
+            if places.seconds.size < 2:
+                return chainage
+            mean, *usual = _usual_speed(places)
             even, none = mean * seconds, np.zeros(seconds.size)
             found = receiver_states(seconds, chainage, std, even, none, *usual)
             known = np.isfinite(chainage)
@@ -497,6 +504,8 @@ class OnLine:
                 self._judge_speeds(motion)
             self.chainage = np.where(fitting, chainage, np.nan)
             if np.count_nonzero(fitting) < 2:
+                if motion is None:
+                    raise self._too_few()
                 break
             self._size(np.where(fitting, aside, np.nan), pace, smoothed=motion is not None)
             beside_line = np.abs(aside) < GATE * self._usual(aside)
@@ -717,12 +726,11 @@ class OnLine:
         self.judged = held(departure, self.fixes.seconds)
 
 
-def _usual_speed(seconds: FloatArray, chainage: FloatArray) -> tuple[float, float, float]:
+def _usual_speed(places: Series) -> tuple[float, float, float]:
     """Mean and standard deviation of the speed [m/s], and for how long it stays alike [s].
 
-    From speeds over 10 s, or from fix to fix.
+    From two places or more.
     """
-    places = series_of(seconds, chainage, 10.0)
     step = np.diff(places.seconds)
     speed = np.diff(places.values) / step
     # Stands are speeds, too.
