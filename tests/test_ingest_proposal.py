@@ -550,6 +550,14 @@ def test_south_west_in_degrees_and_minutes(tmp_path):
     assert fix["longitude"].iloc[0] == pytest.approx(-70.0 - 40.0 / 60.0)
 
 
+def test_an_acceleration_beside_a_speed_that_never_changes_is_not_used(tmp_path):
+    time = np.arange(600.0)
+    table = {"Time [s]": time, "speed [m/s]": 15.0, "acceleration [m/s2]": np.sin(time / 9.0)}
+    proposal = propose_profile(written(tmp_path, table))
+    assert "/train/state.acceleration" not in proposal.profile.columns
+    assert "not the speed's" in proposal.not_used["acceleration [m/s2]"]
+
+
 def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path):
     run = drive()
     noise = np.random.default_rng(1).uniform(0.0, 9_000.0, len(run))

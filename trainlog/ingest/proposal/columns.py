@@ -752,7 +752,8 @@ def _place_acceleration(work: Work, name: str) -> None:
     rate, values = rate_of(work.seconds, work.speed), work.numbers[name]
     known = np.isfinite(values) & np.isfinite(rate)
     rate, values = rate[known], values[known]
-    correlation = float(np.corrcoef(values, rate)[0, 1]) if np.std(values) > 0.0 else 0.0
+    vary = known.any() and min(np.ptp(values), np.ptp(rate)) > 0.0
+    correlation = float(np.corrcoef(values, rate)[0, 1]) if vary else 0.0
     if abs(correlation) < FOLLOWS:
         work.left[name] = f"an acceleration that is not the speed's (correlation {correlation:.2f})"
         return
