@@ -558,6 +558,13 @@ def test_an_acceleration_beside_a_speed_that_never_changes_is_not_used(tmp_path)
     assert "not the speed's" in proposal.not_used["acceleration [m/s2]"]
 
 
+def test_a_speed_of_the_opposite_sign_is_not_used(tmp_path):
+    run = drive()
+    table = {"Time [s]": run.t, "speed [m/s]": run.v, "wheel speed": -run.v}
+    proposal = propose_profile(written(tmp_path, table))
+    assert "-1 times the train's speed" in str(proposal.not_used)
+
+
 def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path):
     run = drive()
     noise = np.random.default_rng(1).uniform(0.0, 9_000.0, len(run))

@@ -665,7 +665,7 @@ def _place_as_speed(work: Work, target: str, names: list[str], ratio: float) -> 
     stated, turning = work.stated(names[0], "speed"), work.stated(names[0], "rotation")
     turns = bool(turning) or work.meanings[names[0]].quantities[:1] == ("rotation",)
     times = {unit: ratio * factor(unit, "m/s")[0] for unit in (*USUAL_SPEEDS, stated) if unit}
-    off = {unit: abs(np.log(each)) for unit, each in times.items()}
+    off = {unit: abs(np.log(each)) if each > 0.0 else np.inf for unit, each in times.items()}
     unit = min(USUAL_SPEEDS, key=off.__getitem__)
     why, other = "no unit is stated; so it is the train's speed", work.speed_open
     fits = not turning and off[unit] < (TOLERANCE if turns else ALIKE)
