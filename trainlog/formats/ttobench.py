@@ -20,6 +20,7 @@ from trainlog.arrays import FloatArray
 from trainlog.declaration import (
     INFINITY,
     NOT_SET,
+    POSITIVE,
     Array,
     Column,
     Declared,
@@ -45,7 +46,7 @@ LIBRARY_VERSION = "TTOBench v1.5"
 """The version of the layout, written into files that do not come from the library."""
 
 _Length = Annotated[float, Quantity("m", "m")]
-_Mass = Annotated[float, Quantity("kg", "kg")]
+_Mass = Annotated[float, Quantity("kg", "kg", must=POSITIVE)]
 _Speed = Annotated[float, Quantity("km/h", "m/s")]
 _Acceleration = Annotated[float, Quantity("m/s^2", "m/s^2")]
 _Power = Annotated[float, Quantity("kW", "W")]
@@ -275,7 +276,7 @@ class TrainLayout(Layout):
     def thing(self) -> Train:
         """The train that the file describes."""
         rotating = self.rotating_mass_factor or 0.0
-        if rotating >= 1.0:
+        if not 0.0 <= rotating < 1.0:
             raise InputError(
                 f"the rotating parts would weigh {rotating:.12g} times the train",
                 place="rho",
