@@ -181,7 +181,8 @@ def test_wrong_signs_of_effort_and_lever_are_refused(tmp_path, seed, sign, colum
     path = write(tmp_path / "run.csv", rows, "t,v,F,lever")
     profile = plain_profile(columns=columns)
     if sign > 0:
-        assert report_of(ingest(path, profile=profile)).findings == ()
+        # Few levels of the lever may let the speed move in equal steps.
+        assert report_of(ingest(path, profile=profile)).counts.keys() <= {"quantised"}
     else:
         with pytest.raises(InputError, match=r"slows down whenever /train/controls\..* check sign"):
             ingest(path, profile=profile)
