@@ -103,7 +103,9 @@ def test_no_multipliers_bound_a_finer_plan_from_above(case, seed, size):
     run = answer.problem.run
     floor = floor_of(part.run, fastest, tuple(range(part.shape[0])), time)
     for slowest in (None, floor):
-        bound = continuous_bound(part, answer.solution.plan, wrong, fastest, time, run, slowest)
+        given = part, answer.solution.plan, wrong, fastest, time, run, slowest
+        bound = continuous_bound(*given, jointly=True)
+        assert continuous_bound(*given).value <= bound.value
         assert bound.value <= energy * (1.0 + 1e-6)
 
 

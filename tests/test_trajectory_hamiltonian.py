@@ -148,6 +148,34 @@ def test_the_least_is_that_of_all_speeds_and_controls(case):
 
 
 @pytest.mark.parametrize("case", CASES)
+def test_together_no_traction_is_more_than_the_speeds_of_all_allow(case):
+    """The least over pairs of speeds, each with the traction that is the most for both."""
+    made, costate, slope = of(case)
+    least = made.least(costate, slope)
+    raised = made.raised(least, costate, slope)
+    parts = np.unique(np.append(np.geomspace(2e-3, 1.0, 150), np.linspace(0.02, 1.0, 250)))
+    speed = np.maximum(parts[:, None, None, None] * made.highest, bound.LEAST_SPEED)
+    shared, prices = [], made.prices
+    for share in (0.0, 1.0):
+        made.prices = replace(prices, share=np.full(prices.share.shape, share))
+        shared.append(alone(made, costate, speed) - 0.5 * slope * speed**2)
+    made.prices = prices
+    free, limited = shared  # without traction, and less what the most of each is worth
+    by_both = np.full(least.shape, np.inf)
+    for own, pulled in zip(free[:, 0], (limited - free)[:, 0], strict=True):
+        pair = own + free[:, 1] + np.maximum(pulled, (limited - free)[:, 1])
+        by_both = np.minimum(by_both, pair.min(axis=0))
+    if made.problem.common:
+        by_both = by_both + (least - made._least_apart(costate, slope))
+    assert np.all(raised >= least)
+    assert np.all(raised <= by_both + 1e-9 * (1.0 + np.abs(by_both)))
+    missed, before = by_both - raised, by_both - least
+    higher = before > 0.05
+    assert higher.sum() > 0.1 * higher.size
+    assert np.median(missed[higher] / before[higher]) < 0.25
+
+
+@pytest.mark.parametrize("case", CASES)
 def test_the_costate_changes_as_the_least_does_with_the_speed(case):
     """The adjoint equation: with its slopes the Hamiltonian is level about the plan's speeds."""
     made, costate, _ = of(case)

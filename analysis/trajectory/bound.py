@@ -20,8 +20,10 @@ equation along the plan, but where it stands at the level of a partial control.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +38,7 @@ from analysis.trajectory.discretisation import (
 )
 from analysis.trajectory.envelope import Envelope, Floor
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 _NEWTON_STEPS = 8
 
@@ -47,6 +49,18 @@ LEAST_SPEED = 1e-6
 
 _ROUNDED = 1e-9
 """Of a Hamiltonian that is computed, relative."""
+
+_LITTLE = 1e-8
+"""Part of the bound that a point may miss, and is not looked at again."""
+
+_RANGES, _HALVINGS = (0.0, 1.003, 1.03, 1.3, np.inf), 8
+"""Ranges of traction, as multiples of the plan's, and how often one is halved at most."""
+
+_BY_POINT = (
+    *("drag0", "drag2", "time", "share", "by_dynamic", "braking", "friction", "dynamic"),
+    *("lowest", "highest", "speed", "traction", "pulled"),
+)
+"""What a Hamiltonian has of each point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +218,7 @@ class Hamiltonian:
         self.gain, self.time = problem.gain[:, None, None], prices.time[:, :, None]
         self.share, self.regained = prices.share[:, :, None], prices.regained[:, None, None]
         self.power = problem.power[:, None, None]
+        self.by_dynamic = prices.dynamic[:, :, None]
         self.traction = _limits_at(run, problem.reference, s)[0].min(axis=0)
         brakes = _limits_at(problem.run, problem.reference, s)[1:]
         self.braking, self.friction, self.dynamic = brakes
@@ -223,10 +238,33 @@ class Hamiltonian:
         return np.asarray((b - a / self.speed**2) / self.speed + 2.0 * c)
 
     def least(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
-        """The least Hamiltonian over all speeds and controls, (n, p) [J/(kg m)]."""
+        """The least Hamiltonian over all speeds and controls, (n, p) [J/(kg m)].
+
+        Each configuration at its own least, where their limits share what traction is worth.
+        """
+        return np.asarray(self._least_apart(costate, slope) + self._braked(costate))
+
+    def raised(self, least: FloatArray, costate: FloatArray, slope: FloatArray) -> FloatArray:
+        """That least, higher where no traction is more than the speeds of all allow together."""
+        brake, plan = self._braked(costate), self.of_plan(costate, slope)
+        missing = (plan - least) * self.segments.weights
+        little = _LITTLE * np.abs((least * self.segments.weights).sum())
+        at = np.nonzero(self._worth(costate) * self.share.sum(axis=0) * (missing > little) > 0.0)
+        found, brake = least.copy(), np.broadcast_to(brake, least.shape)[at]
+        jointly = self._least_jointly(at, costate, slope, plan[at] - brake)
+        found[at] = np.maximum(found[at], jointly + brake)
+        return found
+
+    def _worth(self, costate: FloatArray) -> FloatArray:
+        """How much more than its price traction is worth, if it is."""
+        worth = (costate * self.gain).sum(axis=0) - self.prices.traction
+        return np.asarray(np.maximum(worth, 0.0))
+
+    def _least_apart(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
+        """The least without a common brake."""
         edges, found = self._edges(costate.shape), np.full(costate.shape, np.inf)
-        a, b, c, constant = self.along(costate, self.speed)
-        v = self.speed
+        v = np.clip(self.speed, self.lowest, self.highest)
+        a, b, c, constant = self.along(costate, v)
         enough = a / v + b * v + (c - 0.5 * slope) * v**2 + constant
         enough += _ROUNDED * (1.0 + np.abs(enough))
         for low, high in pairwise(edges):
@@ -238,13 +276,81 @@ class Hamiltonian:
             near = (high > low) & (ends <= enough)
             span = low[near], high[near]
             value = _least(a[near], b[near], c[near], span, v[near]) + constant[near]
-            found[near] = np.minimum(found[near], value)
-        worth = (costate * self.gain).sum(axis=0) - self.prices.traction
+            found[near] = np.minimum(found[near], np.maximum(value, ends[near]))
         alone = np.maximum(1.0 - self.share.sum(axis=0), 0.0) * self.traction
-        total = found.sum(axis=0) - alone * np.maximum(worth, 0.0)
-        if self.problem.common:
-            total = total + self._common_brake(costate)
-        return np.asarray(total)
+        return np.asarray(found.sum(axis=0) - alone * self._worth(costate))
+
+    def _least_jointly(
+        self,
+        at: tuple[Any, ...],
+        costate: FloatArray,
+        slope: FloatArray,
+        enough: FloatArray,
+    ) -> FloatArray:
+        """The least at some points where no traction is more than all of the speeds allow.
+
+        Apart, the train whose power limits the traction would slow down for the others to have
+        more of it. Here the traction is in one of several ranges: in each all are slow enough for
+        the least of it, and have no more than the most. The range with the least value is halved
+        until it is `enough`.
+        """
+
+        def least(points: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
+            places: tuple[Any, ...] = tuple(each[points] for each in at)
+            part, empty = self._at(places)._pulling(low[:, None], high[:, None])
+            its = (each[:, *places][:, :, None] for each in (costate, slope))
+            return np.asarray(np.where(empty, np.inf, part._least_apart(*its))[:, 0])
+
+        every, pulled = np.arange(enough.size), np.maximum(self.pulled[at], LEAST_SPEED)
+        ranges = [(pulled * low, pulled * high) for low, high in pairwise(_RANGES)]
+        value = np.array([least(every, *each) for each in ranges])
+        low, high = (np.array(each) for each in zip(*ranges, strict=True))
+        for _ in range(_HALVINGS):
+            lowest = value.argmin(axis=0)
+            short = np.flatnonzero(value[lowest, every] < enough)
+            if not short.size:
+                break
+            halved = lowest[short], short
+            begin, end = np.maximum(low[halved], pulled[short]), high[halved]
+            middle = np.sqrt(begin * np.minimum(end, 4.0 * begin))
+            upper = [np.full(enough.size, np.inf) for _ in range(3)]
+            for row, values in zip(upper, (middle, end, least(short, middle, end)), strict=True):
+                row[short] = values
+            value[halved], high[halved] = least(short, low[halved], middle), middle
+            low, high, value = (
+                np.vstack(each) for each in zip((low, high, value), upper, strict=True)
+            )
+        return np.asarray(value.min(axis=0))
+
+    def _at(self, places: tuple[Any, ...]) -> Hamiltonian:
+        """The same at some points alone, (q, m, 1)."""
+        found, shape = copy(self), self.speed.shape
+        for name in _BY_POINT:
+            values = np.broadcast_to(getattr(self, name), shape[-np.ndim(getattr(self, name)) :])
+            setattr(found, name, values[..., *places][..., None])
+        return found
+
+    def _pulling(self, low: FloatArray, high: FloatArray) -> tuple[Hamiltonian, BoolArray]:
+        """The same where all have a traction of at least `low` and none of more than `high`.
+
+        And where there is none.
+        """
+        found = copy(self)
+        found.traction = np.minimum(self.traction, high)
+        highest = np.minimum(self.highest, self._reach(low))
+        found.highest = np.maximum(highest, self.lowest)
+        return found, (low > self.traction) | (highest < self.lowest).any(axis=0)
+
+    def _reach(self, effort: FloatArray) -> FloatArray:
+        """The highest speed at which power and curve leave so much traction, (q, ...) [m/s]."""
+        effort = np.maximum(effort * (1.0 - _ROUNDED), 1e-12)
+        curves = self.problem.curves
+        if curves is None:
+            return np.asarray(self.power / effort)
+        v, f = curves.own.speeds, curves.own.efforts
+        falling = np.maximum.accumulate(f[::-1])
+        own = np.where(effort <= f[-1], f[-1] * v[-1] / effort, np.interp(effort, falling, v[::-1]))
+        return np.minimum(self.power / effort, own * curves.share[:, None, None])
 
     def of_plan(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
         """The plan's own Hamiltonian, (n, p) [J/(kg m)]."""
@@ -256,11 +362,18 @@ class Hamiltonian:
         worth = self.prices.traction - (costate * self.gain).sum(axis=0)
         return np.asarray(own.sum(axis=0) + worth * self.pulled)
 
+    def excess(self, along: tuple[FloatArray, FloatArray], least: FloatArray) -> FloatArray:
+        """By how much the plan's Hamiltonian is above a least one, in each cell [J/kg]."""
+        missing = (self.of_plan(*along) - least) * self.segments.weights
+        return np.asarray(np.maximum(missing.sum(axis=1), 0.0))
+
     def _edges(self, shape: tuple[int, ...]) -> FloatArray:
         """Speeds between which each limit is one of effort, power, or a line of a curve."""
         problem = self.problem
         least = self.lowest
         found = [least, self.power / np.maximum(self.traction, 1e-12)]
+        if problem.curves is not None:
+            found.append(self._reach(self.traction))
         if problem.run.at_line or np.any(problem.friction < problem.braking):
             found.append(problem.dynamic_power / np.maximum(self.dynamic, 1e-12))
         for curves in (problem.curves, problem.dynamic_curves):
@@ -275,7 +388,7 @@ class Hamiltonian:
         self, costate: FloatArray, speed: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """The least over the controls, ``a / v + b v + c v² + constant`` about the speeds."""
-        worth = np.maximum((costate * self.gain).sum(axis=0) - self.prices.traction, 0.0)
+        worth = self._worth(costate)
         pull = _Piece.of(self.traction, self.power, self.problem.curves, speed)
         by_pull, own = worth * self.share, costate * self.gain
         a = self.time - by_pull * pull.power
@@ -284,7 +397,7 @@ class Hamiltonian:
         power = np.asarray(self.problem.dynamic_power)
         brake = _Piece.of(self.dynamic, power, self.problem.dynamic_curves, speed)
         if self.problem.common:
-            by_brake = self.prices.dynamic[:, :, None]
+            by_brake = self.by_dynamic
         else:
             # Against a costate below zero all brakes are worth more than what one regains.
             short = self.friction + brake.at(speed) < self.braking
@@ -298,11 +411,13 @@ class Hamiltonian:
             constant - by_brake * brake.offset,
         )
 
-    def _common_brake(self, costate: FloatArray) -> FloatArray:
+    def _braked(self, costate: FloatArray) -> FloatArray:
         """The least of a braking effort for all: in a corner of its limits, (n, p)."""
+        if not self.problem.common:
+            return np.zeros(1)
         most = self.braking.min(axis=0)
         worth = (costate * self.gain).sum(axis=0)
-        left = self.regained - self.prices.dynamic[:, :, None]
+        left = self.regained - self.by_dynamic
         least = np.zeros(most.shape)
         for corner in (most, *np.broadcast_to(self.dynamic, costate.shape)):
             effort = np.minimum(corner, most)
@@ -599,6 +714,9 @@ _POINTS = 4
 """Of Gauss and Legendre in each cell."""
 
 
+CLOSE = 5e-4
+"""Gap up to which no better bound is looked for."""
+
 MULTIPLIERS = "multipliers"
 """Those of the plan's own optimum, as a bound's source."""
 
@@ -630,6 +748,8 @@ def continuous_bound(
     running_time: float,
     run: TrajectoryProblem,
     floor: Floor | None = None,
+    *,
+    jointly: bool = False,
 ) -> ContinuousBound:
     """Lower bound of the energy of all trajectories, on these cells or any others.
 
@@ -647,43 +767,79 @@ def continuous_bound(
         With all configurations, whose traction is one; the problem may be of some of them.
     floor : Floor, optional
         Of the same configurations; no trajectory in time is slower anywhere.
+    jointly : bool
+        Whether the speeds of several are looked at together where the traction is at a limit; it
+        takes ten times as long.
     """
-    found, falls = _bound(problem, plan, multipliers, fastest, running_time, run, floor)
-    positions = np.union1d(problem.positions, falls)
-    if positions.size == problem.positions.size:
-        return found
-    split = _split(problem, plan, multipliers, positions)
-    other, _ = _bound(*split, fastest, running_time, run, floor)
-    first = np.searchsorted(positions, problem.positions[:-1])
-    return max(
-        found,
-        replace(other, excess=np.add.reduceat(other.excess, first)),
-        key=lambda each: each.value,
-    )
+    found = _Bounded.of(problem, plan, multipliers, fastest, running_time, run, floor)
+    falls = _falls(found.hamiltonian, multipliers)
+    positions, first = np.union1d(problem.positions, falls), np.arange(problem.step.size)
+    if positions.size > problem.positions.size:
+        split = _split(problem, plan, multipliers, positions)
+        other = _Bounded.of(*split, fastest, running_time, run, floor)
+        if other.value > found.value:
+            found, first = other, np.searchsorted(positions, problem.positions[:-1])
+    if jointly:
+        found = found.raised()
+    return ContinuousBound(found.value, np.add.reduceat(found.excess, first))
 
 
-def _bound(
-    problem: DiscreteProblem,
-    plan: Plan,
-    multipliers: Multipliers,
-    fastest: Envelope,
-    running_time: float,
-    run: TrajectoryProblem,
-    floor: Floor | None,
-) -> tuple[ContinuousBound, FloatArray]:
-    """The bound by a costate on these cells; and where cells split would make it closer."""
-    prices = Prices.of(problem, multipliers.convex())
-    segments, times = Segments.of(problem, _POINTS), prices.of_times(problem, running_time)
-    hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
-    totals = []
-    for near in (_LEVEL, _NEAR_LEVEL):
-        costate = costate_of(hamiltonian, multipliers, near)
-        values, slopes = costate.along(hamiltonian)
-        least = hamiltonian.least(values, slopes)
-        totals.append(float((least * segments.weights).sum()) + costate.at_nodes - times)
-    excess = ((hamiltonian.of_plan(values, slopes) - least) * segments.weights).sum(axis=1)
-    bound = ContinuousBound(max(totals), np.maximum(excess, 0.0))
-    return bound, _falls(hamiltonian, multipliers)
+@dataclass(frozen=True, eq=False)
+class _Bounded:
+    """The bound by a costate on these cells.
+
+    Attributes
+    ----------
+    hamiltonian : Hamiltonian
+    value : float [J/kg]
+    along : ((q, n, p) array, (q, n, p) array)
+        The costate and its slopes.
+    least : (n, p) array [J/(kg m)]
+        Of the Hamiltonian.
+    excess : (n,) array [J/kg]
+        See `ContinuousBound`.
+    """
+
+    hamiltonian: Hamiltonian
+    value: float
+    along: tuple[FloatArray, FloatArray]
+    least: FloatArray
+    excess: FloatArray
+
+    @staticmethod
+    def of(
+        problem: DiscreteProblem,
+        plan: Plan,
+        multipliers: Multipliers,
+        fastest: Envelope,
+        running_time: float,
+        run: TrajectoryProblem,
+        floor: Floor | None,
+    ) -> _Bounded:
+        """By the better of two costates; the excess by the one that is level in more cells."""
+        prices = Prices.of(problem, multipliers.convex())
+        segments, times = Segments.of(problem, _POINTS), prices.of_times(problem, running_time)
+        hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
+        tried = []
+        for near in (_LEVEL, _NEAR_LEVEL):
+            costate = costate_of(hamiltonian, multipliers, near)
+            along = costate.along(hamiltonian)
+            least = hamiltonian.least(*along)
+            value = float((least * segments.weights).sum()) + costate.at_nodes - times
+            tried.append(
+                _Bounded(hamiltonian, value, along, least, hamiltonian.excess(along, least))
+            )
+        best = max(tried, key=lambda each: each.value)
+        return replace(best, excess=tried[-1].excess)
+
+    def raised(self) -> _Bounded:
+        """The same where no traction is more than the speeds of all allow together."""
+        if self.along[0].shape[0] == 1 or self.excess.sum() <= CLOSE * abs(self.value):
+            return self
+        least = self.hamiltonian.raised(self.least, *self.along)
+        more = (least - self.least) * self.hamiltonian.segments.weights
+        excess = self.hamiltonian.excess(self.along, least)
+        return replace(self, value=self.value + float(more.sum()), least=least, excess=excess)
 
 
 def _falls(hamiltonian: Hamiltonian, multipliers: Multipliers) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.trajectory.active_set import Answer
 from analysis.trajectory.audit import Audit
-from analysis.trajectory.bound import ContinuousBound, continuous_bound
+from analysis.trajectory.bound import CLOSE, ContinuousBound, continuous_bound
 from analysis.trajectory.convex import (
     Multipliers,
     NoSolutionError,
@@ -27,9 +27,6 @@ from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY
 
 _BOUND_TIME = 2.0
 """Time that a relaxation has at least [s], that an answer has its gap."""
-
-_CLOSE = 5e-4
-"""Gap up to which no better bound is looked for."""
 
 
 def gap_of(energy: float, bound: float) -> float:
@@ -55,20 +52,26 @@ def best_bound(
     own = closer(problem.run, fastest, tuple(bounded))
 
     def bound(
-        multipliers: Multipliers, plan: Plan = solution.plan, floor: Floor | None = None
+        multipliers: Multipliers,
+        plan: Plan = solution.plan,
+        floor: Floor | None = None,
+        *,
+        jointly: bool = False,
     ) -> ContinuousBound:
+        of, driven = part, plan
         if stand_in:
-            every = _of_all(problem, rows, multipliers)
-            return continuous_bound(problem, answer.plan, every, own, running_time, problem.run)
-        return continuous_bound(part, plan, multipliers, own, running_time, problem.run, floor)
+            of, driven, floor = problem, answer.plan, None
+            multipliers = _of_all(problem, rows, multipliers)
+        return continuous_bound(
+            of, driven, multipliers, own, running_time, problem.run, floor, jointly=jointly
+        )
 
     found = bound(solution.multipliers)
-    if gap_of(solution.energy, found.value) <= _CLOSE:
+    if gap_of(solution.energy, found.value) <= CLOSE:
         return found
     floor = floor_of(problem.run, fastest, answer.active, running_time)
-    if not stand_in:
-        found = bound(solution.multipliers, floor=floor)
-    if gap_of(solution.energy, found.value) <= _CLOSE or not is_relaxed_within(answer, seconds):
+    found = bound(solution.multipliers, floor=floor, jointly=True)
+    if gap_of(solution.energy, found.value) <= CLOSE or not is_relaxed_within(answer, seconds):
         return found
     try:
         with time_limit(max(time_left(), _BOUND_TIME)):
@@ -78,7 +81,11 @@ def best_bound(
     except (NoSolutionError, OutOfTimeError):
         return found
     # The costate between the cells is that of a plan: of this one, or of the relaxed one.
-    others = [bound(relaxed.multipliers, plan, floor) for plan in (solution.plan, relaxed.plan)]
+    plans = (solution.plan, relaxed.plan)
+    others = [bound(relaxed.multipliers, plan, floor) for plan in plans]
+    if part.shape[0] > 1:
+        number = int(others[1].value > others[0].value)
+        others[number] = bound(relaxed.multipliers, plans[number], floor, jointly=True)
     best = max(others, key=lambda each: each.value)
     best = replace(best, excess=others[0].excess, source=f"cone relaxation: {relaxed.status}")
     return max(found, best, key=lambda each: each.value)
