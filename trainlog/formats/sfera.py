@@ -868,7 +868,9 @@ def _train_of(
     element: Element, reference: Element, electrification: str | None, account: Account
 ) -> Train | None:
     features = element.first("TC_Features")
-    assert features is not None
+    if features is None:
+        account.left_out[f"train '{element.text('TC_ID')}': it has no characteristics"] += 1
+        return None
     name = features.text("displayName") or element.text("TC_ID")
     account.left_out.update(_unused(features))
     curve = _curve_of(features, "TractionForceCurve", "tractionForce", electrification, account)
@@ -876,6 +878,7 @@ def _train_of(
         own: unit * features.number(key, reference.number(key, np.nan))
         for own, (key, unit, _) in FEATURES.items()
     }
+    stated["mass"] = stated["mass"] if stated["mass"] > 0.0 else np.nan
     missing = [words for own, (_, _, words) in FEATURES.items() if words and np.isnan(stated[own])]
     missing += ["traction force curve"] if curve is None else []
     if missing or curve is None:
