@@ -78,6 +78,7 @@ class TestFile:
         ("text", "words"),
         [
             (HEADER + "yesterday,wet,,,\n", r"line 2, column 'time': 'yesterday' is not a time"),
+            (HEADER + "9999-12-31,wet,,,\n", r"'9999-12-31' lies too far away; give a time betw"),
             (HEADER + "2026-10-24T06,wett,,,\n", r"line 2, column 'condition': .*mean 'wet'\?"),
             (HEADER + "2026-10-24T06,Wet Rail,,,\n", r"'Wet Rail' cannot name a rail condition"),
             (HEADER + "2026-10-24T06,wet,285,,\n", r"column 'temperature': 285 degC is not plaus"),

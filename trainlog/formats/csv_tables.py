@@ -35,7 +35,7 @@ from trainlog.railway.condition import AdhesionForecast
 from trainlog.railway.line import LineReference
 from trainlog.railway.resistance import EffortCurve
 from trainlog.railway.weather import LONGEST_HOLD, MILLIMETRE_PER_HOUR, Weather, check_condition
-from trainlog.spans import utc
+from trainlog.spans import ALWAYS, utc
 from trainlog.units import to_si
 
 Value = TypeVar("Value")
@@ -562,7 +562,12 @@ def _reader_of_times(table: HeadedTable, name: str) -> Callable[[str], int]:
                     f"'{cell}' does not exist or comes twice in {stated}: clocks are set then",
                     remedy="write the time with its offset, as in 2026-10-25T02:30+02:00",
                 )
-        return (time - EPOCH) // timedelta(microseconds=1) * 1000
+        found = (time - EPOCH) // timedelta(microseconds=1) * 1000
+        if not ALWAYS[0] < found < ALWAYS[1]:
+            raise InputError(
+                f"'{cell}' lies too far away", remedy="give a time between 1678 and 2262"
+            )
+        return found
 
     return read
 
