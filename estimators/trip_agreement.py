@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 
 ERROR = 0.09
 """Standard deviation of a trip's log adhesion about level and factor, beside its own."""
@@ -443,7 +443,7 @@ def _apart(rows: TripRows, second: BoolArray) -> float:
         if side.size < 2:
             return 0.0
         middle = float(np.median(side))
-        spread = max(1.48 * float(np.median(np.abs(side - middle))), ORDINARY)
+        spread = max(robust_std(side - middle), ORDINARY)
         if abs(middle) < max(APART, 4.0 * spread / np.sqrt(side.size)):
             return 0.0
         sides.append(middle)

@@ -26,7 +26,7 @@ from trainlog.arrays import IntArray, UintArray
 from trainlog.errors import InputError
 from trainlog.presentation import Presented
 from trainlog.trip import Trip, nanoseconds
-from trainlog.units import NANOSECONDS
+from trainlog.units import MINUTE
 
 COLUMNS = (
     ("/train/state", "speed", 1e-6),
@@ -36,8 +36,6 @@ COLUMNS = (
 )
 """Topic, column and step to which its values are rounded; the first of them that was recorded."""
 
-MINUTE = 60 * NANOSECONDS
-"""Length of a block of samples [ns]."""
 
 LEAST_VALUES = 3
 """Different values from which on a minute distinguishes a drive: all standing trains are alike."""

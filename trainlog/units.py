@@ -32,8 +32,8 @@ PER_MILLE = 1e3
 NANOSECONDS = 1_000_000_000
 """In a second: times of logs are whole nanoseconds since 1970 UTC."""
 
-DAY = 86_400 * NANOSECONDS
-"""Nanoseconds of a day."""
+MINUTE, DAY = 60 * NANOSECONDS, 86_400 * NANOSECONDS
+"""Nanoseconds of a minute, of a day."""
 
 JOULES_PER_KWH = 3.6e6
 """Joules in one kilowatt hour."""

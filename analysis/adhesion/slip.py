@@ -11,6 +11,7 @@ of the axle although the driver asks for no less, and the wheel returns to the t
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +34,7 @@ from estimators.slip import (
     impulse,
     train_speed,
 )
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.display import counted, span
 from trainlog.errors import LogError
 from trainlog.formats.railway import line_of
@@ -570,7 +571,7 @@ def wheel_noise(wheel_speed: FloatArray) -> float:
     if known.size == 0:
         return SPEED_NOISE_FLOOR
     # The variance of a third difference of white noise is 20 times that of the noise.
-    return max(float(np.median(known) / 0.6745 / np.sqrt(20.0)), SPEED_NOISE_FLOOR)
+    return max(robust_std(known) / math.sqrt(20.0), SPEED_NOISE_FLOOR)
 
 
 def _train_speed(
@@ -805,7 +806,7 @@ def adhesion_noise(time: FloatArray, adhesion: FloatArray) -> float:
     loaded = apart[np.isfinite(apart) & (np.abs(adhesion[lag:]) > COASTING_ADHESION)]
     if loaded.size == 0:
         return ADHESION_NOISE_FLOOR
-    return max(float(np.median(loaded) / 0.6745 / np.sqrt(2.0)), ADHESION_NOISE_FLOOR)
+    return max(robust_std(loaded) / math.sqrt(2.0), ADHESION_NOISE_FLOOR)
 
 
 def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:

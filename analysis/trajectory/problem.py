@@ -12,7 +12,7 @@ import numpy as np
 from pandas import Timestamp
 
 from analysis.adhesion.map_state import UsableAdhesion, risk_of_run, usable_adhesion
-from trainlog.arrays import FloatArray
+from trainlog.arrays import FloatArray, numbered
 from trainlog.condition import setting
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
@@ -241,7 +241,7 @@ class TrajectoryProblem:
                 remedy="lower the initial speed, or start elsewhere",
             )
         if self.condition_map is not None:
-            self.condition_map.check_line(line.name, line.length, 1.0, where)
+            self.condition_map.check_line(line.name, line.length, what=where)
         self._check_limits(where)
 
     def _check_time(self, where: str) -> None:
@@ -452,9 +452,8 @@ class TrajectoryProblem:
         longest = np.sqrt(8.0 * _RAMP * squares * step / np.maximum(np.abs(np.diff(ends)), 1e-9))
         coarser = max(1.0, float((step / longest).sum()) / _MOST_RAMPS)
         counts = np.ceil(step / (coarser * longest)).astype(np.int64)
-        first = np.repeat(np.cumsum(counts) - counts, counts)
-        share = (np.arange(counts.sum()) - first) / np.repeat(counts, counts)
-        between = np.repeat(points[:-1], counts) + share * np.repeat(step, counts)
+        cell, number = numbered(counts)
+        between = points[cell] + number / counts[cell] * step[cell]
         return np.append(between, points[-1])
 
     @property

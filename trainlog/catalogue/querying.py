@@ -23,6 +23,7 @@ from trainlog.catalogue.database import (
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.spans import times_of
+from trainlog.units import DAY
 
 if TYPE_CHECKING:
     from trainlog.trip import Trip
@@ -38,7 +39,6 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """By what an overview can be, and the columns that name a row of it."""
 
-_DAY = 86_400_000_000_000
 
 COLUMNS = [each.name for each in TRIP_COLUMNS]
 
@@ -393,7 +393,7 @@ class Trips(Database):
         edge = trip_edges.c
         columns: dict[str, Any] = {name: trips.c[name] for name in names if name in trips.c}
         columns |= {"edge": edge.edge} if by == "edge" else {}
-        columns |= {"day": trips.c.start // _DAY} if by == "day" else {}
+        columns |= {"day": trips.c.start // DAY} if by == "day" else {}
         count, total = sa.func.count, sa.func.sum
         # Of a train some logs may not state the kind.
         sums: dict[str, Any] = {"kind": sa.func.max(trips.c.kind)} if by == "train" else {}
@@ -425,7 +425,7 @@ class Trips(Database):
         kinds |= {"kind": "text"} if "kind" in kinds else {}
         frame = _frame(rows, kinds)
         if by == "day":
-            days = pd.to_datetime(frame["day"].astype("Int64") * _DAY, unit="ns", utc=True)
+            days = pd.to_datetime(frame["day"].astype("Int64") * DAY, unit="ns", utc=True)
             frame["day"] = days.dt.strftime("%Y-%m-%d").astype(object)
         order = frame[list(names)].fillna("").sort_values(list(names))
         return frame.loc[order.index].reset_index(drop=True)

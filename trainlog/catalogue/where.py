@@ -22,7 +22,7 @@ from sqlglot import exp
 from trainlog.catalogue.database import TRIP_COLUMNS, on_line, trip_edges, trips
 from trainlog.errors import InputError
 from trainlog.spans import times_of
-from trainlog.units import DISTANCE, KILOMETRE, MASS, NUMBER, TIME
+from trainlog.units import DAY, DISTANCE, KILOMETRE, MASS, NUMBER, TIME
 
 _MEASURES = {
     "": NUMBER,
@@ -54,7 +54,6 @@ _AS_JSON = {
 """Columns by the keys that ``fleet query --json`` gives them."""
 
 _WORDS = [each.name for each in TRIP_COLUMNS if each.kind != "json"]
-_NANOSECONDS_A_DAY = 86_400_000_000_000
 
 _INDEXED = {"start", "train", "key", "sha256"}
 """Columns by which few trips are found without looking at the others."""
@@ -384,7 +383,7 @@ def _calendar(name: str, time: Any) -> Any:
     """
     if name == "hour":
         return (time // 3_600_000_000_000) % 24
-    days = time // _NANOSECONDS_A_DAY
+    days = time // DAY
     if name == "weekday":
         return (days + 3) % 7 + 1
     shifted = days + 719_468

@@ -47,10 +47,8 @@ from trainlog.simulation.vehicles import (
 from trainlog.simulation.weather import HOUR, draw_weather, local_weather
 from trainlog.topics import TRUTH
 from trainlog.trip import Trip
-from trainlog.units import DAY, NANOSECONDS
+from trainlog.units import DAY, MINUTE
 from trainlog.version import __version__, code_version_of
-
-MINUTE = 60 * NANOSECONDS
 
 START = "2026-10-01"
 """First day, where none is given."""

@@ -30,9 +30,7 @@ from trainlog.simulation.rail import Rail, RailState, base_map, trip_profile
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_scales
 from trainlog.simulation.traction import TractionLoop, TractionMaker
 from trainlog.simulation.weather import HOUR
-from trainlog.units import DAY, NANOSECONDS
-
-MINUTE = 60 * NANOSECONDS
+from trainlog.units import DAY, MINUTE, NANOSECONDS
 
 START = pd.Timestamp("2024-10-07T06:00:00Z").value
 """When the first of several drawn trips begins [ns since 1970 UTC]."""
