@@ -145,6 +145,11 @@ def _state(view: TripView, result: Trip) -> Trip:
     if "/estimates/state" in view.trip and "/train/state" not in view.trip:
         return result
     state = view.trip["/train/state"]
+    if len(state) < 2:
+        raise LogError(
+            f"trip '{view.name}': /train/state holds {len(state)} samples",
+            remedy="record it over the whole trip",
+        )
     time = seconds(state)
     speed = state["speed"].to_numpy(dtype=np.float64)
     position = state["position"].to_numpy(dtype=np.float64)

@@ -368,6 +368,23 @@ def test_a_trip_that_never_moves_is_refused():
     refused(LogError, "never moves", trip_cost, still)
 
 
+def test_trips_too_short_to_compare_are_refused_or_left_out_with_the_reason():
+    state = trip()["/train/state"]
+    refused(LogError, "one sample with a chainage", trip_cost, trip().with_topic(state.iloc[:1]))
+    rests = trip("rests").with_topic(state.assign(position=5_000.0))
+    refused(InputError, "goes on by 0 m of chainage: too short to compare", compare, rests)
+    found = compare([rests, trip()])
+    assert [each.trip.name for each in found.directions[0].trips] == ["t"]
+    assert "'rests' goes on by 0 m" in found.left_out[0]
+
+
+def test_the_stops_on_a_line_without_stations_have_no_names():
+    bare = line_to_bytes(replace(LINE, stations=()))
+    stops = replace(trip(stop=True), attachments={**trip().attachments, LINE_ATTACHMENT: bare})
+    assert [each.station for each in driven_trip(stops).stands] == ["", "", ""]
+    assert trip_cost(stops).stops == 1
+
+
 def test_savings_pair_the_same_configuration_only():
     drivers = [trip("a", 50_000.0), trip("b", 60_000.0, stop=True)]
     followed = [

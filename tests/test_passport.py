@@ -132,3 +132,14 @@ def test_wheel_factors_of_rounded_speeds_are_within_their_bands(stopping, step, 
         inside.append(abs(errors[-1]) < 1.96 * std + 1e-7)
     assert np.mean(inside) > 0.9
     assert np.sqrt(np.mean(np.square(errors))) < 1e-4 + 0.005 * step
+
+
+def test_a_state_of_few_samples_gives_a_passport_that_states_what_it_lacks(stopping):
+    state, axles = stopping["/train/state"], stopping["/train/axles"]
+    for samples in (0, 2):
+        short = estimated_passport(stopping.with_topic(state.iloc[:samples]))
+        assert short.effort_delay.source == short.effort_gain.source == "assumed", samples
+    without_efforts = stopping.with_topic(stopping["/train/controls"].iloc[:0])
+    assert estimated_passport(without_efforts).effort_gain.source == "assumed"
+    known = estimated_passport(stopping.with_topic(axles.iloc[:2]))
+    assert known.summary()["wheel factors"] == ", ".join(4 * ["not known"])

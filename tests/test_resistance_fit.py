@@ -143,6 +143,12 @@ def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(lever)
         return
     assert abs(fit.max_power - power) < 1.96 * fit.max_power_std
     assert fit.max_power_std < 0.015 * power
+    # Of axles of which one lacks its effort, or its speed, the train's effort gives the power.
+    for lost in ("wheel_effort_2", "wheel_speed_2"):
+        fewer = made["/train/axles"].drop(columns=lost)
+        fewer.attrs = made["/train/axles"].attrs
+        short = fit_trip(changed(made, "/train/controls", **demands).with_topic(fewer))
+        assert abs(short.max_power - power) < 1.96 * short.max_power_std, lost
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.25, 3.6])
@@ -155,6 +161,11 @@ def test_speeds_that_chainage_contradicts_are_refused(simulated, factor):
     assert stated.reason == "contradiction"
     refused(LogError, f"nothing can be estimated; state: .*{said}", with_estimates, wrong)
     refused(NotIdentifiableError, said, coast_down, [wrong])
+
+
+def test_a_state_of_one_sample_is_not_smoothed(simulated):
+    one = simulated[0].with_topic(simulated[0]["/train/state"].iloc[:1])
+    assert "/train/state holds 1 samples; record it" in with_estimates(one)[1][0]
 
 
 def test_band_holds_the_whole_curve_as_often_as_it_says():

@@ -41,7 +41,7 @@ from analysis.comparison.energy import ForceModel, normalised_energy
 from analysis.view import Given, each_given
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
-from trainlog.errors import InputError, TrainlogError
+from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.presentation import (
     DURATION,
     ENERGY,
@@ -275,7 +275,8 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
     step = np.diff(trip.position, prepend=trip.position[0])
     over = trip.speed - trip.limit_at(trip.position)
     number = np.searchsorted(high, trip.position, side="left")
-    inside = (number < high.size) & (trip.position >= low[0])
+    start = np.min(low, initial=np.inf)
+    inside = (number < high.size) & (trip.position >= start)
     bins = np.where(inside, number, high.size)
 
     def summed(values: FloatArray) -> FloatArray:
@@ -294,7 +295,7 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
     if trip.slips is not None:
         places = np.interp(trip.slips, trip.time, trip.position)
         row = np.searchsorted(high, places, side="left")
-        kept = (row < high.size) & (places >= low[0])
+        kept = (row < high.size) & (places >= start)
         found["slips"] = np.bincount(row[kept], minlength=high.size)[: high.size].astype(float)
     if "reference_speed" in trip.signals:
         off = trip.speed - trip.signals["reference_speed"]
@@ -787,6 +788,11 @@ class ComparedTrip:
         return float((values * weights).sum(min_count=1) / weights.sum())
 
 
+def _late_at_the_end(table: pd.DataFrame) -> float:
+    """The last section's lateness [s]; NaN where the trip ran through none."""
+    return float(table["lateness"].iloc[-1]) if len(table) else np.nan
+
+
 def _energy(each: ComparedTrip, column: str) -> Said:
     value, missing = each.recorded_energy(column)
     if value is None or missing is None:
@@ -818,7 +824,7 @@ DRIVING = (
         key="within_advice",
         of=lambda each: each.within_advice,
     ),
-    Column("late at the end", DURATION, of=lambda each: float(each.table["lateness"].iloc[-1])),
+    Column("late at the end", DURATION, of=lambda each: _late_at_the_end(each.table)),
     Column("braked", ENERGY, of=lambda each: each.sum("braking")),
 )
 """How a trip was driven: coasting, excess speed, slip, how well advice was kept."""
@@ -1155,7 +1161,7 @@ def _driven(
     found, left_out = list[DrivenTrip](), list[str]()
     for given in each_given(trips):
         try:
-            trip = driven_trip(given, line)
+            trip = _comparable(given, line)
             again = next((each for each in found if each.same_drive(trip)), None)
             if again is None:
                 found.append(trip)
@@ -1174,9 +1180,21 @@ def _driven(
     return found, left_out
 
 
+def _comparable(given: Given, line: Line | None) -> DrivenTrip:
+    """The trip, if it went farther than a stop at a station does."""
+    trip = driven_trip(given, line)
+    run = trip.covered[1] - trip.covered[0]
+    if run <= STOPPING_REACH:
+        raise LogError(
+            f"trip '{trip.name}' goes on by {run:.0f} m of chainage: too short to compare",
+            remedy="leave it out",
+        )
+    return trip
+
+
 def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
     if not isinstance(given, Trajectory):
-        return driven_trip(given, line)
+        return _comparable(given, line)
     train = _train_of(trips)
     given.check(line.name, given.train if train is None else train.name)
     return planned_trip(given, line, train)

@@ -489,7 +489,7 @@ def samples_of(trip: Trip) -> Samples:
         if state in trip and "position" in trip[state]:
             columns = [f"{state}.speed", f"{state}.position", *present]
             frame = joined(trip, columns, state, max_gap=None).rename(columns=_short)
-            if frame["position"].notna().any():
+            if np.isfinite(frame["position"]).any():
                 return _thinned(trip, state, frame)
     raise LogError(
         f"trip '{trip.name}' has no chainage",
@@ -852,6 +852,11 @@ def _line_as_travelled(bare: Trip, line: Line | None) -> Line:
 def _reduced(trip: Trip, line: Line, train: Train | None) -> DrivenTrip:
     """From samples to the motion between first departure and last arrival."""
     table, (mass, gain) = samples_of(trip), _mass_and_gain(trip, train)
+    if table.time.size < 2:
+        raise LogError(
+            f"trip '{trip.name}' has one sample with a chainage: that shows no motion",
+            remedy="leave it out",
+        )
     recorded, spikes = table.without_spikes(line)
     position, notes = table.chainage(recorded, line)
     stands = table.stands(position)

@@ -84,7 +84,7 @@ def power_limit(
     controls, index = trip["/train/controls"], prepared.index
     step = float(np.median(np.diff(prepared.time)))
     width = max(1, round(AVERAGED / step))
-    power = _moving_average(_power(trip, index, prepared), width)
+    power = _moving_average(_power(trip, index, prepared, train), width)
     steady = prepared.usable & (prepared.slip_momentum == 0.0)
     limited = steady & (prepared.speed > LOWEST_SPEED) & np.isfinite(power)
     if controls["tractive_effort_demand"].notna().any():
@@ -138,17 +138,21 @@ def _equivalent_power(
     return np.maximum(share * train.max_traction_power, power[known]), speed[known]
 
 
-def _power(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared) -> np.ndarray:
-    """Power of the motors [W] at each sample."""
+def _power(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared, train: Train) -> np.ndarray:
+    """Power of the motors [W] at each sample; by the axles if speed and effort of all are there."""
     if "/train/axles" in trip:
         axles = trip["/train/axles"]
-        numbers = [n.rpartition("_")[2] for n in axles.columns if n.startswith("wheel_effort_")]
+        efforts = [n.rpartition("_")[2] for n in axles.columns if n.startswith("wheel_effort_")]
+        numbers = [n for n in efforts if f"wheel_speed_{n}" in axles]
         products = [
             interpolated(axles, f"wheel_effort_{n}", index)
             * interpolated(axles, f"wheel_speed_{n}", index)
             for n in numbers
         ]
-        if products and np.isfinite(np.sum(products, axis=0)).any():
+        if (
+            len(products) >= max(train.axles.count, 1)
+            and np.isfinite(np.sum(products, axis=0)).any()
+        ):
             return np.asarray(np.sum(products, axis=0) / prepared.scale.factor)
     effort = interpolated(trip["/train/controls"], "tractive_effort", index)
     return np.asarray(effort * prepared.speed)

@@ -673,7 +673,7 @@ def _braking(
 
 def _slipping(time: FloatArray, wheels: FloatArray, smooth: FloatArray) -> BoolArray:
     """Where a powered wheel turns at another speed than the train moves, beyond creep."""
-    width = max(1, round(LONGEST_GAP / float(np.median(np.diff(time)))))
+    width = min(max(1, round(LONGEST_GAP / float(np.median(np.diff(time))))), time.size)
     kernel = np.ones(width) / width
     mask = np.zeros(time.size, dtype=bool)
     for wheel in wheels.T:

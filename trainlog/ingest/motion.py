@@ -410,13 +410,15 @@ def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]
     Parameters
     ----------
     trip : Trip
-        Without ``/train/state`` or ``/train/controls`` nothing is found.
+        Without ``/train/state`` or ``/train/controls``, or samples in both, nothing is found.
     train : Train, optional
         Without it any mass that a train can have explains them.
     """
     if not {"/train/state", "/train/controls"} <= trip.topics.keys():
         return
     state, controls = trip["/train/state"], trip["/train/controls"]
+    if state.empty or controls.empty:
+        return
     time = seconds(controls, pd.DatetimeIndex(state.index)[0])
     speed = np.interp(time, seconds(state), state["speed"].to_numpy(np.float64))
     form = form_for(Train, "mass")

@@ -1497,6 +1497,8 @@ def near(line: Line | None, position: ArrayLike, within: float = AT_STATION) -> 
 
 def station_at(line: Line, position: float, reach: float = STATION_REACH) -> str:
     """Name of the nearest station within `reach` [m] of a position; empty if there is none."""
+    if not line.stations:
+        return ""
     places = np.array([station.position for station in line.stations])
     nearest = int(np.argmin(np.abs(places - position)))
     near = abs(places[nearest] - position) <= reach

@@ -164,7 +164,8 @@ class Passport(Declared):
             rows["speed noise"] = _speeds(self.speed_noise)
         if self.wheel_factor:
             rows["wheel factors"] = ", ".join(
-                f"{each.value:.4f} ± {1.96 * each.std:.4f}" for each in self.wheel_factor
+                f"{each.value:.4f} ± {1.96 * each.std:.4f}" if each.known else "not known"
+                for each in self.wheel_factor
             )
         if self.sample_time:
             rows["sample times"] = ", ".join(
@@ -182,4 +183,4 @@ def _speeds(noise: Mapping[str, Quantity]) -> str:
         topic = column.partition(".")[0]
         if each.known:
             shown[topic] = max(shown.get(topic, 0.0), each.value)
-    return ", ".join(f"{topic} {value:.3f} m/s" for topic, value in shown.items())
+    return ", ".join(f"{topic} {value:.3f} m/s" for topic, value in shown.items()) or "not known"
