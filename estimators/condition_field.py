@@ -439,10 +439,13 @@ def grid_for(now: FieldParameters, bin_length: float) -> LevelGrid:
 
 
 def switches_of(bin_length: float, assumed: FieldParameters) -> FloatArray:
-    """Transitions from bin to bin between rail without and with slippery places near, and these."""
-    leave = bin_length / assumed.slippery_length
+    """Transitions from bin to bin between rail without and with slippery places near, and these.
+
+    Bins longer than a slippery place, or half a stretch, do not know of the bin before.
+    """
+    leave = min(bin_length / assumed.slippery_length, 1.0)
     enter = assumed.slippery_share / (1.0 - assumed.slippery_share) * leave
-    turn = bin_length / REGION
+    turn = min(bin_length / REGION, 0.5)
     return np.array(
         [
             [1.0 - turn - 0.2 * enter, turn, 0.2 * enter],

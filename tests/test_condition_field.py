@@ -139,3 +139,19 @@ def test_without_evidence_parameters_are_assumed_and_with_it_estimated():
     assert model["spot_life"].source == "assumed"
     empty = layer_of([calm(DAY, 0.02)]).model
     assert {each.source for each in empty.values()} == {"assumed"}
+
+
+@pytest.mark.parametrize("length", [300.0, 1_000.0, 2_500.0])
+def test_bins_longer_than_a_slippery_place_have_the_level_of_their_onsets(length):
+    """Of ten bins one was met at 0.06, the others at 0.12, on each of twenty days."""
+    levels = np.where(np.arange(10) == 2, 0.06, 0.12)
+    weight, unused = np.full(10, 1.0 / TRIP_STD**2), np.zeros((10, LEVELS.size))
+    pieces = [
+        DailyEvidence.of_bins(DAY + n, weight > 0.0, weight, weight * np.log(levels), unused)
+        for n in range(20)
+    ]
+    known = ConditionLayer.unestimated(DailyEvidence.total(pieces))
+    line = level_line(10.0 * length)
+    found = estimated(replace(empty_map(line, length), layers={"wet": known})).layer("wet")
+    assert found.quantile(0.5) == pytest.approx(levels, rel=0.1)
+    assert found.model["slippery_length"].value > 0.0
