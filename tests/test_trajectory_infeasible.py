@@ -220,3 +220,13 @@ def test_limits_for_a_train_without_length_are_refused(tmp_path):
     arguments += ["--line", "sample"]
     with pytest.raises(InputError, match="not known; state its length in the train's file"):
         run([*arguments, "-o", str(tmp_path / "a.json")])
+
+
+@pytest.mark.parametrize("braking", ["common", "recourse"])
+def test_a_search_that_the_time_limit_ends_is_refused_without_a_proof(braking):
+    """A common brake cannot stop them all; and under one common traction no reserve is left."""
+    question = {"initial_speed": 1.0, "braking": braking, "cells": 50, "time_limit": 1e-6}
+    question |= {"running_time": 1541.0} if braking == "common" else {"reserve": 1e-9}
+    configurations = observed(VIRM6, 0.97, 1.0, 1.03)
+    words = "none was proven impossible: the relaxation is stopped by the time limit"
+    refused(InfeasibleError, words, optimised, level_line(), VIRM6, configurations, **question)

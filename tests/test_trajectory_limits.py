@@ -154,6 +154,7 @@ def test_expected_energy_is_least_for_the_weights_that_are_given():
         ({"configurations": []}, "no parameter configuration"),
         ({"configurations": observed(FLIRT, 1.0, 1.0)}, "two configurations are called 'x1'"),
         ({"start": 5_000.0, "end": 4_000.0}, "is not a section"),
+        ({"start": 0.0, "end": 1e-6}, "would run 1e-06 m, less than 1 m; give an end farther"),
         ({"initial_speed": -1.0}, "must be finite and not negative"),
         ({"initial_speed": 30.0}, "above the 90.0 km/h permitted"),
         ({"braking": "none"}, "no such braking 'none'"),

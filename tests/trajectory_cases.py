@@ -81,11 +81,12 @@ def optimised(
     *,
     cells: int = 500,
     tolerance: float = DEFAULT_OPTIONS.tolerance,
+    time_limit: float | None = None,
     **question: Any,
 ) -> Trajectory:
     """The optimum of a problem that is given by its attributes."""
     problem = TrajectoryProblem(line, train, configurations, **question)
-    return optimise(problem, OptimiserOptions(cells, tolerance))
+    return optimise(problem, OptimiserOptions(cells, tolerance, time_limit))
 
 
 def optimised_journey(

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from analysis.trajectory.convex import NoSolutionError, Relaxation, worked
+from analysis.trajectory.convex import NoSolutionError, OutOfTimeError, Relaxation, worked
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.problem import TrajectoryProblem
@@ -259,7 +259,7 @@ def unsettled(problem: DiscreteProblem, running_time: float, reason: str) -> Unp
     return UnprovenError(
         f"no trajectory of {names_of(problem)} was found for {running_time:.1f} s on"
         f" {problem.shape[1]} cells, and none was proven impossible: {reason}",
-        remedy="try more cells, or another running time",
+        remedy="try more cells, another running time, or a longer time limit",
     )
 
 
@@ -323,6 +323,8 @@ def _ends_too_fast(
         least = Relaxation(free, speeds, np.zeros_like(speeds)).least_end(running_time)
     except NoSolutionError as status:
         return str(status) == "infeasible"
+    except OutOfTimeError:
+        return False
     return bool(np.sqrt(2.0 * max(least, 0.0)) > np.sqrt(2.0 * asked.final_ceiling) + _FASTER)
 
 
@@ -332,6 +334,8 @@ def _relaxed_time(relaxation: Relaxation) -> tuple[float, str]:
         return relaxation.least_time(), ""
     except NoSolutionError as status:
         return np.inf, str(status)
+    except OutOfTimeError:
+        return np.inf, "stopped by the time limit"
 
 
 def lowest_end_speed(
@@ -363,7 +367,7 @@ def lowest_end_speed(
             solution = minimise(
                 trial, relaxed.plan, relaxed.time_price, running_time, iterations=12
             )
-        except NoSolutionError:
+        except (NoSolutionError, OutOfTimeError):
             return False
         return solution.lateness <= LATE
 

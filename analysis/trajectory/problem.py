@@ -40,6 +40,9 @@ FEWEST_CELLS, MOST_CELLS = 20, 20_000
 
 _ENERGY = {"wheel": "at the wheel", "line": "from the line", "expected": "expected from the line"}
 
+LEAST_SECTION = 1.0
+"""Shortest section [m] that a trajectory is found for."""
+
 _PIECE = 10.0
 """Longest piece in which the strongest deceleration is looked at [m]."""
 
@@ -209,6 +212,12 @@ class TrajectoryProblem:
                 f"{where}: from km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f} is not a"
                 f" section of a line of {line.length / 1e3:.3f} km",
                 remedy="give a start and an end on the line, in the order of travel",
+            )
+        if self.end - self.start < LEAST_SECTION:
+            raise InputError(
+                f"{where}: from {self._km(self.start)} the train would run"
+                f" {self.end - self.start:.2g} m, less than {LEAST_SECTION:.0f} m",
+                remedy="give an end farther away",
             )
         if not (0.0 <= self.initial_speed < np.inf and 0.0 <= self.final_speed < np.inf):
             raise InputError(
