@@ -43,7 +43,7 @@ portable: $(READY)
 	NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4 AVX512_ICL AVX512_SPR" \
 	$(BIN)/python -m pytest -n 2 tests/test_samples.py tests/test_golden.py
 
-# Three quarters of an hour of processor time and more: kills, whole lines, figures of the papers.
+# More than an hour of processor time: kills, whole lines, figures of the papers.
 long: $(READY)
 	$(BIN)/python -m pytest -m long -n 2 --dist worksteal
 
