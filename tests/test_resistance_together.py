@@ -16,6 +16,7 @@ from resistance_trips import RESISTANCE, constant_speed, trip
 
 from analysis import TripRefusedError, combine, fit, fit_trip, parameter_set
 from analysis.charts import draw, draw_all, draw_charts
+from analysis.fleet.resistance import fleet_resistance
 from analysis.resistance import TripFit, summarised
 from analysis.resistance.curve import nearest_physical
 from analysis.resistance.logs import AllRefusedError
@@ -391,6 +392,8 @@ def test_a_row_that_would_spoil_all_trips_is_refused(column, value, tmp_path):
     bad.loc[3, column] = value
     with pytest.raises(InputError, match="'trip-003': numbers that no fit gives"):
         write_summaries(bad, tmp_path / "bad.parquet")
+    for together in (combine, parameter_set, fleet_resistance):
+        refused(InputError, "'trip-003': numbers that no fit gives", together, bad)
 
 
 def test_a_damaged_file_is_refused(tmp_path):

@@ -37,6 +37,7 @@ from estimators.mixed import TAIL, Group, MixedEffects, mixed_effects
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.formats.summaries import check_fitted
 from trainlog.presentation import NUMBER, Column, Presented, WordTable, new_table
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import KMH
@@ -288,6 +289,7 @@ def resistance_of_drives(rows: pd.DataFrame) -> FleetResistance:
         raise NotIdentifiableError(
             "no trip determines the running resistance", remedy="give more, or more varied, trips"
         )
+    check_fitted(used)
     kinds = tuple(
         _kind_resistance(str(kind), group.reset_index(drop=True))
         for kind, group in used.groupby("kind", sort=True)

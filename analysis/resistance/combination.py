@@ -45,6 +45,7 @@ from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.summaries import (
     COLUMNS,
     age,
+    check_fitted,
     covariances_of,
     frame_of,
     ordered,
@@ -237,8 +238,8 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     NotIdentifiableError
         If there is no trip that determines the curve.
     InputError
-        If the trips belong to different trains, or one of which the drive is not known appears
-        twice.
+        If the trips belong to different trains, one of which the drive is not known appears
+        twice, or one has numbers that no fit gives.
 
     Examples
     --------
@@ -345,6 +346,7 @@ def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:
 def checked(every: pd.DataFrame) -> pd.DataFrame:
     """Of summaries in order those that are not refused; errors as `combine`."""
     rows = every[every["refused"] == ""].reset_index(drop=True)
+    check_fitted(rows)
     if rows.empty:
         raise NotIdentifiableError(
             "no trip determines the running resistance", remedy="give more, or more varied, trips"

@@ -357,7 +357,7 @@ def _version(software: str) -> tuple[int, ...]:
 
 
 def _check(frame: pd.DataFrame, path: str | Path) -> None:
-    """Refuse what no fit gives; a single bad row would spoil all trips together."""
+    """Refuse what is no table of summaries, or holds a row that no fit gives."""
     known = {column.name for column in COLUMNS}
     present = {str(name) for name in frame}
     for names, what in ((known - present, "lacks"), (present - known, "has an unknown")):
@@ -376,6 +376,25 @@ def _check(frame: pd.DataFrame, path: str | Path) -> None:
                 place=f"column {column.name}",
                 remedy="fit the logs again",
             )
+    check_fitted(frame, path)
+
+
+def check_fitted(frame: pd.DataFrame, path: str | Path | None = None) -> None:
+    """Refuse rows that no fit gives; a single one would spoil all trips together.
+
+    Raises
+    ------
+    InputError
+        With the trip; of a file with the row.
+
+    Examples
+    --------
+    >>> from analysis.resistance.combination import summarised
+    >>> from analysis.resistance.fit import fit_trip
+    >>> check_fitted(summarised([fit_trip("sample_logs/nonstop.mcap")]).assign(mass=-1.0))
+    Traceback (most recent call last):
+    trainlog.errors.InputError: trip 'trip-01': numbers that no fit gives; fit its log again
+    """
     numbers = frame[list(_ALWAYS)].to_numpy(np.float64)
     covariance = covariances_of(frame)
     # Scaled to ones on the diagonal, so that units do not matter.
@@ -391,6 +410,6 @@ def _check(frame: pd.DataFrame, path: str | Path) -> None:
         raise InputError(
             f"trip '{frame['trip'].iloc[row]}': numbers that no fit gives",
             file=path,
-            place=f"row {row}",
+            place=None if path is None else f"row {row}",
             remedy="fit its log again",
         )
