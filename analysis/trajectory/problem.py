@@ -40,8 +40,8 @@ FEWEST_CELLS, MOST_CELLS = 20, 20_000
 
 _ENERGY = {"wheel": "at the wheel", "line": "from the line", "expected": "expected from the line"}
 
-LEAST_SECTION = 1.0
-"""Shortest section [m] that a trajectory is found for."""
+LEAST_SECTION = 10.0
+"""Shortest section [m] that a trajectory is found for: of a metre or two the bound is wrong."""
 
 _PIECE = 10.0
 """Longest piece in which the strongest deceleration is looked at [m]."""
