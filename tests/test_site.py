@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from test_report_page import Outline
-from test_wheel import CHECKOUT, OUTSIDE, environment, trainlog
+from test_wheel import CHECKOUT, OUTSIDE, environment, install, trainlog
 
 sys.path.append(str(CHECKOUT / "docs" / "tools"))
 from screenshot import browser_page, chromium
@@ -115,8 +115,7 @@ def test_a_wheel_made_after_the_site_holds_it_and_opens_it(checkout, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     python, packages = environment(tmp_path / "environment")
-    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
-    subprocess.run(install, check=True, capture_output=True, timeout=300)
+    install(python, "--no-deps", "--no-index", str(wheel), timeout=300)
     (packages / "third_party.pth").write_text(sysconfig.get_path("purelib") + "\n")
     page = trainlog(python, "docs", "planner", "--path", cwd=tmp_path).strip()
     assert Path(page).parts[-4:] == ("documentation_pages", "site", "tutorials", "planner.html")
