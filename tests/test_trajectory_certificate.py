@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, hilly_line, level_line, observed, optimised
 
+from analysis.trajectory import certificate
 from analysis.trajectory.active_set import initial_guess, search
 from analysis.trajectory.bound import continuous_bound, reached
 from analysis.trajectory.discretisation import discretise, graded_mesh
@@ -57,6 +58,20 @@ def test_cells_follow_the_plan_until_the_gap_is_small(case):
     assert renewed.certificate["energy"] <= first.certificate["energy"]
     assert renewed.positions.size <= 2.1 * first.positions.size
     assert renewed.certificate["certified"]
+
+
+def test_a_bound_above_the_plan_certifies_nothing(monkeypatch):
+    given = certificate.continuous_bound
+
+    def wrong(*args: Any, **options: Any) -> Any:
+        found = given(*args, **options)
+        return replace(found, value=1.1 * found.value)
+
+    monkeypatch.setattr(certificate, "continuous_bound", wrong)
+    found = optimised(hilly_line(), VIRM6, observed(VIRM6, 1.0), cells=61, reserve=0.1).certificate
+    assert found["lower_bound"] > found["energy"]
+    assert not found["certified"]
+    assert found["bound_holds_for"] == "no trajectories: this one takes less"
 
 
 TIMED = (TimingPoint(3_000.0, latest=165.0), TimingPoint(6_000.0, earliest=311.0))
