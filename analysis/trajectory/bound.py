@@ -771,12 +771,17 @@ def continuous_bound(
         Whether the speeds of several are looked at together where the traction is at a limit; it
         takes ten times as long.
     """
-    found = _Bounded.of(problem, plan, multipliers, fastest, running_time, run, floor)
+
+    def bounded(problem: DiscreteProblem, plan: Plan, multipliers: Multipliers) -> _Bounded:
+        prices, segments = Prices.of(problem, multipliers.convex()), Segments.of(problem, _POINTS)
+        hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
+        return _Bounded.of(hamiltonian, multipliers, prices.of_times(problem, running_time))
+
+    found = bounded(problem, plan, multipliers)
     falls = _falls(found.hamiltonian, multipliers)
     positions, first = np.union1d(problem.positions, falls), np.arange(problem.step.size)
     if positions.size > problem.positions.size:
-        split = _split(problem, plan, multipliers, positions)
-        other = _Bounded.of(*split, fastest, running_time, run, floor)
+        other = bounded(*_split(problem, plan, multipliers, positions))
         if other.value > found.value:
             found, first = other, np.searchsorted(positions, problem.positions[:-1])
     if jointly:
@@ -807,30 +812,17 @@ class _Bounded:
     excess: FloatArray
 
     @staticmethod
-    def of(
-        problem: DiscreteProblem,
-        plan: Plan,
-        multipliers: Multipliers,
-        fastest: Envelope,
-        running_time: float,
-        run: TrajectoryProblem,
-        floor: Floor | None,
-    ) -> _Bounded:
+    def of(hamiltonian: Hamiltonian, multipliers: Multipliers, times: float) -> _Bounded:
         """By the better of two costates; the excess by the one that is level in more cells."""
-        prices = Prices.of(problem, multipliers.convex())
-        segments, times = Segments.of(problem, _POINTS), prices.of_times(problem, running_time)
-        hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
         tried = []
         for near in (_LEVEL, _NEAR_LEVEL):
             costate = costate_of(hamiltonian, multipliers, near)
             along = costate.along(hamiltonian)
             least = hamiltonian.least(*along)
-            value = float((least * segments.weights).sum()) + costate.at_nodes - times
-            tried.append(
-                _Bounded(hamiltonian, value, along, least, hamiltonian.excess(along, least))
-            )
-        best = max(tried, key=lambda each: each.value)
-        return replace(best, excess=tried[-1].excess)
+            value = float((least * hamiltonian.segments.weights).sum()) + costate.at_nodes - times
+            tried.append((value, along, least))
+        excess = hamiltonian.excess(along, least)
+        return _Bounded(hamiltonian, *max(tried, key=lambda each: each[0]), excess)
 
     def raised(self) -> _Bounded:
         """The same where no traction is more than the speeds of all allow together."""

@@ -17,7 +17,7 @@ from numba import njit
 
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, largest_beside
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
 from trainlog.errors import InfeasibleError
 from trainlog.railway.line import km_words
 from trainlog.railway.motion import (
@@ -162,9 +162,8 @@ def closer(run: TrajectoryProblem, fastest: Envelope, rows: tuple[int, ...]) -> 
         parts = np.where(step > _SHORTEST, np.clip(np.ceil(parts), 1, _MOST_PARTS), 1).astype(int)
         if parts.max() == 1:
             break
-        cell = np.repeat(np.arange(parts.size), parts)
-        share = np.concatenate([np.arange(count) / count for count in parts.tolist()])
-        problem = discretise(run, np.append(s[cell] + share * step[cell], s[-1]))
+        cell, number = numbered(parts)
+        problem = discretise(run, np.append(s[cell] + number / parts[cell] * step[cell], s[-1]))
         fastest = _fastest_on(problem)
     return fastest.select(range(len(rows)))
 
