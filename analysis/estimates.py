@@ -16,6 +16,7 @@ from analysis.view import TripView, view_of, views_of
 from estimators.motion import smooth_motion
 from trainlog import __version__
 from trainlog.arrays import FloatArray, robust_std
+from trainlog.display import counted
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import csv_bytes, write_bytes
 from trainlog.mcap import LogWriter, read_log
@@ -147,7 +148,7 @@ def _state(view: TripView, result: Trip) -> Trip:
     state = view.trip["/train/state"]
     if len(state) < 2:
         raise LogError(
-            f"trip '{view.name}': /train/state holds {len(state)} samples",
+            f"trip '{view.name}': /train/state holds {counted(len(state), 'sample')}",
             remedy="record it over the whole trip",
         )
     time = seconds(state)

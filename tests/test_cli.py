@@ -137,6 +137,8 @@ REFUSED = {
     # values that cannot be
     "map show file --km 8:8 --picture no.png": "not a part of a line",
     "map show TRACK --layer frost --picture no.png": "has no layer 'frost'",
+    "show nonstop.mcap --picture .csv": ".csv: is not the name of a .png or .svg file; end it in",
+    "show other.train.json --picture no.png": "there is no picture of a train; see it",
     "simulate drive BOTH -o x --characteristic icy": (
         "'icy' is unknown; give a file, or one of polach-dry"
     ),

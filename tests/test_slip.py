@@ -411,7 +411,7 @@ def of_train(trip: Trip, train: Train) -> Trip:
         (lambda t: of_train(t, flirt(axles=Axles(count=2))), "4 axles, train 'flirt' has 2"),
         (no_axle_speed, "has no axle speed"),
         (lambda trip: replace(trip, attachments={}), r"has no train\.json"),
-        (lambda trip: trip.with_topic(trip["/train/axles"].iloc[:1]), "holds 1 samples"),
+        (lambda trip: trip.with_topic(trip["/train/axles"].iloc[:1]), "holds 1 sample;"),
         (lambda t: replace(t, metadata={**t.metadata, "load": "heavy"}), "load 'heavy'"),
     ],
 )

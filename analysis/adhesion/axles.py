@@ -186,7 +186,7 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
     frame = trip[TRAIN_AXLES.name]
     if len(frame) < 2:
         raise LogError(
-            f"trip '{trip.name}': /train/axles holds {len(frame)} samples",
+            f"trip '{trip.name}': /train/axles holds {counted(len(frame), 'sample')}",
             remedy="record the axles over the whole trip",
         )
     numbers, speeds, notes = _speeds(trip, frame, train)

@@ -333,7 +333,7 @@ def show(
     *,
     check: bool = False,
     all_: bool = False,
-    picture: Path | None = None,
+    picture: Annotated[Path | None, Written(".png", ".svg")] = None,
     open_: bool = False,
 ) -> None:
     """Show the content of a file; the kind of file is recognised by its content.
@@ -375,6 +375,10 @@ def show(
         samples.folder() if str(file) == samples.SAMPLE and not file.exists() else file
         for file in files
     ]
+    if picture is not None:
+        from analysis.contents import contents_of, draw_contents
+
+        draw_contents(contents_of(files[0]), picture)
     damaged = refused = 0
     for file in files:
         try:
@@ -385,9 +389,6 @@ def show(
             print_problems(error)
             refused += 1
     if picture is not None:
-        from analysis.contents import contents_of, draw_contents
-
-        draw_contents(contents_of(files[0]), picture)
         wrote(picture)
     if open_:
         _open(files[0])

@@ -94,10 +94,11 @@ class Written:
     """Marks a file to be written, whose name is checked before any work is done."""
 
     suffix: str = ".png"
+    other: str = ""
 
     def read(self, given: str | Path, name: str) -> Path:  # noqa: ARG002
         """The file."""
-        return destination(Path(given), self.suffix)
+        return destination(Path(given), self.suffix, self.other)
 
 
 POSITIVE = COUNT.between(1.0)
@@ -620,11 +621,12 @@ def refuse_rivals(why: str, given: Mapping[str, object], remedy: str = "") -> No
         )
 
 
-def destination(path: Path, suffix: str) -> Path:
-    """A file to be written, checked before any work is done."""
-    if path.suffix != suffix:
+def destination(path: Path, suffix: str, other: str = "") -> Path:
+    """A file to be written, checked before any work is done; it may end in another suffix, too."""
+    if not path.suffix or path.suffix not in (suffix, other):
+        wanted = " or ".join(filter(None, (suffix, other)))
         raise InputError(
-            f"is not the name of a {suffix} file", file=path, remedy=f"end it in {suffix}"
+            f"is not the name of a {wanted} file", file=path, remedy=f"end it in {wanted}"
         )
     if path.is_dir() or not path.absolute().parent.is_dir():
         what = "is a folder" if path.is_dir() else "cannot be written: its folder does not exist"
