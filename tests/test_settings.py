@@ -78,8 +78,10 @@ def test_units_and_zone_change_what_is_shown_and_no_file(settings, tmp_path, she
     assert "speed, km/h" in shown[0]
     assert "speed, mph" in shown[1]
     assert "km/h" not in shown[1]
-    _, out, _ = shell("show", log)
-    assert "2024-10-07 08:00:00.000 to 2024-10-07 08:19:43.100 CEST" in out
+    for zone, shown_as in (("Europe/Zurich", "CEST"), ("+02:00", "UTC+02:00")):
+        set_setting("zone", zone)
+        _, out, _ = shell("show", log)
+        assert f"2024-10-07 08:00:00.000 to 2024-10-07 08:19:43.100 {shown_as}" in out
 
 
 def test_the_page_lists_the_settings():

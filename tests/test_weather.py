@@ -74,6 +74,10 @@ class TestFile:
         write_weather(again, tmp_path / "again.csv")
         assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "weather.csv").read_bytes()
 
+    def test_a_zone_is_a_name_or_an_offset(self, tmp_path):
+        path = written(tmp_path, "time [+02:00],condition\n2026-10-24T06:00,wet\n")
+        assert read_weather(path).starts[0] == when("2026-10-24T04:00Z")
+
     @pytest.mark.parametrize(
         ("text", "words"),
         [

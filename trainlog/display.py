@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -203,7 +202,9 @@ def in_zone(words: str, zone: str) -> str:
     """
     if zone == "UTC":
         return words
-    there = ZoneInfo(zone)
+    from trainlog.spans import zone_of
+
+    there = zone_of(zone)
 
     def local(time: str) -> tuple[str, str]:
         seconds, point, rest = time.replace("T", " ").partition(".")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import tzinfo
 from typing import Any
 
 import numpy as np
@@ -74,29 +75,32 @@ def stamp_of(time: Any) -> pd.Timestamp:
     return stamp
 
 
-def check_zone(name: str) -> None:
-    """Refuse the name of a time zone that is not known.
+def zone_of(name: str) -> tzinfo:
+    """The time zone of a name, or of an offset as ``+02:00``.
 
     Raises
     ------
     InputError
-        Names the zones that are written nearly so.
+        If it is not known; names the zones that are written nearly so.
 
     Examples
     --------
-    >>> check_zone("Europe/Zurich")
-    >>> check_zone("Europe/Zuerich")
+    >>> zone_of("+02:00")
+    datetime.timezone(datetime.timedelta(seconds=7200))
+    >>> zone_of("Europe/Zuerich")
     Traceback (most recent call last):
     trainlog.errors.InputError: 'Europe/Zuerich' is not a time zone; did you mean 'Europe/Zurich...
     """
     try:
-        pd.Timestamp(0, tz=name)
+        found = pd.Timestamp(0, tz=name).tzinfo
     except (LookupError, ValueError, TypeError, OSError) as error:
         from zoneinfo import available_timezones
 
         near = " or ".join(f"'{each}'" for each in similar(name, sorted(available_timezones())))
         remedy = f"did you mean {near}?" if near else "name it as Europe/Zurich"
         raise InputError(f"'{name}' is not a time zone", remedy=remedy) from error
+    assert found is not None
+    return found
 
 
 def utc(time: Any) -> pd.Timestamp:
@@ -150,7 +154,7 @@ def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
     """
     day = isinstance(text, str) and _DAY.fullmatch(text.strip()) is not None
     if zone is not None:
-        check_zone(zone)
+        zone_of(zone)
     stamp = stamp_of(text)
     try:
         ends = [stamp, stamp + pd.Timedelta(days=1)] if day else [stamp]

@@ -42,7 +42,7 @@ from trainlog.presentation import Columns, WordTable, facts_table, kwh, word_tab
 from trainlog.railway import Line
 from trainlog.railway.line import in_km, station_at
 from trainlog.resampling import interpolated
-from trainlog.spans import check_zone, runs_of
+from trainlog.spans import runs_of, zone_of
 from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS
 from trainlog.trip import POSITION_TOPICS, Trip
 from trainlog.units import KMH, PER_MILLE, clock
@@ -100,7 +100,7 @@ def known_zone(name: str) -> Zone:
     >>> known_zone("Europe/Zurich").name
     'Europe/Zurich'
     """
-    check_zone(name)
+    zone_of(name)
     return Zone(name)
 
 

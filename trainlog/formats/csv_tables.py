@@ -14,7 +14,6 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 import pandas as pd
@@ -35,7 +34,7 @@ from trainlog.railway.condition import AdhesionForecast
 from trainlog.railway.line import LineReference
 from trainlog.railway.resistance import EffortCurve
 from trainlog.railway.weather import LONGEST_HOLD, MILLIMETRE_PER_HOUR, Weather, check_condition
-from trainlog.spans import ALWAYS, utc
+from trainlog.spans import ALWAYS, utc, zone_of
 from trainlog.units import to_si
 
 Value = TypeVar("Value")
@@ -537,8 +536,8 @@ def _reader_of_times(table: HeadedTable, name: str) -> Callable[[str], int]:
     """Reads a time [ns since 1970 UTC] of a column in the zone that its name states."""
     stated = table.units[table.columns[name]] if name in table.columns else None
     try:
-        zone = None if stated is None else ZoneInfo(stated)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
+        zone = None if stated is None else zone_of(stated)
+    except InputError:
         table.refuse(
             f"'{stated}' is not a time zone", "name it as in 'time [UTC]' or 'time [Europe/Zurich]'"
         )

@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo
 
 from trainlog.declaration import meanings
 from trainlog.display import SPEED_UNITS
@@ -170,9 +169,11 @@ def _problems(key: str, value: object) -> Iterator[tuple[str, str]]:
     elif key == "speed" and value not in SPEED_UNITS:
         yield f"speed '{value}' is not a unit of speed", f"choose one of {', '.join(SPEED_UNITS)}"
     elif key == "zone":
+        from trainlog.spans import zone_of
+
         try:
-            ZoneInfo(value)
-        except (KeyError, ValueError, OSError):
+            zone_of(value)
+        except InputError:
             yield f"zone '{value}' is not known", "name one as Europe/Zurich, or UTC"
     elif key == "results" and not value:
         yield "results is empty", "name a folder, such as results"

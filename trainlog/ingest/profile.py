@@ -28,7 +28,7 @@ from trainlog.ingest.recording import base_name, field_of
 from trainlog.presentation import facts_table
 from trainlog.railway.train import Train
 from trainlog.railway.weather import given_condition
-from trainlog.spans import check_zone
+from trainlog.spans import zone_of
 from trainlog.topics import RECORDED, TOPICS, Bounds, Field as Item, Topic, recorded_topic
 from trainlog.units import factor, si_unit, to_si
 
@@ -609,7 +609,7 @@ class TimeOptions(Strict):
             )
         if self.date is not None and not (patterned and "%d" not in form):
             yield "date is for a pattern that holds the time of day only"
-        yield problem_of(check_zone, self.timezone)
+        yield problem_of(zone_of, self.timezone)
 
 
 class RideOptions(Strict):
