@@ -81,6 +81,19 @@ def test_chainage_holds_through_outages_and_reflections(receiver, bound, reverse
     assert np.mean(np.abs(fast) <= 1.96 * fast_std) >= 0.90
 
 
+@pytest.mark.parametrize("known", [slice(-300, None), slice(-100, None), slice(300)])
+def test_fixes_count_before_the_first_speed_and_after_the_last(known):
+    """They are not refused, and no place is taken from a speed of minutes away."""
+    trip, truth = drive(winding(), Receiver())
+    speed = trip["/gnss/motion"]["speed"]
+    given = pd.Series(np.nan, speed.index)
+    given.iloc[known] = speed.iloc[known]
+    frame = framed(trip.with_topic(trip["/gnss/motion"].assign(speed=given)), winding())
+    error, std = errors(frame, truth, "position")
+    assert rms(error) < 5.0
+    assert np.mean(np.abs(error) <= 1.96 * std) >= 0.90
+
+
 @pytest.mark.parametrize("reverse", [False, True])
 def test_a_line_that_comes_near_itself_is_followed_in_its_order(reverse):
     """At a hairpin and a loop; the nearest place would jump by kilometres."""

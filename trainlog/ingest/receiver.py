@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from numba import njit
-from scipy.integrate import cumulative_trapezoid
 
 from estimators.matching import LONGEST_LINK
 from estimators.receiver import (
@@ -535,12 +534,20 @@ class Unmeasured(NamedTuple):
 
 def unmeasured(seconds: FloatArray, speed: FloatArray) -> Unmeasured:
     """A speed on a line between its samples, and how unsure its integral is by that [m²]."""
-    known = np.isfinite(speed)
-    step = np.diff(seconds[known], prepend=seconds[known][0])
+    time, measured = seconds[np.isfinite(speed)], speed[np.isfinite(speed)]
     # How unsteady this train's speed is between two that were measured.
-    bend = mean_square(np.diff(speed[known], 2)) / (2.0 * np.median(step))
-    lost = np.cumsum(min(LOSS_DENSITY, 2.0 * bend) * step**3 / 12.0)
-    return Unmeasured(*(np.interp(seconds, seconds[known], each) for each in (speed[known], lost)))
+    bend = mean_square(np.diff(measured, 2)) / (2.0 * np.median(np.diff(time, prepend=time[0])))
+    lost = _lost(seconds, time, min(LOSS_DENSITY, 2.0 * bend))
+    return Unmeasured(np.interp(seconds, time, measured), lost)
+
+
+def _lost(seconds: FloatArray, time: FloatArray, density: float) -> FloatArray:
+    """How unsure the integral of a speed is that was only measured at some times [m²]."""
+    step = np.diff(time, prepend=time[0])
+    # Beyond the ends the speed is known at one side only.
+    outside = seconds - np.clip(seconds, time[0], time[-1])
+    within = np.interp(seconds, time, np.cumsum(step**3 / 12.0))
+    return np.asarray(density * (within + outside**3 / 3.0))
 
 
 def late_throughout(
@@ -779,7 +786,7 @@ class Driven(NamedTuple):
     Attributes
     ----------
     distance, variance : array [m], [m²]
-        Since the first row; NaN, and 0, where no speed is known.
+        Since the first speed, negative before it; NaN, and 0, where no two speeds are known.
     slipping : bool array
         Wheel speeds that are not trusted.
     """
@@ -790,22 +797,18 @@ class Driven(NamedTuple):
 
 
 def distance_driven(fixes: Fixes, *, slip_aware: bool = True) -> Driven:
-    """The distance driven by the satellite speed, else by the wheels', across gaps on a line."""
+    """The distance driven by the satellite speed, else by the wheels'; see `integral`."""
     ratio, speed, std = wheel_ratio(fixes), fixes.speed, fixes.speed_std
     slipping = slipping_wheels(fixes, speed, std, ratio) & slip_aware
     if fixes.wheel_speed is not None and fixes.wheel_speed_std is not None:
         wheels = np.where(slipping, np.nan, fixes.wheel_speed * ratio)
         std = np.where(np.isfinite(speed), std, fixes.wheel_speed_std)
         speed = np.where(np.isfinite(speed), speed, wheels)
-    known = np.isfinite(speed)
-    if not known.any():
-        return Driven(np.full(speed.size, np.nan), np.zeros(speed.size), slipping)
-    time = fixes.seconds[known]
+    seconds, known = fixes.seconds, np.isfinite(speed)
+    driven, _ = integral(seconds, speed)
+    if not np.isfinite(driven).any():
+        return Driven(driven, np.zeros(speed.size), slipping)
+    time = seconds[known]
     steps = np.diff(time, prepend=time[0])
-    unsure = (std[known] * steps) ** 2 + LOSS_DENSITY * steps**3 / 12.0
-    driven = cumulative_trapezoid(speed[known], time, initial=0.0)
-    return Driven(
-        np.interp(fixes.seconds, time, driven),
-        np.interp(fixes.seconds, time, np.cumsum(unsure)),
-        slipping,
-    )
+    measured = np.interp(seconds, time, np.cumsum((std[known] * steps) ** 2))
+    return Driven(driven, measured + _lost(seconds, time, LOSS_DENSITY), slipping)
