@@ -57,7 +57,10 @@ def column_of(field: str, stated: str) -> str:
         (column_of(SPEED, "columns=['v', 'w'], unit='m/s'"), f"{AT_SPEED} needs one column"),
         (column_of(WHEELS, "column='v', unit='m/s'"), f'"{WHEELS}" needs columns, one an axle'),
         (column_of(SPEED, "column='v', unit='m/s', sign=2"), f"{AT_SPEED}.sign: must be 1 or -1"),
-        (column_of(SPEED, "column='v', unit='m/s', scale=nan"), "scale: must be a finite number"),
+        (
+            column_of(SPEED, "column='v', unit='m/s', scale=nan"),
+            "scale: is not a finite number; give one",
+        ),
         (column_of(MESSAGE, "value=3"), f'columns."{MESSAGE}" needs a text'),
         (column_of(MESSAGE, "column='x', unit='m'"), f'columns."{MESSAGE}" has no unit'),
         (HEAD + "[trip]\nload = {value=3, unit='m'}", "load: unit 'm' cannot be read as kg"),

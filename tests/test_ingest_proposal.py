@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -498,9 +498,7 @@ def test_the_sample_recorder_is_ingested_as_with_its_own_profile():
     proposal = propose_profile(RECORDER)
     assert [question.split(":")[0] for question in proposal.open] == ["time zone"]
     assert "# open: or local time" in proposal.text
-    zoned = proposal.profile.model_copy(
-        update={"time": proposal.profile.time.model_copy(update={"timezone": "Europe/Zurich"})}
-    )
+    zoned = replace(proposal.profile, time=replace(proposal.profile.time, timezone="Europe/Zurich"))
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     proposed, true = (
         ingest(RECORDER, profile, line=line, train=train, metadata={"load": "12000"})
@@ -685,7 +683,7 @@ def test_marks_between_thousands_are_read(tmp_path, delimiter, thousands, decima
     position = ingest(path, profile)["/train/state"]["position"]
     assert run.s.max() > 1_000.0
     assert np.abs(position.to_numpy() - run.s.to_numpy()).max() < 0.51
-    wrong = profile.model_copy(update={"file": profile.file.model_copy(update={"thousands": ""})})
+    wrong = replace(profile, file=replace(profile.file, thousands=""))
     if (thousands, digits) != (".", 0):  # else they are read as decimals
         refused(InputError, f"thousands = .{re.escape(thousands)}. under", ingest, path, wrong)
 

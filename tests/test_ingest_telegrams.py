@@ -17,6 +17,7 @@ from ingest_logs import HEAD, START, Run, clean_run
 from refusals import refused
 
 import trainlog
+from trainlog.declaration import from_content
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, report_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
@@ -261,9 +262,8 @@ def test_every_number_is_read_as_it_was_packed(kinds, big, data):
     for number, kind in enumerate(kinds):
         fields[f"f{number}"] = {"offset": offset, "type": kind}
         offset += np.dtype(kind).itemsize
-    options = TelegramOptions.model_validate(
-        {"length": len(packed), "byte_order": "big" if big else "little", "fields": fields}
-    )
+    content = {"length": len(packed), "byte_order": "big" if big else "little", "fields": fields}
+    options = from_content(TelegramOptions, content)
     octets = np.frombuffer(packed, np.uint8)[None, :]
     found = [field_values(octets, options.fields[name], options)[0, 0].item() for name in fields]
     assert found == values

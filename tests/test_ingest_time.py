@@ -30,6 +30,7 @@ from satellite_trips import PACES, paced
 from simulated_line import hilly_line
 
 from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, draw_scenarios, read_line, read_train, sample
+from trainlog.declaration import from_content
 from trainlog.errors import InputError
 from trainlog.ingest import Profile, ingest, profile_of, report_of
 from trainlog.ingest.clock import rows_per_second
@@ -227,7 +228,7 @@ def read(*columns: list[object], decimal: str = ".", **options: object) -> list[
     names = [str(number) for number in range(len(columns))]
     table = pa.table(dict(zip(names, columns, strict=True)))
     where = {"column": "0"} if len(columns) == 1 else {"columns": tuple(names)}
-    return read_time(table, TimeOptions(**where, **options), decimal, FILE).tolist()
+    return read_time(table, from_content(TimeOptions, where | options), decimal, FILE).tolist()
 
 
 @pytest.mark.parametrize(

@@ -132,10 +132,8 @@ def test_a_clock_that_leaps_while_the_train_runs_parts_no_trip(tmp_path):
 def test_a_load_that_changes_within_a_trip_is_not_used(tmp_path):
     file = written(tmp_path, table(RUNS))
     profile = propose_profile(file).profile
-    columns = profile.trip.columns.model_copy(update={"number": None})
-    whole = profile.model_copy(
-        update={"trip": profile.trip.model_copy(update={"columns": columns})}
-    )
+    columns = replace(profile.trip.columns, number=None)
+    whole = replace(profile, trip=replace(profile.trip, columns=columns))
     trip = ingest(file, whole)
     assert "load" not in trip.metadata
     assert any("changes within the trip" in what for what in report_of(trip).not_used)
@@ -147,7 +145,7 @@ def test_a_copy_under_another_name_is_skipped(tmp_path):
     logs = tmp_path / "logs"
     ingest_all(file, logs, profile)
     copy = written(tmp_path, file.read_text(encoding="utf-8"), "copy.csv")
-    other = profile.model_copy(update={"name": "read in another way"})
+    other = replace(profile, name="read in another way")
     again = ingest_all(copy, logs, other)
     assert [each.state for each in again.outcomes] == ["unchanged"] * 3
     assert "same content as week.csv" in again.outcomes[0].reason

@@ -11,12 +11,13 @@ values are in SI units. The sentence on each field is that of the class's docstr
 
 from __future__ import annotations
 
+import datetime
 import inspect
 import json
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import groupby
@@ -39,7 +40,7 @@ from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray, same_values
 from trainlog.display import counted
-from trainlog.errors import InputError
+from trainlog.errors import InputError, suggestion
 from trainlog.presentation import Presented
 from trainlog.units import KMH, factor, to_si
 
@@ -150,8 +151,9 @@ class Form:
     def read(self, found: Any, kind: Any) -> Any:
         """The value, of type `kind`, that stands in the file as `found`; InputError if none."""
         words = get_args(kind)
-        if get_origin(kind) is Literal and (found not in words or not isinstance(found, str)):
-            *most, last = (f"'{word}'" for word in words)
+        same = (found == word and type(found) is type(word) for word in words)
+        if get_origin(kind) is Literal and not any(same):
+            *most, last = map(repr, words)
             raise InputError(f"must be {', '.join(most)} or {last}" if most else f"must be {last}")
         kinds = {str: "string", int: "integer", bool: "boolean", dict: "dictionary"}
         held = get_origin(kind) or kind
@@ -170,7 +172,7 @@ class Form:
         if value is None:
             return None
         if get_origin(kind) is Literal and value not in get_args(kind):
-            remedy = f"it is one of {', '.join(get_args(kind))}"
+            remedy = f"it is one of {', '.join(map(str, get_args(kind)))}"
             return InputError(f"no such {place} '{value}'", place=place, remedy=remedy)
         if self.must is None or self.must.holds(value):
             return None
@@ -191,31 +193,81 @@ def _valid(found: Any, kinds: tuple[type, ...], what: str) -> Any:
 
 @dataclass(frozen=True)
 class Text(Form):
-    """Text of at least so many characters."""
+    """Text of at least, and perhaps at most, so many characters."""
 
     least: int = 0
+    most: int | None = None
 
     def read(self, found: Any, kind: Any = str) -> str:  # noqa: ARG002
         """The text."""
         text: str = super().read(found, str)
         if len(text) < self.least:
             raise InputError(f"must have at least {counted(self.least, 'character')}")
+        if self.most is not None and len(text) > self.most:
+            raise InputError(f"must have at most {counted(self.most, 'character')}")
         return text
 
 
 @dataclass(frozen=True)
 class Number(Form):
-    """A number without a unit; where there are gaps NaN stands for what is not known."""
+    """A number without a unit.
+
+    Attributes
+    ----------
+    gaps : bool
+        Whether it may be missing, and is NaN then.
+    infinite : bool
+        Whether it may be infinite; then it is not written.
+    """
 
     gaps: bool = False
+    infinite: bool = False
 
     def read(self, found: Any, kind: Any = float) -> float:  # noqa: ARG002
         """The number."""
+        if self.infinite and found in (np.inf, -np.inf):
+            return float(found)
         return np.nan if found is None and self.gaps else _number(found)
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
         """The number; None where there is none."""
-        return None if self.gaps and np.isnan(value) else plain(value, self.key)
+        absent = (self.gaps and np.isnan(value)) or (self.infinite and np.isinf(value))
+        return None if absent else plain(value, self.key)
+
+
+@dataclass(frozen=True)
+class Moment(Form):
+    """A date, or a date and time: as TOML has it, or as text (ISO 8601)."""
+
+    def read(self, found: Any, kind: Any) -> Any:
+        """The date."""
+        if isinstance(found, str):
+            with suppress(ValueError):
+                found = kind.fromisoformat(found)
+        what = "date and time" if kind is datetime.datetime else "date"
+        return _valid(found, (kind,), what)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
+        """The same."""
+        return value
+
+
+@dataclass(frozen=True)
+class Either(Form):
+    """A value of one of several types: the first that can be read."""
+
+    def read(self, found: Any, kind: Any) -> Any:
+        """The value."""
+        problems = Problems()
+        for each in get_args(kind):
+            if each is not NoneType:
+                with problems.at():
+                    return _reader(each)(found)
+        raise InputError.listing(problems)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """The value as its own type is written."""
+        return form_of(type(value)).write(value, in_si)
 
 
 def _number(found: Any) -> float:
@@ -317,11 +369,11 @@ def _read_object(
 ) -> dict[str, Any]:
     """What stands under the keys of an object, in the order in which they are declared."""
     _valid(found, (dict,), "dictionary")
-    problems = Problems(_unknown(key) for key in found if key not in reads)
+    problems = Problems(_unknown(key, reads) for key in found if key not in reads)
     values = {}
     for key, read in reads.items():
         if key in found:
-            with problems.at(key):
+            with problems.at(f'"{key}"' if "/" in key else key):
                 values[key] = read(found[key])
         elif key in required:
             problems.append(_missing(key))
@@ -329,8 +381,9 @@ def _read_object(
     return values
 
 
-def _unknown(key: str) -> InputError:
-    return InputError(f"unknown key '{key}'", place=key, remedy="correct its spelling or remove it")
+def _unknown(key: str, known: Iterable[str]) -> InputError:
+    remedy = suggestion(key, known, "correct its spelling or remove it; known")
+    return InputError(f"unknown key '{key}'", place=key, remedy=remedy)
 
 
 def _missing(key: str) -> InputError:
@@ -616,7 +669,7 @@ class Array(Form):
 
 def _items(found: Any, read: Callable[[Any], Any], least: int = 0) -> list[Any]:
     """What `read` makes of each item of a list."""
-    _valid(found, (list,), "list")
+    _valid(found, (list, tuple), "list")
     if len(found) < least:
         raise InputError("has too few entries", remedy=f"give at least {counted(least, 'item')}")
     values, problems = [], Problems()
@@ -813,7 +866,8 @@ class ByName(Form):
 
     def read(self, found: Any, kind: Any) -> dict[str, Any]:
         """The things by their names."""
-        return _read_object(found, dict.fromkeys(found, _reader(get_args(kind)[1])))
+        names = _valid(found, (dict,), "dictionary")
+        return _read_object(found, dict.fromkeys(names, _reader(get_args(kind)[1])))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """What describes each of them."""
@@ -850,6 +904,10 @@ def form_of(hint: Any) -> Form:
         return Many()
     if isinstance(origin, type) and issubclass(origin, Mapping) and get_args(kind)[1] is not Any:
         return ByName()
+    if origin in (Union, UnionType):
+        return Either()
+    if isinstance(kind, type) and issubclass(kind, datetime.date):
+        return Moment()
     return Number() if kind is float else Form()
 
 
@@ -986,7 +1044,7 @@ def from_content(kind: type[Thing], content: Any, judged: bool = False) -> Thing
     _valid(content, (dict,), "dictionary")
     known = {entry.key: entry for entry in entries(kind)}
     foreign = issubclass(kind, Foreign)
-    problems = Problems(_unknown(key) for key in content if key not in known and not foreign)
+    problems = Problems(_unknown(key, known) for key in content if key not in known and not foreign)
     unknown = len(problems)
     values: dict[str, Any] = {}
     for key, entry in known.items():

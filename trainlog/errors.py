@@ -30,6 +30,31 @@ def similar(name: str, known: Iterable[str], most: int = 3) -> list[str]:
     return [folded[each] for each in dict.fromkeys([*parts, *close])][:most]
 
 
+def suggestion(name: str, known: Iterable[str], what: str = "known") -> str:
+    """Remedy for a name that is not among the `known` ones: close matches, then all of them.
+
+    Examples
+    --------
+    >>> suggestion("colunm", ["column", "unit"]), suggestion("x", ["column", "unit"])
+    ("did you mean 'column'?", 'known: column, unit')
+    """
+    names = [str(candidate) for candidate in known]
+    shown = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
+    return did_you_mean(name, names, f"{what}: {shown or 'none'}")
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Close matches of a name among the `known` ones as a question; `otherwise` without any.
+
+    Examples
+    --------
+    >>> did_you_mean("wett", ["wet", "dry"], "write it as wet")
+    "did you mean 'wet'?"
+    """
+    matches = " or ".join(f"'{match}'" for match in similar(name, known))
+    return f"did you mean {matches}?" if matches else otherwise
+
+
 def meant(name: str, known: Iterable[str]) -> str:
     """The known name that a name is but for capitals and spaces; the name itself if none is.
 

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import BoolArray, IntArray, numbered
-from trainlog.errors import InputError, similar
+from trainlog.errors import InputError, did_you_mean
 
 Spans = IntArray
 """Spans of time, (k, 2): first and last instant of each [ns since 1970 UTC], both belonging to it;
@@ -96,8 +96,7 @@ def zone_of(name: str) -> tzinfo:
     except (LookupError, ValueError, TypeError, OSError) as error:
         from zoneinfo import available_timezones
 
-        near = " or ".join(f"'{each}'" for each in similar(name, sorted(available_timezones())))
-        remedy = f"did you mean {near}?" if near else "name it as Europe/Zurich"
+        remedy = did_you_mean(name, sorted(available_timezones()), "name it as Europe/Zurich")
         raise InputError(f"'{name}' is not a time zone", remedy=remedy) from error
     assert found is not None
     return found

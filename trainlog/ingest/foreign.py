@@ -21,7 +21,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.errors import InputError
+from trainlog.errors import InputError, suggestion
 from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
 from trainlog.ingest.profile import (
@@ -30,7 +30,6 @@ from trainlog.ingest.profile import (
     MismatchError,
     Profile,
     TimeOptions,
-    suggestion,
 )
 from trainlog.ingest.recording import (
     NO_TIME,
@@ -235,12 +234,8 @@ class _Reader:
             {name: pa.Array.from_pandas(series) for name, series in values.items()}
             | {LOG_TIME: pa.array(time, mask=time == NO_TIME)}
         )
-        profile = self.profile.model_copy(
-            update={
-                "columns": columns,
-                "time": TimeOptions(column=LOG_TIME, format="epoch", unit="ns"),
-            }
-        )
+        logged = TimeOptions(column=LOG_TIME, format="epoch", unit="ns")
+        profile = replace(self.profile, columns=columns, time=logged)
         rows = np.arange(1, len(frame) + 1, dtype=np.int64)
         made = recording_of(Cells(table, rows, rows.size), profile, self.path)
         self.tables += made.tables

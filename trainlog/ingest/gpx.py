@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.parsers import expat
 
 import numpy as np
@@ -245,10 +245,10 @@ def _clock(track: _Track) -> tuple[str, Profile]:
     counts = [point.get("unix", "") for point in track.points]
     if not all(UNIX.fullmatch(count) for count in counts):
         return "GNSS, no zone stated, taken as UTC", LAYOUT
-    unit = "ms" if float(counts[0]) > MILLISECONDS else "s"
+    unit: Literal["s", "ms"] = "ms" if float(counts[0]) > MILLISECONDS else "s"
     options = TimeOptions(column="unix", format="epoch", unit=unit)
     clock = "Unix time, beside times that state no zone"
-    return clock, LAYOUT.model_copy(update={"time": options})
+    return clock, replace(LAYOUT, time=options)
 
 
 def _recording(
@@ -275,7 +275,7 @@ def _recording(
         if columns[accuracy].null_count == len(track.points) > columns[dop].null_count:
             name = f"/gnss/fix.{accuracy}"
             scaled = Column(column=dop, unit="m", scale=metres)
-            layout = layout.model_copy(update={"columns": layout.columns | {name: scaled}})
+            layout = replace(layout, columns=layout.columns | {name: scaled})
             metadata[accuracy] = f"{metres:g} m times {dop.upper()}"
     present = {
         name: column

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -183,7 +184,7 @@ def _field(
         target = f"{name}_{axle}" if column.columns else name
         scaled = column
         if column.integer_scale is not None and _whole(cell, profile.file.decimal):
-            scaled = column.model_copy(update={"scale": column.integer_scale})
+            scaled = replace(column, scale=column.integer_scale)
         values[target] = in_si(name, scaled, raw)
         empty = np.append(empty, cells.rows[absent])
         unreadable = np.append(unreadable, cells.rows[garbled])

@@ -19,11 +19,11 @@ import pandas as pd
 import pyarrow as pa
 
 from trainlog.arrays import IntArray
-from trainlog.errors import InputError
+from trainlog.errors import InputError, suggestion
 from trainlog.extras import load
 from trainlog.formats.trip_tables import called
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
-from trainlog.ingest.profile import WORDS, Column, MismatchError, Profile, suggestion
+from trainlog.ingest.profile import WORDS, Column, MismatchError, Profile
 from trainlog.ingest.recording import NO_TIME, Cells, Recording, field_of, together
 from trainlog.topics import RECORDED
 from trainlog.units import NANOSECONDS, factor, si_unit
@@ -196,7 +196,7 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
         }
     )
     cells = Cells(table, np.arange(1, time.size + 1, dtype=np.int64), time.size)
-    mapped = profile.model_copy(update={"columns": columns, "time": None})
+    mapped = replace(profile, columns=columns, time=None)
     found = recording_of(cells, mapped, path, time)
     # A channel has no value between its own instants: that is no empty cell.
     findings = (
@@ -289,5 +289,5 @@ def _with_unit(
                 place=f"field {name}",
                 remedy="give its unit in the profile",
             ) from error
-    places = {"columns": channels} if column.columns else {"column": channels[0]}
-    return column.model_copy(update={"unit": unit, "optional": False, **places})
+    places: dict[str, Any] = {"columns": channels} if column.columns else {"column": channels[0]}
+    return replace(column, unit=unit, optional=False, **places)

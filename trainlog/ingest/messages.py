@@ -18,7 +18,7 @@ import datetime
 import re
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import xor
 from pathlib import Path
@@ -541,7 +541,7 @@ def _samples(
     values = np.ascontiguousarray(octets).view(dtype)
     table = pa.table({name: values[:, i].astype(np.float64) for i, name in enumerate(names)})
     cells = Cells(table, lines.rows[place], place.size)
-    mapped = profile.model_copy(update={"columns": columns, "time": None})
+    mapped = replace(profile, columns=columns, time=None)
     return recording_of(cells, mapped, path, lines.time[place]), cut
 
 

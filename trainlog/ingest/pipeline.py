@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -12,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from trainlog import __version__
+from trainlog.declaration import content_of
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
@@ -496,9 +499,10 @@ def _with_start(profile: Profile, stated: str | None) -> Profile:
     """The profile with the start position [m] that is given, or ``"stations"``."""
     if stated is None:
         return profile
-    start = stated if stated == "stations" else Quantity(value=float(stated), unit="m")
-    trip = profile.trip.model_copy(update={"start_position": start})
-    return profile.model_copy(update={"trip": trip})
+    start: Quantity | Literal["stations"] = "stations"
+    if stated != "stations":
+        start = Quantity(value=float(stated), unit="m")
+    return replace(profile, trip=replace(profile.trip, start_position=start))
 
 
 def _check_stated_load(stated: str, train: Train | None) -> None:
@@ -517,10 +521,15 @@ def _profile(profile: str | Path | Profile | None) -> tuple[Profile | None, dict
     if profile is None:
         return None, {}
     if isinstance(profile, Profile):
-        data = profile.model_dump_json(indent=1, exclude_defaults=True).encode()
-        return profile, {PROFILE_OBJECT_ATTACHMENT: data}
+        content = content_of(profile)
+        text = json.dumps(content, ensure_ascii=False, indent=1, default=_written_moment)
+        return profile, {PROFILE_OBJECT_ATTACHMENT: text.encode()}
     data = read_bytes(profile)
     return parse_profile(data, file=profile), {PROFILE_ATTACHMENT: data}
+
+
+def _written_moment(moment: datetime.date) -> str:
+    return moment.isoformat().replace("+00:00", "Z")
 
 
 def default_profile() -> Profile:
@@ -688,7 +697,7 @@ def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Li
         bounded[name] = Limit(
             unit=item.unit, min=usual.low, max=fastest, rate=usual.rate, tolerance=usual.tolerance
         )
-    return limits.model_copy(update={"columns": bounded | limits.columns})
+    return replace(limits, columns=bounded | limits.columns)
 
 
 def _from_start(table: Table, start: Quantity | str | None) -> Table:

@@ -11,21 +11,28 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, dataclass_transform
 
 import numpy as np
-import pydantic
-from pydantic import BaseModel, ConfigDict, Field
-from pydantic_core import ErrorDetails
 
-from trainlog.declaration import form_for
-from trainlog.display import as_text
-from trainlog.errors import InputError, similar
+from trainlog.declaration import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    ByName,
+    Declared,
+    Form,
+    Must,
+    Number,
+    Text,
+    form_for,
+    from_content,
+)
+from trainlog.errors import InputError, suggestion
 from trainlog.formats.declared import parse_toml
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.recording import base_name, field_of
-from trainlog.presentation import facts_table
 from trainlog.railway.train import Train
 from trainlog.railway.weather import given_condition
 from trainlog.spans import zone_of
@@ -33,29 +40,21 @@ from trainlog.topics import RECORDED, TOPICS, Bounds, Field as Item, Topic, reco
 from trainlog.units import factor, si_unit, to_si
 
 
-class ProblemsError(ValueError):
-    """Several things that are wrong with one part of a profile."""
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class Strict(Declared):
+    """A part of a profile; its classes are dataclasses as they stand."""
 
-    def __init__(self, problems: Iterable[str]) -> None:
-        self.problems = tuple(problems)
-        super().__init__("; ".join(self.problems))
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        dataclass(frozen=True, kw_only=True)(cls)
 
+    def problems(self) -> Iterator[InputError]:
+        """What is wrong with the part beside the types and bounds of its values."""
+        yield from (_split(problem) for problem in self.wrong() if problem is not None)
 
-class Strict(BaseModel):
-    """A part of a profile; a key that it does not know is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    def problems(self) -> Iterator[str | None]:
-        """What is wrong with the part beside the types of its values; None is no problem."""
+    def wrong(self) -> Iterator[str | None]:
+        """The same in words, each with its remedy after a semicolon; None is no problem."""
         yield None
-
-    @pydantic.model_validator(mode="after")
-    def _consistent(self) -> Self:
-        found = [problem for problem in self.problems() if problem is not None]
-        if found:
-            raise ProblemsError(found)
-        return self
 
 
 def problem_of(check: Callable[..., object], *given: object) -> str | None:
@@ -69,16 +68,6 @@ def problem_of(check: Callable[..., object], *given: object) -> str | None:
 
 class MismatchError(InputError):
     """A file lacks what its profile names: one of the two has to be corrected."""
-
-
-def suggestion(name: str, known: Iterable[str], what: str = "known") -> str:
-    """Remedy for a name that is not among the `known` ones: close matches, then all of them."""
-    names = [str(candidate) for candidate in known]
-    matches = " or ".join(f"'{match}'" for match in similar(name, names))
-    if matches:
-        return f"did you mean {matches}?"
-    shown = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
-    return f"{what}: {shown or 'none'}"
 
 
 def known_field(name: str) -> Item:
@@ -103,15 +92,28 @@ def check_unit(name: str, unit: str, si: str) -> None:
         raise ValueError(f"{name}: {error.problem}; {error.remedy}") from None
 
 
-def _condition(word: str) -> str:
-    wrong = problem_of(given_condition, word)
-    if wrong is not None:
-        raise ProblemsError([wrong])
-    return given_condition(word)
+@dataclass(frozen=True)
+class _Condition(Form):
+    """A rail's condition; one that is not known is refused."""
+
+    def read(self, found: Any, kind: Any = str) -> str:  # noqa: ARG002
+        """The condition."""
+        return given_condition(super().read(found, str))
 
 
-Condition = Annotated[str, pydantic.AfterValidator(_condition)]
-"""A rail's condition; one that is not known is refused."""
+Condition = Annotated[str, _Condition()]
+
+Level = Annotated[float, Number(infinite=True)]
+Extent = Annotated[float, Number(infinite=True, must=NOT_NEGATIVE)]
+Rate = Annotated[float, Number(infinite=True, must=POSITIVE)]
+"""Thresholds, which an infinite number switches off."""
+
+Count = Annotated[int, Form(must=POSITIVE)]
+Place = Annotated[int, Form(must=NOT_NEGATIVE)]
+Mark = Annotated[str, Text(most=1)]
+
+_OCTETS = Must("is not between 1 and 65535", "give a whole number between them", 1.0, 65_535.0)
+_PART = Must("is not above 0 and at most 1", "give it in seconds", high=1.0, above=True)
 
 
 class Quantity(Strict):
@@ -170,9 +172,9 @@ class Column(Strict):
     columns: tuple[str, ...] = ()
     value: float | str | None = None
     unit: str | None = None
-    scale: float = Field(default=1.0, allow_inf_nan=False)
-    offset: float = Field(default=0.0, allow_inf_nan=False)
-    integer_scale: float | None = Field(default=None, allow_inf_nan=False)
+    scale: float = 1.0
+    offset: float = 0.0
+    integer_scale: float | None = None
     part: Literal["all", "positive", "negative"] = "all"
     sign: Literal[1, -1] = 1
     optional: bool = False
@@ -221,14 +223,14 @@ class Payload(Strict):
     """
 
     type: str
-    count: int = Field(default=1, gt=0)
+    count: Count = 1
 
     @property
     def dtype(self) -> np.dtype[Any] | None:
         """The type of the numbers; None if there are none."""
         return None if self.type in ("ubx", "nmea") else np.dtype(self.type)
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """A type that numpy does not know, or that holds no numbers."""
         try:
             known = self.dtype is None or self.dtype.kind in "iuf"
@@ -266,6 +268,7 @@ NUMBER_TYPES = (
 """Types of the numbers in telegrams."""
 
 ByteOrder = Literal["little", "big"]
+Decimal = Literal[".", ","]
 
 
 class TelegramField(Strict):
@@ -293,16 +296,16 @@ class TelegramField(Strict):
         Numbers that mean "no value".
     """
 
-    offset: int = Field(ge=0)
+    offset: Place
     type: str
-    count: int = Field(default=1, gt=0)
+    count: Count = 1
     byte_order: ByteOrder | None = None
-    bit: int | None = Field(default=None, ge=0)
-    bits: int = Field(default=1, gt=0)
-    words: dict[str, str] = Field(default_factory=dict)
+    bit: Place | None = None
+    bits: Count = 1
+    words: dict[str, str] = field(default_factory=dict)
     missing: tuple[float, ...] = ()
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """A type that is not known, or that does not have the bits."""
         if self.type not in NUMBER_TYPES:
             yield f"type '{self.type}' is not known; {suggestion(self.type, NUMBER_TYPES)}"
@@ -334,11 +337,11 @@ class TelegramOptions(Strict):
     fields : dict of str to TelegramField
     """
 
-    length: int = Field(gt=0, le=65_535)
+    length: Annotated[int, Form(must=_OCTETS)]
     byte_order: ByteOrder = "little"
     mark: str = ""
-    port: int | None = Field(default=None, gt=0, le=65_535)
-    where: dict[str, float] = Field(default_factory=dict)
+    port: Annotated[int | None, Form(must=_OCTETS)] = None
+    where: dict[str, float] = field(default_factory=dict)
     fields: dict[str, TelegramField]
 
     @property
@@ -362,10 +365,10 @@ class TelegramOptions(Strict):
         name, _, place = column.rpartition(".")
         return self.fields[name], int(place) - 1
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """Fields beyond the telegram, and names and a mark that mean nothing."""
-        for name, field in self.fields.items():
-            end = field.offset + field.count * field.dtype("little").itemsize
+        for name, each in self.fields.items():
+            end = each.offset + each.count * each.dtype("little").itemsize
             if end > self.length:
                 yield f"field '{name}' ends at byte {end}; the telegram has {self.length}"
         for name in [name for name in self.where if name not in self.fields]:
@@ -477,7 +480,7 @@ class Detection(Strict):
     columns: tuple[str, ...] = ()
     line: str | None = None
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """Nothing to recognise a file by."""
         if not self.columns and self.line is None:
             yield "needs columns or line"
@@ -511,17 +514,17 @@ class FileOptions(Strict):
     """
 
     format: str | None = None
-    delimiter: str = Field(default=",", min_length=1, max_length=1)
-    decimal: Literal[".", ","] = "."
-    thousands: str = Field(default="", max_length=1)
+    delimiter: Annotated[str, Text(least=1, most=1)] = ","
+    decimal: Decimal = "."
+    thousands: Mark = ""
     encoding: str = "utf-8"
-    header: int | None = Field(default=None, ge=0)
-    skip_after_header: int = Field(default=0, ge=0)
-    comment: str = Field(default="#", max_length=1)
+    header: Place | None = None
+    skip_after_header: Place = 0
+    comment: Mark = "#"
     missing: tuple[str, ...] = MISSING
-    aliases: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    aliases: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """Cells that cannot be parted, and an encoding that is not known."""
         if self.delimiter == self.decimal:
             yield f"delimiter and decimal are both '{self.decimal}'"
@@ -577,7 +580,7 @@ class TimeOptions(Strict):
     columns: tuple[str, ...] = ()
     format: str = "iso"
     unit: Literal["s", "ms", "us", "ns"] = "s"
-    fraction: float | None = Field(default=None, gt=0.0, le=1.0)
+    fraction: Annotated[float | None, Number(must=_PART)] = None
     timezone: str = "UTC"
     assumed_timezone: str | None = None
     start: datetime.datetime | Literal["messages"] | None = None
@@ -588,7 +591,7 @@ class TimeOptions(Strict):
         """The columns that make the time."""
         return self.columns if self.column is None else (self.column,)
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """Keys that do not go together, and a zone that is not known."""
         form, count = self.format, len(self.names)
         patterned = form not in ("iso", "epoch", "elapsed", "parts")
@@ -641,10 +644,10 @@ class RideOptions(Strict):
     begin: str
     end: str
     name: tuple[str, ...] = ()
-    only: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    only: dict[str, tuple[str, ...]] = field(default_factory=dict)
     selection: str = ""
     least_movement: Quantity | None = None
-    metadata: dict[str, str] = Field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -652,7 +655,7 @@ class RideOptions(Strict):
         used = (self.device, *self.only, *self.name, self.begin, self.end, *self.metadata.values())
         return tuple(dict.fromkeys(used))
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """A unit that is not one of length."""
         if self.least_movement is not None:
             yield problem_of(check_unit, "least_movement", self.least_movement.unit, "m")
@@ -664,7 +667,7 @@ class LoadColumn(Strict):
     column: str
     unit: str
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """A unit that is not one of mass."""
         yield problem_of(check_unit, "load", self.unit, "kg")
 
@@ -681,7 +684,7 @@ class WeatherColumn(Strict):
     """
 
     column: str
-    words: dict[str, Condition] = Field(default_factory=dict)
+    words: dict[str, Condition] = field(default_factory=dict)
 
 
 class TripColumns(Strict):
@@ -751,7 +754,7 @@ class TripOptions(Strict):
     start_position: Quantity | Literal["stations"] | None = None
     columns: TripColumns = TripColumns()
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """Units of another kind, values that no train has, and two that state the same."""
         for name, unit in (("load", "kg"), ("mass", "kg"), ("start_position", "m")):
             quantity: Quantity | Literal["stations"] | None = getattr(self, name)
@@ -773,10 +776,10 @@ class Limit(Strict):
     """
 
     unit: str
-    min: float | None = None
-    max: float | None = None
-    rate: float | None = Field(default=None, gt=0.0)
-    tolerance: float | None = Field(default=None, ge=0.0)
+    min: Level | None = None
+    max: Level | None = None
+    rate: Rate | None = None
+    tolerance: Extent | None = None
 
     def bounds(self, si: str) -> Bounds:
         """The same in the SI unit."""
@@ -806,13 +809,13 @@ class Limits(Strict):
         By ``"/topic.field"``, in place of the bounds in the table of topics.
     """
 
-    sort_within: float = Field(default=10.0, ge=0.0)
-    pause: float = Field(default=21_600.0, gt=0.0)
-    gap: float | None = Field(default=None, gt=0.0)
+    sort_within: Extent = 10.0
+    pause: Rate = 21_600.0
+    gap: Rate | None = None
     not_before: datetime.date | None = None
-    columns: dict[str, Limit] = Field(default_factory=dict)
+    columns: dict[str, Limit] = field(default_factory=dict)
 
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """Limits of fields that are not known, or in a unit of another kind."""
         for name, limit in self.columns.items():
             unknown = problem_of(known_field, name)
@@ -861,10 +864,20 @@ class Repair(Strict):
     @property
     def switched_off(self) -> tuple[str, ...]:
         """Names of the rules that are off."""
-        return tuple(name for name in type(self).model_fields if not getattr(self, name))
+        return tuple(each.name for each in fields(self) if not getattr(self, each.name))
 
 
-PROFILE_FORMAT = "trainlog/recorder-profile"
+@dataclass(frozen=True)
+class _Metadata(ByName):
+    """Metadata of a trip, of which the weather is a condition of the rail."""
+
+    def read(self, found: Any, kind: Any) -> dict[str, str]:
+        """The metadata."""
+        stated = super().read(found, kind)
+        return {n: given_condition(word) if n == "weather" else word for n, word in stated.items()}
+
+
+PROFILE_FORMAT: Literal["trainlog/recorder-profile"] = "trainlog/recorder-profile"
 
 
 class Profile(Strict):
@@ -876,22 +889,16 @@ class Profile(Strict):
     detect: Detection | None = None
     file: FileOptions = FileOptions()
     time: TimeOptions | None = None
-    columns: dict[str, Column] = Field(default_factory=dict)
+    columns: dict[str, Column] = field(default_factory=dict)
     lines: LineOptions | None = None
     rides: RideOptions | None = None
     telegram: TelegramOptions | None = None
     trip: TripOptions = TripOptions()
-    metadata: dict[str, str] = Field(default_factory=dict)
+    metadata: Annotated[dict[str, str], _Metadata()] = field(default_factory=dict)
     limits: Limits = Limits()
     repair: Repair = Repair()
 
-    @pydantic.field_validator("metadata")
-    @classmethod
-    def _known(cls, metadata: dict[str, str]) -> dict[str, str]:
-        stated = metadata.get("weather")
-        return metadata if stated is None else {**metadata, "weather": _condition(stated)}
-
-    def problems(self) -> Iterator[str | None]:
+    def wrong(self) -> Iterator[str | None]:
         """What does not fit among the columns, and to the format."""
         yield from column_problems(self.columns, self.file.format, self.lines, self.telegram)
         if (self.telegram is None) == (self.file.format == "telegrams"):
@@ -901,15 +908,10 @@ class Profile(Strict):
             for name in [name for name in self.time.names if name not in known]:
                 yield f"time: no field '{name}' of the telegram; {suggestion(name, known)}"
 
-    def __repr__(self) -> str:
-        return as_text(f"Profile '{self.name}'", self._summary())
+    __repr__ = Declared.__repr__
 
-    __str__ = __repr__
-
-    def _repr_html_(self) -> str:
-        return facts_table(f"Profile '{self.name}'", self._summary())._repr_html_()
-
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """Format, time, the fields of each topic, and the rules that are switched off."""
         rows = {"format": self.file.format or "detected"}
         if self.time is not None:
             rows["time"] = f"{' '.join(self.time.names)} ({self.time.format}, {self.time.timezone})"
@@ -1007,44 +1009,18 @@ def profile_of(content: dict[str, Any], *, file: str | Path | None = None) -> Pr
             remedy=f"begin the file with format = '{PROFILE_FORMAT}' and version = 1",
         )
     try:
-        return Profile.model_validate(content)
-    except pydantic.ValidationError as error:
-        complaints = error.errors(include_url=False)
-        # A misspelt key goes before the one that is missing for it.
-        complaints.sort(key=lambda complaint: complaint["type"] != "extra_forbidden")
-        problems = [one for complaint in complaints for one in _problems(complaint)]
-        if any(complaint["loc"] for complaint in complaints):
-            # The whole is looked at only where all its parts fit; what else is wrong is listed too.
-            problems += [_split(problem) for problem in _problems_of_columns(content) if problem]
-        raise InputError.listing(problems, file=file) from error
+        return from_content(Profile, content)
+    except InputError as error:
+        # The whole is looked at only where all its parts fit; what else is wrong is listed too.
+        others = (_split(problem) for problem in _problems_of_columns(content) if problem)
+        problems = {str(each): each for each in (*error.each, *others)}
+        raise InputError.listing([*problems.values()], file=file) from error
 
 
-def _problems(complaint: ErrorDetails) -> list[InputError]:
-    """What a complaint of pydantic states."""
-    place = "".join(f'."{part}"' if "/" in str(part) else f".{part}" for part in complaint["loc"])
-    key = str(complaint["loc"][-1]) if complaint["loc"] else ""
-    where = place.lstrip(".") or None
-    cause = complaint.get("ctx", {}).get("error")
-    if isinstance(cause, ProblemsError):
-        return [_split(problem, where) for problem in cause.problems]
-    if complaint["type"] == "extra_forbidden":
-        known = _keys_beside(tuple(complaint["loc"]))
-        return [InputError(f"unknown key '{key}'", place=where, remedy=suggestion(key, known))]
-    if complaint["type"] == "missing":
-        return [InputError(f"key '{key}' is missing", place=where, remedy="add it")]
-    return [_split(_must_be(complaint["msg"].removeprefix("Value error, ")), where)]
-
-
-def _must_be(message: str) -> str:
-    """A complaint of pydantic ("Input should be a valid string") as what the value must be."""
-    demand = re.sub(r"^(?:\w+ )?should ", "must ", message)
-    return demand[:1].lower() + demand[1:] if demand == message else demand
-
-
-def _split(message: str, place: str | None = None) -> InputError:
+def _split(message: str) -> InputError:
     """A problem and its remedy, from ``"problem; remedy"``."""
     problem, _, remedy = message.partition("; ")
-    return InputError(problem, place=place, remedy=remedy or None)
+    return InputError(problem, remedy=remedy or None)
 
 
 def _problems_of_columns(content: dict[str, Any]) -> Iterator[str | None]:
@@ -1052,25 +1028,7 @@ def _problems_of_columns(content: dict[str, Any]) -> Iterator[str | None]:
     columns: dict[str, Column] = {}
     given = content.get("columns")
     for name, described in given.items() if isinstance(given, dict) else ():
-        with suppress(pydantic.ValidationError):
-            columns[name] = Column.model_validate(described)
+        with suppress(InputError):
+            columns[name] = from_content(Column, described)
     file = content.get("file")
     return column_problems(columns, file.get("format") if isinstance(file, dict) else None)
-
-
-def _keys_beside(place: tuple[int | str, ...]) -> Iterable[str]:
-    """The keys that a profile knows at the same level as the key at `place`."""
-    model: type[BaseModel] = Profile
-    for part in place[:-1]:
-        field = model.model_fields.get(str(part))
-        if field is not None:  # else it is a name that the user chose
-            model = next(_models(field.annotation), model)
-    return model.model_fields
-
-
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The parts of a profile that an annotation such as ``dict[str, Column] | None`` names."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from _models(inner)

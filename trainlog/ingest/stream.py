@@ -13,7 +13,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ import pandas as pd
 import pyarrow as pa
 
 from trainlog.display import counted
-from trainlog.errors import InputError
+from trainlog.errors import InputError, suggestion
 from trainlog.formats.railml import Element
 from trainlog.formats.sfera import Documents, SferaJourney
 from trainlog.ingest.mapping import LATEST, NANOSECONDS_PER, recording_of, wanted_columns
@@ -33,7 +33,6 @@ from trainlog.ingest.profile import (
     WORDS,
     Profile,
     known_field,
-    suggestion,
 )
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Table
 from trainlog.ingest.sfera import ReportRows, is_of
@@ -328,8 +327,8 @@ class Decoder:
         if self._last != NO_TIME and profile.time is not None:
             # Times of day count from the day of the last row.
             last = pd.Timestamp(self._last, tz="UTC").tz_convert(profile.time.timezone)
-            time = profile.time.model_copy(update={"date": last.date()})
-            profile = profile.model_copy(update={"time": time})
+            time = replace(profile.time, date=last.date())
+            profile = replace(profile, time=time)
         missing, absent = set(profile.file.missing), (None,) * len(frames)
         cells = {
             name: [None if each in missing else each for each in columns.get(name, absent)]

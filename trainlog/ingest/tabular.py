@@ -19,10 +19,10 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from trainlog.arrays import IntArray
-from trainlog.errors import InputError
+from trainlog.errors import InputError, suggestion
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import columns_left, recording_of, wanted_columns
-from trainlog.ingest.profile import FileOptions, MismatchError, Profile, suggestion
+from trainlog.ingest.profile import FileOptions, MismatchError, Profile
 from trainlog.ingest.recording import MOST, SELDOM, Cells, Finding, Raw, Recording
 
 HABIT, FEWEST_WHOLE = 0.2, 2

@@ -244,7 +244,7 @@ def field_values(octets: np.ndarray, field: TelegramField, options: TelegramOpti
 
     Examples
     --------
-    >>> options = TelegramOptions(length=3, fields={"v": {"offset": 1, "type": "uint16"}})
+    >>> options = TelegramOptions(length=3, fields={"v": TelegramField(offset=1, type="uint16")})
     >>> octets = np.array([[9, 1, 2]], np.uint8)
     >>> field_values(octets, options.fields["v"], options).tolist()
     [[513]]

@@ -18,7 +18,7 @@ import numpy as np
 
 from trainlog.declaration import Declared, Must, Quantity, Table, Text
 from trainlog.display import counted, span
-from trainlog.errors import InputError, meant, similar
+from trainlog.errors import InputError, did_you_mean, meant
 from trainlog.extras import require
 from trainlog.presentation import (
     POSITION,
@@ -279,7 +279,7 @@ class Network(Declared):
                 if name not in known:
                     yield InputError(
                         f"{where}: edge '{edge.name}' has the {end} '{name}', which is not a node",
-                        remedy=_nearest(name, known, "name one of the nodes"),
+                        remedy=did_you_mean(name, known, "name one of the nodes"),
                     )
             if edge.line.legs:
                 yield InputError(
@@ -307,14 +307,14 @@ class Network(Declared):
             if node not in known:
                 yield InputError(
                     f"{where}: turns are given at '{node}', which is not a node",
-                    remedy=_nearest(node, known, "name one of the nodes"),
+                    remedy=did_you_mean(node, known, "name one of the nodes"),
                 )
                 continue
             there = ending.get(node, set())
             for name in sorted({name for pair in pairs for name in pair} - there):
                 yield InputError(
                     f"{where}: turns at '{node}' name the edge '{name}', which does not end there",
-                    remedy=_nearest(name, there, f"its edges are {', '.join(sorted(there))}"),
+                    remedy=did_you_mean(name, there, f"its edges are {', '.join(sorted(there))}"),
                 )
 
     def _unconnected(self, where: str) -> Iterator[InputError]:
@@ -432,7 +432,7 @@ class Network(Declared):
         if name not in known:
             raise InputError(
                 f"network '{self.name}' has no {kind} '{name}'",
-                remedy=_nearest(name, known, f"look at its {kind}s"),
+                remedy=did_you_mean(name, known, f"look at its {kind}s"),
             )
         return known[name]
 
@@ -490,7 +490,7 @@ class Network(Declared):
             return (self._point(found, position),)
         raise InputError(
             f"network '{self.name}' has no place '{name}'",
-            remedy=_nearest(name, self.places, "name nodes, stations, or edge@km"),
+            remedy=did_you_mean(name, self.places, "name nodes, stations, or edge@km"),
         )
 
     def route(self, *places: str) -> Route:
@@ -774,12 +774,6 @@ def connected(nodes: Iterable[Key], pairs: Iterable[tuple[Key, Key]]) -> list[li
     for node, own in part.items():
         groups.setdefault(id(own), []).append(node)
     return list(groups.values())
-
-
-def _nearest(name: str, known: Any, otherwise: str) -> str:
-    """A remedy that names what was perhaps meant."""
-    found = similar(name, known)
-    return f"did you mean {' or '.join(repr(each) for each in found)}?" if found else otherwise
 
 
 # ------------------------------------------------------------------ the shortest way

@@ -402,7 +402,7 @@ def _place_fixes(work: Work, place: Position, close: list[Position], answer: Ans
         (LATITUDE, place.latitude, "NS"),
         (LONGITUDE, place.longitude, "EW"),
     ):
-        signed = column.model_copy(update={"sign": _hemisphere(work, letters)})
+        signed = replace(column, sign=_hemisphere(work, letters))
         work.put(Proposed(name, signed, why, check, other))
 
 
@@ -583,7 +583,7 @@ def _net(work: Work, efforts: dict[str, Proposed]) -> tuple[FloatArray | None, s
     unit = next((stated[name] for name in EFFORTS if stated.get(name)), "")
     total = np.zeros(work.order.size)
     for name, each in efforts.items():
-        column = each.column.model_copy(update={"unit": stated[name] or unit or "N"})
+        column = replace(each.column, unit=stated[name] or unit or "N")
         values = np.nan_to_num(in_si(name, column, work.numbers[column.names[0]]))
         total += values if name == TRACTION else -values
     return total / factor(unit or "N", "N")[0], unit
@@ -618,7 +618,7 @@ def _place_efforts(work: Work, efforts: dict[str, Proposed], answer: Answer, sta
         if not own and correlation and not np.isfinite(mass):
             other = other or "another unit"
         unproven = bool(other) or not np.isfinite(mass)
-        column = each.column.model_copy(update={"unit": unit, "unproven": unproven})
+        column = replace(each.column, unit=unit, unproven=unproven)
         other = said(each.alternative, other)
         work.put(Proposed(each.field, column, f"{why}; {each.why}", check, other))
 

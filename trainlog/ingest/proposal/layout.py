@@ -11,7 +11,7 @@ import csv
 import re
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import THOUSANDS, grouped, numbers
-from trainlog.ingest.profile import MISSING, FileOptions
+from trainlog.ingest.profile import MISSING, Decimal, FileOptions
 from trainlog.ingest.proposal.vocabulary import unit_of
 from trainlog.ingest.tabular import is_parquet, open_text
 
@@ -41,7 +41,7 @@ CODECS = ("cp1252", "cp850", "latin-1")
 _LETTERS = "äöüÄÖÜßéèàçêâîôûëïùÉÈÀ°²³‰µ·"
 """What stands beyond ASCII in headers of these languages."""
 
-_NUMBER = {
+_NUMBER: dict[Decimal, re.Pattern[str]] = {
     ".": re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"),
     ",": re.compile(r"^[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?$"),
 }
@@ -206,13 +206,13 @@ def _text_layout(path: Path, data: bytes) -> Layout:
     unique = [name for name, count in counts.items() if name and count == 1]
     words, seen = _missing(opened.cells(unique).table, decimal)
     if words:
-        options = options.model_copy(update={"missing": (*MISSING, *words)})
+        options = replace(options, missing=(*MISSING, *words))
         opened = open_text(path, options)
         readings.append(Reading("missing values", " ".join(map(repr, words)), seen))
     table = opened.cells(unique)
     mark, seen = _thousands(table.table, decimal)
     if mark:
-        options = options.model_copy(update={"thousands": mark})
+        options = replace(options, thousands=mark)
         readings.append(Reading("thousands mark", repr(mark), seen))
     spelt = dict(zip(opened.names, units, strict=False))
     where = f"line {header}" if header else "none: the columns are numbered"
@@ -280,7 +280,7 @@ def _sample(lines: list[str]) -> list[str]:
     return [*body[:third], *body[middle : middle + third], *body[-third - 1 : -1]]
 
 
-def _separators(path: Path, sample: list[str]) -> tuple[str, str, int, str]:
+def _separators(path: Path, sample: list[str]) -> tuple[str, Decimal, int, str]:
     """Delimiter, decimal mark, cells a row, and the shares that decide."""
     best, found = 0.2, None
     for delimiter in DELIMITERS:
@@ -310,7 +310,7 @@ def _separators(path: Path, sample: list[str]) -> tuple[str, str, int, str]:
     return found
 
 
-def _measured(cell: str, decimal: str) -> bool:
+def _measured(cell: str, decimal: Decimal) -> bool:
     return bool(_NUMBER[decimal].match(cell) or _TIME.match(cell))
 
 
@@ -322,7 +322,7 @@ def _rows(lines: list[str], delimiter: str) -> list[list[str]]:
 
 
 def _header(
-    lines: list[str], delimiter: str, decimal: str, width: int, sample: list[str]
+    lines: list[str], delimiter: str, decimal: Decimal, width: int, sample: list[str]
 ) -> tuple[int, tuple[str, ...], int]:
     """Line of the names (0: none), units of the columns, and line of the first row of data."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import TextWrapper
 from typing import Any
@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trainlog.declaration import content_of
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.declared import toml_value
 from trainlog.ingest.motion import FAR, POSITION, speed_of
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import placed
-from trainlog.ingest.profile import FileOptions, Limits, Profile, Repair, parse_profile
+from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, parse_profile
 from trainlog.ingest.proposal.columns import (
     EITHER_BRAKE,
     PAUSE,
@@ -266,8 +267,8 @@ def _start(parts: list[Recording], line: Line, train: Train | None) -> list[Read
 
 def _pauses(recording: Recording, profile: Profile, stem: str) -> list[Reading]:
     """The trips that pauses part; none if there are no such pauses."""
-    limits = profile.limits.model_copy(update={"pause": PAUSE})
-    parts = parts_of(recording, profile.model_copy(update={"limits": limits}), stem)
+    limits = replace(profile.limits, pause=PAUSE)
+    parts = parts_of(recording, replace(profile, limits=limits), stem)
     if len(parts) == len(parts_of(recording, profile, stem)):
         return []
     spans = [part.tables[0].time for part in parts[:6]]
@@ -325,15 +326,15 @@ def _toml(work: Work, found: dict[str, Reading]) -> Iterator[str]:
         yield "[detect]"
         yield from _keys(columns=tuple(dict.fromkeys([*used, *trips.names])))
     yield "\n[file]"
-    written = layout.options.model_dump(include={*_IN_FILE})
-    usual = FileOptions(format="csv").model_dump(include={"skip_after_header", "missing"})
+    written = {key: getattr(layout.options, key) for key in _IN_FILE}
+    usual = {"skip_after_header": 0, "missing": MISSING}
     for key, value in written.items() if layout.format == "csv" else [("format", "parquet")]:
         if value != usual.get(key, ""):
             why = found[_IN_FILE[key]].why if _IN_FILE[key] in found else ""
             yield from (f"{line}  # {why}" if why else line for line in _keys(**{key: value}))
     yield "\n[time]"
     yield from _notes(clock.readings)
-    options = clock.options.model_dump(exclude_defaults=True)
+    options = content_of(clock.options)
     if clock.options.format != "epoch":
         options["timezone"] = clock.options.timezone
     yield from _keys(**options)
@@ -344,7 +345,7 @@ def _toml(work: Work, found: dict[str, Reading]) -> Iterator[str]:
     yield from _notes(r for r in work.readings if r.what.startswith("column "))
     for each in proposed:
         yield from _note(said(each.why, each.check), each.alternative)
-        column = toml_value(each.column.model_dump(exclude_defaults=True))
+        column = toml_value(content_of(each.column))
         yield f"{toml_value(each.field)} = {column}"
     if not_used:
         yield "\n# Not used:"
@@ -367,7 +368,7 @@ def _toml(work: Work, found: dict[str, Reading]) -> Iterator[str]:
     if trips.names:
         yield "\n[trip.columns]"
         yield from _notes(found[what] for what in ("trips", "load", "weather") if what in found)
-        yield from _keys(**trips.model_dump(exclude_defaults=True))
+        yield from _keys(**content_of(trips))
     if "pauses" in found:
         yield "\n[limits]"
         yield from _notes([found["pauses"]])

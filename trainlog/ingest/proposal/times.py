@@ -132,7 +132,7 @@ def _zoned(layout: Layout, order: list[str], clock: Clock) -> Clock:
     """The clock with the zone that a column of Unix time beside it proves, where it was open."""
     zone = next((r for r in clock.readings if r.what == "time zone" and r.alternative), None)
     unix = None if zone is None else _first(layout, _epoch(layout, order))
-    in_utc = clock.options.model_copy(update={"timezone": "UTC"})
+    in_utc = replace(clock.options, timezone="UTC")
     local = _clock(layout, in_utc, ())
     if unix is None or local is None or unix.options.column in clock.options.names:
         return clock
@@ -146,7 +146,7 @@ def _zoned(layout: Layout, order: list[str], clock: Clock) -> Clock:
     offset = f"{'-' if quarters < 0 else '+'}{hours:02d}:{minutes:02d}" if quarters else "UTC"
     proven = Reading("time zone", offset, f"'{unix.options.column}' counts since 1970 beside it")
     readings = tuple(proven if r is zone else r for r in clock.readings)
-    found = _clock(layout, clock.options.model_copy(update={"timezone": offset}), ())
+    found = _clock(layout, replace(clock.options, timezone=offset), ())
     return clock if found is None or hours > 14 else replace(found, readings=readings)
 
 
