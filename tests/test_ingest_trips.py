@@ -13,8 +13,8 @@ from refusals import refused
 from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, read, read_line, read_train, sample
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_all, propose_profile, report_of
+from trainlog.ingest.matching import gradients_in, placed
 from trainlog.ingest.motion import SURE
-from trainlog.ingest.placing import gradients_in, placed
 from trainlog.ingest.recording import Table
 from trainlog.railway.line import Line, Station, StepProfile
 

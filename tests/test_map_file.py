@@ -20,8 +20,16 @@ import trainlog
 from analysis.adhesion.condition_map import empty_map, recording_of, update, update_map
 from analysis.adhesion.evidence import Evidence
 from trainlog import InputError, read_map, sample, write_map
-from trainlog.formats.mapfile import MapFile, map_to_bytes, merge_files, place_of, whole_file
-from trainlog.formats.packed import pack, unpack, unpack_joined
+from trainlog.formats.mapfile import (
+    MapFile,
+    map_to_bytes,
+    merge_files,
+    pack,
+    place_of,
+    unpack,
+    unpack_joined,
+    whole_file,
+)
 from trainlog.identity import TripIdentity
 from trainlog.railway.condition import ConditionLayer
 

@@ -31,8 +31,7 @@ from trainlog.ingest.pipeline import (
     ingested,
 )
 from trainlog.ingest.profile import Profile
-from trainlog.ingest.proposal.layout import looks_like_table
-from trainlog.ingest.proposal.times import NoRecordingError
+from trainlog.ingest.proposal.layout import NoRecordingError, looks_like_table
 from trainlog.ingest.recording import SHOWN
 from trainlog.ingest.registry import formats
 from trainlog.ingest.report import Report, report_of

@@ -55,7 +55,15 @@ def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> li
     return list(dict.fromkeys([*names, *profile.trip.columns.names]))
 
 
-def columns_left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
+def undescribed(
+    problem: str, file: Path, wanted: str = "that says which column is what"
+) -> InputError:
+    """The refusal of a file that no profile describes; `wanted`: what the profile has to have."""
+    remedy = f"give a profile {wanted}; docs/ingest.md has an example"
+    return InputError(problem, file=file, remedy=remedy)
+
+
+def _left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
     """The columns of a file that a profile does not use, as a `Recording` states them."""
     used = {name for column in profile.columns.values() for name in column.names}
     used |= set(profile.time.names) if profile.time is not None else set()
@@ -65,7 +73,11 @@ def columns_left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
 
 
 def recording_of(
-    cells: Cells, profile: Profile, file: Path, time: IntArray | None = None
+    cells: Cells,
+    profile: Profile,
+    file: Path,
+    time: IntArray | None = None,
+    columns: Iterable[str] = (),
 ) -> Recording:
     """The recording that a table of cells holds, as the profile describes it.
 
@@ -77,6 +89,8 @@ def recording_of(
         For messages.
     time : (n,) int64 array [ns], optional
         Time of the rows, where the file itself gives it; default: as the profile says.
+    columns : iterable of str
+        All of the file: those that the profile does not use are stated.
 
     Raises
     ------
@@ -128,8 +142,9 @@ def recording_of(
         for name in profile.trip.columns.names
         if name in present
     }
+    left = _left(profile, columns)
     return Recording(
-        (table,), cells.rows_read, tuple(findings), constants, raw=tuple(raw), about=about
+        (table,), cells.rows_read, tuple(findings), constants, {}, left, raw=tuple(raw), about=about
     )
 
 

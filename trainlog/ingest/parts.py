@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import csv_bytes, read_bytes
-from trainlog.ingest.mapping import recording_of, wanted_columns
+from trainlog.ingest.mapping import recording_of, undescribed, wanted_columns
 from trainlog.ingest.motion import ENOUGH, POSITION, SHORTEST, STANDING, plane, speed_of
 from trainlog.ingest.profile import Profile, RideOptions, TripColumns, problem_of
 from trainlog.ingest.recording import (
@@ -362,10 +362,10 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
         column is missing, or no ride became a recording.
     """
     if profile is None or profile.rides is None or profile.time is None:
-        raise InputError(
+        raise undescribed(
             "holds the fixes of several devices, which no profile cuts into rides",
-            file=path,
-            remedy="give a profile with [time] and [rides]; docs/ingest.md has an example",
+            path,
+            "with [time] and [rides]",
         )
     options = profile.rides
     places = [path.with_name(name) for name in (options.fixes, options.table)]

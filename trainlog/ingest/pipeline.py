@@ -25,6 +25,7 @@ from trainlog.ingest.chainage import (
     estimated_state,
     position_offset,
 )
+from trainlog.ingest.matching import placed
 from trainlog.ingest.motion import (
     FAR,
     GNSS_SPEED,
@@ -35,7 +36,6 @@ from trainlog.ingest.motion import (
     unlike_a_train,
 )
 from trainlog.ingest.parts import parts_of
-from trainlog.ingest.placing import placed
 from trainlog.ingest.profile import (
     Limit,
     Limits,

@@ -23,13 +23,18 @@ from trainlog.errors import InputError, suggestion
 from trainlog.formats.files import head_of, refuse_workbook
 from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
-from trainlog.ingest.mdf import is_mdf, read_mdf
-from trainlog.ingest.messages import is_nmea, read_nmea, read_tagged
+from trainlog.ingest.messages import is_nmea, is_reports, read_nmea, read_reports, read_tagged
 from trainlog.ingest.parts import read_rides
 from trainlog.ingest.profile import Profile, read_profile
 from trainlog.ingest.recording import Recording
-from trainlog.ingest.sfera import is_reports, read_reports
-from trainlog.ingest.tabular import is_delimited, is_parquet, read_delimited, read_parquet
+from trainlog.ingest.tabular import (
+    is_delimited,
+    is_mdf,
+    is_parquet,
+    read_delimited,
+    read_mdf,
+    read_parquet,
+)
 from trainlog.ingest.telegrams import is_capture, read_telegrams
 from trainlog.mcap.contents import converted_line_ends
 

@@ -24,6 +24,8 @@ from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import sha256
 from trainlog.ingest.clock import MAX_DROPPED
 from trainlog.ingest.matching import (
+    DRIFT,
+    NEAR,
     SPACING,
     WIDEST,
     EdgeTracks,
@@ -34,10 +36,10 @@ from trainlog.ingest.matching import (
     Way,
     edge_tracks,
     match_route,
+    stops_of,
 )
 from trainlog.ingest.motion import LATITUDE, LIKELY, MOVING, POSITION, SEVERAL
 from trainlog.ingest.parts import part_of, with_cut_lines
-from trainlog.ingest.placing import DRIFT, NEAR, stops_of
 from trainlog.ingest.receiver import Fixes, count_placed, fixes_of
 from trainlog.ingest.recording import NO_TIME, Recording, Table, carried_on
 from trainlog.railway.line import Geometry, Leg, Line

@@ -27,7 +27,15 @@ from trainlog.errors import InputError, suggestion
 from trainlog.formats.railml import Element
 from trainlog.formats.sfera import Documents, SferaJourney
 from trainlog.ingest.mapping import LATEST, NANOSECONDS_PER, recording_of, wanted_columns
-from trainlog.ingest.messages import NAV_PVT, NAV_PVT_HEAD, Epochs, Messages, fixes_of_pvt
+from trainlog.ingest.messages import (
+    NAV_PVT,
+    NAV_PVT_HEAD,
+    Epochs,
+    Messages,
+    ReportRows,
+    fixes_of_pvt,
+    is_of,
+)
 from trainlog.ingest.profile import (
     ARRIVAL,
     WORDS,
@@ -35,7 +43,6 @@ from trainlog.ingest.profile import (
     known_field,
 )
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Table
-from trainlog.ingest.sfera import ReportRows, is_of
 from trainlog.ingest.sources import BLOCK
 from trainlog.ingest.telegrams import chosen, columns_of
 from trainlog.topics import TOPICS

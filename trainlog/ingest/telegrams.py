@@ -21,7 +21,7 @@ from trainlog.arrays import BoolArray, IntArray
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.mapping import columns_left, recording_of, wanted_columns
+from trainlog.ingest.mapping import recording_of, undescribed, wanted_columns
 from trainlog.ingest.profile import ARRIVAL, Profile, TelegramField, TelegramOptions
 from trainlog.ingest.recording import Cells, Finding, Raw, Recording
 
@@ -57,10 +57,8 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
         If the file is a capture and the package that reads it is not installed.
     """
     if profile is None or profile.telegram is None:
-        raise InputError(
-            "holds binary telegrams, whose layout no profile describes",
-            file=path,
-            remedy="give a profile with [telegram]; docs/ingest.md has an example",
+        raise undescribed(
+            "holds binary telegrams, whose layout no profile describes", path, "with [telegram]"
         )
     options = profile.telegram
     data = read_bytes(path)
@@ -97,9 +95,8 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
     names = (*options.columns, ARRIVAL)
     table = columns_of(octets, wanted_columns(profile, names, path), options, arrival)
     cells = Cells(table, rows, len(rows) + sum(each.count for each in findings), findings, raw)
-    found = recording_of(cells, profile, path)
-    left_over = columns_left(profile, options.columns)
-    return replace(found, not_used=found.not_used | left_over | dict(not_used))
+    found = recording_of(cells, profile, path, columns=options.columns)
+    return replace(found, not_used=found.not_used | dict(not_used))
 
 
 def _named(profile: Profile) -> set[str]:

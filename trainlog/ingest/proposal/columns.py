@@ -36,7 +36,7 @@ from trainlog.ingest.motion import (
 )
 from trainlog.ingest.parts import CONSTANT
 from trainlog.ingest.profile import Column, LoadColumn, TripColumns, WeatherColumn
-from trainlog.ingest.proposal.layout import Layout, Reading
+from trainlog.ingest.proposal.layout import MOST, Clock, Layout, Reading
 from trainlog.ingest.proposal.motion import (
     AMBIGUOUS,
     FASTEST,
@@ -48,7 +48,6 @@ from trainlog.ingest.proposal.motion import (
     same_motion,
     units_of,
 )
-from trainlog.ingest.proposal.times import MOST, Clock
 from trainlog.ingest.proposal.vocabulary import (
     NO_FIELD,
     UNKNOWN,

@@ -15,9 +15,9 @@ from trainlog.declaration import content_of
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.declared import toml_value
+from trainlog.ingest.matching import placed
 from trainlog.ingest.motion import FAR, POSITION, speed_of
 from trainlog.ingest.parts import parts_of
-from trainlog.ingest.placing import placed
 from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, parse_profile
 from trainlog.ingest.proposal.columns import (
     EITHER_BRAKE,
@@ -30,8 +30,7 @@ from trainlog.ingest.proposal.columns import (
     refuse_no_motion,
     said,
 )
-from trainlog.ingest.proposal.layout import Reading, layout_of
-from trainlog.ingest.proposal.times import clock_of
+from trainlog.ingest.proposal.layout import Reading, clock_of, layout_of
 from trainlog.ingest.proposal.vocabulary import meaning_of
 from trainlog.ingest.recording import NO_TIME, Recording, field_of
 from trainlog.ingest.registry import format_of, own_profile
