@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 
 from trainlog.arrays import BoolArray, IntArray
+from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import check_kind, logs_of
 from trainlog.formats.railway import line_of, train_of
@@ -117,6 +118,18 @@ class TripView:
     damage: str = ""
     _made: dict[Callable[[TripView], Any], Any] = field(default_factory=dict, repr=False)
 
+    def __post_init__(self) -> None:
+        """Refuse infinite numbers: an analysis would take them for measured ones."""
+        for topic, frame in self.trip.topics.items():
+            for column, values in frame.select_dtypes("number").items():
+                if infinite := int(np.isinf(values.to_numpy()).sum()):
+                    raise LogError(
+                        f"trip '{self.name}' holds {counted(infinite, 'infinite number')}",
+                        file=self.path,
+                        place=f"{topic}, column {column}",
+                        remedy="give NaN where nothing is known",
+                    )
+
     def once(self, make: Callable[[TripView], T]) -> T:
         """What a function makes of the view, computed when it is first asked for.
 
@@ -207,7 +220,7 @@ def view_of(given: Given, topics: Sequence[str] | None = None) -> TripView:
     InputError
         If it is neither a trip nor a path, or the path is that of a folder.
     LogError
-        If the file is not a log.
+        If the file is not a log, or the trip holds infinite numbers.
 
     Examples
     --------

@@ -11,7 +11,7 @@ from fleet_trips import later
 
 import analysis.adhesion.slip as slip_module
 import analysis.resistance.coasting_detection as motion_module
-from analysis import adhesion_map, coast_down, view as module
+from analysis import adhesion_map, coast_down, fit, geometry_of, view as module
 from analysis.estimates import estimate_log
 from tests.refusals import refused
 from trainlog.errors import LogError
@@ -37,6 +37,16 @@ def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> P
         writer.add(trip)
         writer.add(later(trip, pd.Timedelta("1h")))
     return path
+
+
+@pytest.mark.parametrize("call", [fit, adhesion_map, coast_down, geometry_of])
+def test_infinite_numbers_are_refused_by_every_analysis(nonstop, call):
+    trip = read_log(nonstop)
+    for name in ("/train/state", "/gnss/motion"):
+        frame = trip[name].copy()
+        frame.iloc[100:105, frame.columns.get_loc("speed")] = np.inf
+        said = f"{name}, column speed: trip 'trip-01' holds 5 infinite numbers; give NaN"
+        refused(LogError, said, call, [trip.with_topic(frame)])
 
 
 def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back):

@@ -11,6 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
+from analysis.view import trip_of
 from estimators.altitude import OVER, HeightProfile, Ride, height_profile
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
@@ -207,6 +208,8 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     ------
     InputError
         If no trip has fixes that move along a line.
+    LogError
+        If a trip holds infinite numbers.
 
     Examples
     --------
@@ -215,6 +218,7 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     >>> bool(abs(centre_line.length - 29_556.0) < 100.0)
     True
     """
+    trips = [trip_of(trip) for trip in trips]
     same = same_drives([Known(trip.name, identity_of(trip), (trip.name,)) for trip in trips])
     again = {each.number for each in same}
     passes = _passes([trip for number, trip in enumerate(trips) if number not in again])
