@@ -17,7 +17,9 @@ from trainlog.extras import names_on_first_use
 if TYPE_CHECKING:
     from estimators.adhesion import (
         AdhesionObserver as AdhesionObserver,
+        SlipDetector as SlipDetector,
         smoothed_force as smoothed_force,
+        train_speed as train_speed,
     )
     from estimators.creep_curve import estimate_creep_curve as estimate_creep_curve
     from estimators.linear_gaussian import (
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
         periods_elapsed as periods_elapsed,
         record_with_resets as record_with_resets,
     )
-    from estimators.slip import SlipDetector as SlipDetector, train_speed as train_speed
 
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
     __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

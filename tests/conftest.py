@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from trainlog.threads import limit_threads
+from trainlog.processes import limit_threads
 
 try:
     import fcntl

@@ -11,10 +11,9 @@ from simulated_line import flirt, level_line
 from test_adhesion_characteristic import eurosprinter
 
 from analysis.adhesion.slip import onset
-from estimators.adhesion import AdhesionObserver, smoothed_force
+from estimators.adhesion import AdhesionObserver, SlipDetector, impulse, smoothed_force, train_speed
 from estimators.creep_curve import estimate_creep_curve
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
-from estimators.slip import SlipDetector, impulse, train_speed
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import RunningResistance, StepProfile

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 from refusals import refused
 
-from trainlog.documentation import Documentation
+from trainlog.cli.settings import Documentation
 from trainlog.errors import InputError
 from trainlog.formats.samples import copy_samples
 from trainlog.mcap import records

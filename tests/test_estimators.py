@@ -11,11 +11,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
-from estimators.adhesion import AdhesionObserver
+from estimators.adhesion import AdhesionObserver, SlipDetector
 from estimators.interface import Estimator
 from estimators.odometry import OdometryFilter
 from estimators.rls import RecursiveLeastSquares
-from estimators.slip import SlipDetector
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 

@@ -16,10 +16,9 @@ from refusals import refused
 from analysis.charts import draw_charts
 from analysis.fleet import analyses
 from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.drift import Drift
 from analysis.fleet.plot import findings_charts
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
-from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
+from analysis.fleet.trains import Drift, FleetTrains, fleet_trains, trains_in
 from analysis.reports.fleet import FleetFacts, attention_parts
 from analysis.resistance.logs import fit
 from analysis.view import view_of

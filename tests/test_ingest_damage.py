@@ -28,7 +28,7 @@ from refusals import refused
 from trainlog import DEFAULT_TRAIN, InputError, read_train, sample
 from trainlog.errors import LogError
 from trainlog.ingest import REPAIRS_ATTACHMENT, ingest, pipeline, repairs_of, report_of
-from trainlog.ingest.report import Repairs
+from trainlog.ingest.recording import Repairs
 from trainlog.mcap import read_log, write_log
 from trainlog.trip import Trip
 

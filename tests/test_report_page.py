@@ -28,8 +28,7 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import line_of, write_parameters, write_trajectory
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import write_summaries
-from trainlog.ingest.recording import Finding
-from trainlog.ingest.report import Report
+from trainlog.ingest.recording import Finding, Report
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import kwh
 

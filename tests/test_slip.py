@@ -15,7 +15,7 @@ from trip_parts import without
 
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.estimates import estimate_log
-from estimators.slip import SlipDetector
+from estimators.adhesion import SlipDetector
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
 from trainlog.formats.railway import train_to_bytes

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import signal
 
-from trainlog.threads import limit_threads
-
 
 def main() -> None:
     """Load the command line and run it; Ctrl-C in between ends in one line, status 130."""
     # Not by an exception: inside an import that one may come out as another.
     signal.signal(signal.SIGINT, _leave)
+    from trainlog.processes import limit_threads
+
     limit_threads()
     from trainlog.cli.main import main as run
 

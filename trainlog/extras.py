@@ -153,7 +153,7 @@ def names_on_first_use(
     >>> import estimators
     >>> names, get, listed = names_on_first_use("estimators", estimators.__file__)
     >>> names[0], get("SlipDetector").__module__
-    ('AdhesionObserver', 'estimators.slip')
+    ('AdhesionObserver', 'estimators.adhesion')
     """
     places = names_for_types(Path(file).read_text("utf-8"))
 

@@ -109,3 +109,29 @@ def handled(handler: Callable[[int, Any], None], *signals: signal.Signals) -> It
     finally:
         for each, former in zip(signals, before, strict=True):
             signal.signal(each, former)
+
+
+# ------------------------------------------------------------------ threads of the linear algebra
+
+
+LINEAR_ALGEBRA = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+"""Environment in which the libraries look for their number of threads, when they are loaded."""
+
+
+def limit_threads() -> None:
+    """Let the linear algebra take one thread, unless the environment states another number.
+
+    To be called before numpy is imported.
+
+    Examples
+    --------
+    >>> from trainlog.processes import limit_threads
+    >>> limit_threads()
+    """
+    for name in LINEAR_ALGEBRA:
+        os.environ.setdefault(name, "1")

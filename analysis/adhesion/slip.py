@@ -23,8 +23,7 @@ import pandas as pd
 from analysis.adhesion.axles import SLOW, PoweredAxles, powered_axles
 from analysis.resistance.passport import passport
 from analysis.view import Given, TripView, view_of
-from estimators.adhesion import smoothed_force
-from estimators.slip import (
+from estimators.adhesion import (
     NOISE_MULTIPLE,
     SLIP_THRESHOLD,
     SLOPE_RATE,
@@ -32,6 +31,7 @@ from estimators.slip import (
     SlipDetector,
     TrainSpeed,
     impulse,
+    smoothed_force,
     train_speed,
 )
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std

@@ -13,7 +13,7 @@ from analysis.comparison.driven import silent_rows
 from analysis.resistance.recording import scale_of
 from analysis.view import TripView
 from trainlog.errors import TrainlogError
-from trainlog.ingest.report import STATED, report_of
+from trainlog.ingest.recording import STATED, report_of
 from trainlog.railway.geometry import beside, track_of
 from trainlog.resampling import interpolated
 from trainlog.topics import GNSS_FIX, TRAIN_STATE

@@ -21,8 +21,7 @@ import pyarrow as pa
 from analysis.fleet.analyses import FleetAnalysis
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import sha256_of
-from trainlog.processes import begin_worker
-from trainlog.threads import LINEAR_ALGEBRA
+from trainlog.processes import LINEAR_ALGEBRA, begin_worker
 from trainlog.version import code_version
 
 if TYPE_CHECKING:

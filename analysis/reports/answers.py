@@ -20,7 +20,7 @@ from analysis.reports.page import Section
 from analysis.view import TripView, view_of
 from trainlog.display import counted
 from trainlog.errors import NotRecordedError
-from trainlog.ingest.report import CLOCK_RULES
+from trainlog.ingest.recording import CLOCK_RULES
 from trainlog.presentation import facts_table
 from trainlog.railway.line import Line, km_words
 from trainlog.trip import Trip

@@ -35,7 +35,7 @@ from trainlog.arrays import FloatArray
 from trainlog.display import counted, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of
-from trainlog.ingest.report import report_of
+from trainlog.ingest.recording import report_of
 from trainlog.mcap import describe
 from trainlog.mcap.description import LogDescription, recorded_fields
 from trainlog.presentation import Columns, WordTable, facts_table, kwh, word_table

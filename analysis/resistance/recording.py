@@ -13,7 +13,7 @@ from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import line_of
-from trainlog.ingest.report import CLOCK_RULES
+from trainlog.ingest.recording import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import basis, published_tunnel_coefficient
 from trainlog.railway.train import Train

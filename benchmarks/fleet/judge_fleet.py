@@ -37,10 +37,9 @@ from fleet_truth import PARAMETERS, check_rail, curves_of, drawn_again, faults_o
 from rich.table import Table
 
 from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.drift import MONTH
 from analysis.fleet.maps import maps_folder
 from analysis.fleet.resistance import fleet_resistance
-from analysis.fleet.trains import fleet_trains, joined, trips_of
+from analysis.fleet.trains import MONTH, fleet_trains, joined, trips_of
 from analysis.fleet.unlike import FALSE_ALARMS, Finding, UnlikeTrains, unlike_trains
 from analysis.network.maps import NetworkMap, network_map
 from analysis.resistance.curve import band_factor, curve_std

@@ -18,7 +18,7 @@ from analysis.adhesion.condition_map import empty_map, update
 from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.truth import Truth, true_adhesion, truth_of
-from estimators.slip import SlipDetector
+from estimators.adhesion import SlipDetector
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded

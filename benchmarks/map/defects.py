@@ -32,7 +32,7 @@ from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.resistance.passport import estimated_passport
 from analysis.truth import true_adhesion, truth_of
-from estimators.slip import SlipDetector
+from estimators.adhesion import SlipDetector
 from trainlog.errors import TrainlogError
 from trainlog.formats.railway import read_line, with_passport
 from trainlog.formats.samples import sample

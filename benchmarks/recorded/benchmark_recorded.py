@@ -42,7 +42,7 @@ from analysis.adhesion.evidence import evidence
 from analysis.adhesion.slip import slip
 from analysis.resistance import fit_trip
 from analysis.truth import curve_error, true_adhesion, truth_of
-from estimators.slip import SlipDetector
+from estimators.adhesion import SlipDetector
 from trainlog.errors import TrainlogError
 from trainlog.ingest import ingest_each, report_of
 from trainlog.ingest.profile import profile_of

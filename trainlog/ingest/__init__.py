@@ -34,18 +34,16 @@ if TYPE_CHECKING:
     )
     from trainlog.ingest.recording import (
         NO_TIME as NO_TIME,
+        REPAIRS_ATTACHMENT as REPAIRS_ATTACHMENT,
         Finding as Finding,
         Raw as Raw,
         Recording as Recording,
-        Table as Table,
-    )
-    from trainlog.ingest.registry import Format as Format, formats as formats
-    from trainlog.ingest.report import (
-        REPAIRS_ATTACHMENT as REPAIRS_ATTACHMENT,
         Report as Report,
+        Table as Table,
         repairs_of as repairs_of,
         report_of as report_of,
     )
+    from trainlog.ingest.registry import Format as Format, formats as formats
     from trainlog.ingest.rules import RULES as RULES, Rule as Rule
 
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above

@@ -32,9 +32,8 @@ from trainlog.ingest.pipeline import (
 )
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.proposal.layout import NoRecordingError, looks_like_table
-from trainlog.ingest.recording import SHOWN
+from trainlog.ingest.recording import SHOWN, Report, report_of
 from trainlog.ingest.registry import formats
-from trainlog.ingest.report import Report, report_of
 from trainlog.ingest.routes import NETWORK_INPUT, NetworkRoutes, routes_of
 from trainlog.mcap import describe, write_log
 from trainlog.mcap.reader import about_log, identity_of_log

@@ -36,6 +36,7 @@ from trainlog.ingest.pipeline import (
 from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
 from trainlog.ingest.recording import (
     INFO,
+    LONGEST_TEXT,
     MOST,
     NO_TIME,
     WARNING,
@@ -44,7 +45,6 @@ from trainlog.ingest.recording import (
     base_name,
     frames,
 )
-from trainlog.ingest.report import LONGEST_TEXT
 from trainlog.ingest.rules import impossible
 from trainlog.ingest.sources import POLL, Source
 from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed, as_it_came

@@ -47,9 +47,18 @@ from trainlog.ingest.profile import (
     parse_profile,
 )
 from trainlog.ingest.receiver import judged_alone
-from trainlog.ingest.recording import SHOWN_ROWS, Finding, Recording, Table, field_of, frames
+from trainlog.ingest.recording import (
+    REPAIRS_ATTACHMENT,
+    SHOWN_ROWS,
+    Finding,
+    Recording,
+    Repairs,
+    Report,
+    Table,
+    field_of,
+    frames,
+)
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
-from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
 from trainlog.ingest.routes import (
     NETWORK_INPUT,
     NetworkRoutes,
@@ -58,7 +67,7 @@ from trainlog.ingest.routes import (
     routed,
     routes_of,
 )
-from trainlog.ingest.rules import refuse_switched_off, repaired
+from trainlog.ingest.rules import changes, refuse_switched_off, repaired
 from trainlog.progress import note
 from trainlog.railway.line import Line, km_words
 from trainlog.railway.network import Network

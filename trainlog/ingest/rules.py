@@ -24,7 +24,7 @@ from estimators.receiver import integral
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest import clock
-from trainlog.ingest.clock import MAX_DROPPED, Result, gap_threshold, has_fix
+from trainlog.ingest.clock import MAX_DROPPED, Result, gap_threshold, has_fix, longest_nondecreasing
 from trainlog.ingest.frozen import blank_frozen
 from trainlog.ingest.motion import (
     ACCURACY,
@@ -73,7 +73,6 @@ from trainlog.ingest.recording import (
     base_name,
     field_of,
 )
-from trainlog.ingest.report import changes
 from trainlog.spans import runs_of
 from trainlog.topics import Bounds
 
@@ -699,6 +698,54 @@ RULES = (
     Rule("position_offset", "keep"),
 )
 """Every rule by the order of its application; the last three where chainage is estimated."""
+
+
+def changes(rule: str, before: Table, after: Table) -> list[Raw]:
+    """What `rule` did to a table."""
+    if before is after:
+        return []
+    place = np.full(int(before.samples.max(initial=-1)) + 1, -1, dtype=np.int64)
+    place[before.samples] = np.arange(len(before))
+    source = place[after.samples]
+    dropped = np.ones(len(before), dtype=np.bool_)
+    dropped[source] = False
+    found = _dropped(rule, before, dropped)
+    rows, old, new = after.rows, before.time[source], after.time
+    moved = old != new
+    if np.any(np.diff(source) < 0):
+        out_of_order = ~longest_nondecreasing(before.time)
+        moved |= out_of_order[source]
+    if moved.any():
+        found.append(Raw(rule, "", rows[moved], None, old[moved], new[moved]))
+    for name, values in after.signals.items():
+        if values is before.signals[name]:
+            continue
+        raw = before.signals[name][source]
+        cells = (raw != values) & ~(np.isnan(raw) & np.isnan(values))
+        if cells.any():
+            times = None, old[cells], new[cells]
+            found.append(Raw(rule, name, rows[cells], *times, raw[cells], values[cells]))
+    return found
+
+
+def _dropped(rule: str, before: Table, dropped: BoolArray) -> list[Raw]:
+    """The rows that a rule dropped, and every value in them."""
+    if not dropped.any():
+        return []
+    time = before.time[dropped]
+    none = np.full(time.size, NO_TIME)
+    found = [Raw(rule, "", before.rows[dropped], None, time, none)]
+    for name, values in before.signals.items():
+        cells = dropped & np.isfinite(values)
+        if cells.any():
+            rows, time = before.rows[cells], before.time[cells]
+            found.append(Raw(rule, name, rows, None, time, none[: rows.size], values[cells]))
+    for name, texts in before.texts.items():
+        cells = dropped & np.asarray(texts != "", dtype=np.bool_)
+        if cells.any():
+            rows, time = before.rows[cells], before.time[cells]
+            found.append(Raw(rule, name, rows, texts[cells], time, none[: rows.size]))
+    return found
 
 
 def refuse_switched_off(findings: tuple[Finding, ...], repair: Repair) -> None:
