@@ -256,6 +256,16 @@ def test_a_simulated_trip_gives_its_true_curve(satellites):
     assert np.all((low < true) & (true < high))
 
 
+def test_speeds_that_begin_late_have_the_scale_of_all():
+    trip = sample_trip("stopping.mcap")
+    state = trip["/train/state"].copy()
+    state.iloc[:300, state.columns.get_loc("speed")] = np.nan
+    late, whole = motion_of(trip.with_topic(state)), motion_of(trip)
+    assert (late.source, late.scale.source) == ("/train/state", "GNSS speed")
+    assert late.scale.factor == pytest.approx(whole.scale.factor, abs=1e-5)
+    assert late.scale.std == pytest.approx(whole.scale.std, rel=0.01)
+
+
 def test_segments_of_a_simulated_trip_are_where_it_truly_coasted():
     trip = sample_trip("nonstop.mcap")
     fit = coast_down([trip]).trips[0]

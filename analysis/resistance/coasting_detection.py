@@ -140,7 +140,7 @@ def motion_of(trip: Trip) -> Motion:
     position = _position(trip, best.time, start)
     scale = SpeedScale(1.0, 0.0, "GNSS speed")
     if best.topic == "/train/state":
-        scale = speed_scale(trip, best.time, best.value, position)
+        scale = speed_scale(trip.with_topic(known[best.topic]), best.time, best.value, position)
     speed = best.value / scale.factor
     return Motion(
         trip.name, start, best.topic, best.time, speed, position, _usable(best, speed),
