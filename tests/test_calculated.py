@@ -14,7 +14,7 @@ from trip_parts import without
 from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
-from trainlog.errors import InputError
+from trainlog.errors import InputError, LogError
 from trainlog.formats.railway import write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
@@ -152,6 +152,20 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     off = found.total("calculated_work") - energy
     assert abs(off) < 1.96 * found.total("work_std") < 0.2 * energy
     assert found.diagnosis.not_judged
+
+
+def test_a_trip_too_short_to_calculate_is_refused():
+    short, least = driven().within(0.0, 15.0), driven().within(0.0, 22.0)
+    refused(LogError, r"runs \d+\.\d m only; give one of at least 20 m", calculate, short, TRAIN)
+    assert len(calculate(least, TRAIN).table) == 1
+
+
+def test_efforts_that_are_missing_everywhere_explain_nothing():
+    controls = driven()["/train/controls"].copy()
+    kept = np.arange(len(controls)) % 3 > 0
+    controls["tractive_effort"] = controls["tractive_effort"].where(kept)
+    found = calculate(driven().with_topic(controls), TRAIN)
+    assert (found.explained, found.residual) == ({}, 0.0)
 
 
 def test_brakes_that_are_not_recorded_are_no_error_of_the_model():

@@ -61,7 +61,7 @@ from analysis.view import Given, TripView, view_of
 from estimators.regression import Free, regress
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
-from trainlog.errors import InputError, TrainlogError
+from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import check_kind
 from trainlog.formats.railway import largest_load, recorded_load, train_to_bytes
 from trainlog.presentation import (
@@ -451,6 +451,11 @@ class Cells:
         """The cells of a trip between its first and last recorded position."""
         trip, model = inputs.driven, inputs.model
         first, last = trip.covered
+        if last - first < STEP:
+            raise LogError(
+                f"trip '{trip.name}' runs {last - first:.1f} m only",
+                remedy=f"give one of at least {STEP:.0f} m",
+            )
         sections = sections_between(trip.line, first, last)
         sections = replace(sections, edges=sections.edges_of(trip))
         inner = np.arange(first + STEP, last - 0.5 * STEP, STEP)
@@ -691,6 +696,8 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
     speed, step = np.sqrt(cells.squared), cells.step
 
     known = np.bincount(window, cells.unknown, count) == 0
+    if not known.any():
+        return {}, 0.0
 
     def summed(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(window, values, count) * known, dtype=np.float64)
@@ -956,7 +963,7 @@ def calculate(
     InputError
         If the fit is of another train, or the wind's standard deviation is negative.
     LogError
-        If the trip lacks line, train or chainage.
+        If the trip lacks line, train or chainage, or runs less than 20 m.
 
     Examples
     --------
