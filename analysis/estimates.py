@@ -11,7 +11,7 @@ import pandas as pd
 
 from analysis.adhesion.slip import TOPICS, slip
 from analysis.resistance.fit import estimated_resistance, fit_trip
-from analysis.resistance.recording import LARGEST_SCALE, scale_of
+from analysis.resistance.recording import LARGEST_SCALE, increasing_seconds, scale_of
 from analysis.view import TripView, view_of, views_of
 from estimators.motion import smooth_motion
 from trainlog import __version__
@@ -21,7 +21,7 @@ from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import csv_bytes, write_bytes
 from trainlog.mcap import LogWriter, read_log
 from trainlog.topics import ESTIMATED_STATE, TRAIN_AXLES
-from trainlog.trip import Trip, frame_of, seconds
+from trainlog.trip import Trip, frame_of
 
 CHAINAGE_STD = 3.0
 """Standard deviation of a recorded chainage [m]: odometry that is corrected at balises."""
@@ -151,7 +151,7 @@ def _state(view: TripView, result: Trip) -> Trip:
             f"trip '{view.name}': /train/state holds {counted(len(state), 'sample')}",
             remedy="record it over the whole trip",
         )
-    time = seconds(state)
+    time = increasing_seconds(state, view.name)
     speed = state["speed"].to_numpy(dtype=np.float64)
     position = state["position"].to_numpy(dtype=np.float64)
     scale = scale_of(view)

@@ -12,6 +12,7 @@ from trip_parts import without
 import trainlog
 from analysis.resistance import fit_trip
 from analysis.resistance.passport import (
+    _speed_noise,
     estimated_passport,
     ratio_of_speeds,
     shared_delay_std,
@@ -143,3 +144,12 @@ def test_a_state_of_few_samples_gives_a_passport_that_states_what_it_lacks(stopp
     assert estimated_passport(without_efforts).effort_gain.source == "assumed"
     known = estimated_passport(stopping.with_topic(axles.iloc[:2]))
     assert known.summary()["wheel factors"] == ", ".join(4 * ["not known"])
+
+
+@pytest.mark.parametrize("repeated", [2, 14_140])
+def test_samples_of_one_time_show_no_noise(stopping, repeated):
+    state = stopping["/train/state"]
+    first = np.repeat(state.index[::repeated], repeated)[: len(state)]
+    noise = _speed_noise(stopping.with_topic(state.set_axis(first)))["/train/state.speed"]
+    once = _speed_noise(stopping.with_topic(state.iloc[::repeated]))["/train/state.speed"]
+    np.testing.assert_equal((noise.value, noise.source), (once.value, once.source))

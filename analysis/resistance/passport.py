@@ -597,7 +597,7 @@ def _noise_of(time: FloatArray, speed: FloatArray) -> Quantity:
     lag of those up to `LAGS` at which it is largest, so that noise is found that lasts for some
     samples.
     """
-    moving = np.isfinite(speed) & (speed > SLOWEST)
+    moving = np.isfinite(speed) & (speed > SLOWEST) & (np.diff(time, prepend=-np.inf) > 0.0)
     t, v = time[moving], speed[moving]
     if v.size < 50:
         return Quantity(np.nan, np.nan, "assumed", "too few samples in motion")
