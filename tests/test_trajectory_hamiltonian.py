@@ -11,7 +11,15 @@ import pytest
 from trajectory_cases import FLIRT, drawn, hilly_line, slippery
 
 from analysis.trajectory import bound
-from analysis.trajectory.bound import Costate, Hamiltonian, Prices, Segments, _Piece, reached
+from analysis.trajectory.bound import (
+    Costate,
+    Hamiltonian,
+    Prices,
+    Segments,
+    _Bounded,
+    _Piece,
+    reached,
+)
 from analysis.trajectory.convex import Multipliers
 from analysis.trajectory.discretisation import Curves, Plan, Taper, discretise, effort_limits
 from analysis.trajectory.envelope import fastest_run
@@ -255,7 +263,8 @@ def test_quadrature_is_exact_for_what_time_and_costate_are_made_of():
 def test_a_costate_joins_its_ends(even):
     made, costate, _ = of("line")
     begin, end = costate[:, :, 0], costate[:, :, -1]
-    line = Costate(made.segments, begin, end, np.full(begin.shape, even), 0.0)
+    none = np.zeros(begin.shape)
+    line = Costate(made.segments, begin, end, np.full(begin.shape, even), none, np.zeros(0))
     values, slopes = line.along(made)
     segments, inner = made.segments, slice(1, -1)
     np.testing.assert_allclose(
@@ -275,6 +284,34 @@ def test_a_costate_joins_its_ends(even):
     else:
         apart = slopes - made.slopes(straight)
         assert np.ptp(apart, axis=2).max() < 1e-9 * np.abs(slopes).max()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_on_each_stretch_the_better_costate_counts(case):
+    """Two that are the same in every third cell: the best of all ways to put them together."""
+    made, costate, slope = of(case)
+    n, random = costate.shape[1], np.random.default_rng(4)
+    same = np.arange(n) % 3 == 2
+    other = np.where(same[:, None], costate, costate + random.uniform(-0.1, 0.1, costate.shape))
+    at_nodes = random.uniform(-0.5, 0.5, n + 1)
+    # A node between two cells that are the same is, too.
+    at_others = at_nodes + random.uniform(-0.5, 0.5, n + 1) * ~(
+        np.append(same, True) & np.insert(same, 0, True)
+    )
+    one, two = (
+        _Bounded(made, (each, slope), made.least(each, slope), nodes, 3.0)
+        for each, nodes in ((costate, at_nodes), (other, at_others))
+    )
+    joined = one.joined(two)
+    best = one.value
+    for begin in range(0, n, 3):
+        cells, nodes = slice(begin, begin + 2), slice(begin, min(begin + 3, n + 1))
+        gain = (two.cells - one.cells)[cells].sum() + (at_others - at_nodes)[nodes].sum()
+        best += max(gain, 0.0)
+    assert joined.value == pytest.approx(best)
+    assert joined.value > max(one.value, two.value)
+    np.testing.assert_allclose(joined.least, made.least(*joined.along))
+    assert two.joined(one).value == pytest.approx(best)
 
 
 def test_no_finer_run_is_faster_than_what_is_reached():

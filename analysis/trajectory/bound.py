@@ -531,7 +531,9 @@ class Costate:
     begin, end : (q, n) array
     even : (q, n) array of bool
         Where it is linear; elsewhere it follows the adjoint equation.
-    at_nodes : float [J/kg]
+    give : (q, n) array
+        By which part each gives way where the sum of the costates is level.
+    at_nodes : (n + 1,) array [J/kg]
         What its jumps and its values at both ends of the run add to the bound.
     """
 
@@ -539,13 +541,15 @@ class Costate:
     begin: FloatArray
     end: FloatArray
     even: BoolArray
-    at_nodes: float
+    give: FloatArray
+    at_nodes: FloatArray
 
     def along(self, hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
         """Its values and slopes at the points of its segments, (q, n, p)."""
         segments, change = self.segments, self.end - self.begin
         line = self.begin[:, :, None] + change[:, :, None] * segments.place
         shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(line))
+        shape = _together(shape, self.give, hamiltonian.problem.gain)
         part = segments.weights / segments.length[:, None]
         rest = change / segments.length - (shape * part).sum(axis=2)
         slope = shape + rest[:, :, None]
@@ -554,12 +558,26 @@ class Costate:
 
 
 def costate_of(
-    hamiltonian: Hamiltonian, multipliers: Multipliers, near: float = _NEAR_LEVEL
+    hamiltonian: Hamiltonian,
+    multipliers: Multipliers,
+    near: float = _NEAR_LEVEL,
+    pulled: BoolArray | bool = False,
+    braked: BoolArray | bool = False,
 ) -> Costate:
     """The multipliers of cells as a function of the position.
 
     A multiplier is the mean of the costate over its cell. Where a control is partial the costate
     stands at a level, or joins its neighbours along the adjoint equation.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+    multipliers : Multipliers
+    near : float
+        Within which of its level a costate counts as there.
+    pulled, braked : (n,) array of bool
+        Where it is kept at the level of partial traction (the sum of all), and of a partial brake,
+        whatever the cells beside ask for.
     """
     problem, plan, step = hamiltonian.problem, hamiltonian.plan, hamiltonian.problem.step
     mean = multipliers.pull / (step * problem.gain[:, None])
@@ -567,15 +585,18 @@ def costate_of(
     limit, floor = node_limits(hamiltonian)
     limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
     held = limited[:, :-1] & limited[:, 1:]
-    partial, alone = partial_cells(hamiltonian, mean, near)
+    shared, own = partial_cells(hamiltonian, mean, near)
+    alone = ~np.isnan(own)
+    partial = shared | alone
     flat = alone | (held & (shape.mean(axis=2) < 0.0))
     flat |= _standing(hamiltonian)
     creeping = _creeping(problem, hamiltonian.fastest, plan)
     base = np.where(flat[:, :, None], 0.0, shape)
-    base, even = _together(base, mean, problem.gain, (partial & ~alone, alone, held))
-    flat |= even
+    give = _giving(mean, (shared & ~alone, alone, held))
+    base = _together(base, give, problem.gain)
+    flat |= give > 0.0
     whole = hamiltonian.segments
-    change = (base * whole.weights).sum(axis=2)
+    change, gain = (base * whole.weights).sum(axis=2), problem.gain[:, None]
     gathered = whole.length[:, None] * (base @ whole.gathering.T)
     begin = mean - (gathered * whole.weights).sum(axis=2) / step
     end = begin + change
@@ -583,19 +604,30 @@ def costate_of(
     trust = np.where(partial, 1e-6, 1.0) * np.where(creeping, 1e-12, 1.0) / step**2
     left, right = end[:, :-1], begin[:, 1:]
     middle = (trust[:, :-1] * left + trust[:, 1:] * right) / (trust[:, :-1] + trust[:, 1:])
+    pulls = _inside(plan.traction, most_efforts(problem, plan)[0]) & shared
+    give = np.where(pulled & pulls, give, 0.0)
+    levels = _Levels(give, np.where(braked, own, np.nan), hamiltonian.prices.traction, gain)
+    begin, end = levels.kept(begin), levels.kept(end)
+    left, right = end[:, :-1], begin[:, 1:]
+    middle = levels.of(slice(None, -1)).kept(middle)
+    middle = levels.of(slice(1, None)).kept(middle)
     free = limited[:, 1:-1] & (right > left)
     slow = (floor > 0.0) & (plan.z <= floor * (1.0 + _AT_LIMIT))
     free |= slow[:, 1:-1] & (right < left)
     first = np.column_stack((begin[:, :1], np.where(free, right, middle)))
     last = np.column_stack((np.where(free, left, middle), end[:, -1:]))
+    first[:, 1:] = levels.of(slice(1, None), free).kept(first[:, 1:])
+    last[:, :-1] = levels.of(slice(None, -1), free).kept(last[:, :-1])
     _level_out(creeping, first, last)
     jump = first[:, 1:] - last[:, :-1]
-    added = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1]).sum()
-    added -= float((first[:, 0] * problem.initial).sum())
-    added += float((np.minimum(last[:, -1], 0.0) * np.minimum(problem.final, limit[:, -1])).sum())
+    inner = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1])
+    ends = -first[:, 0] * problem.initial
+    stop = np.minimum(last[:, -1], 0.0) * np.minimum(problem.final, limit[:, -1])
+    added = np.column_stack((ends, inner, stop)).sum(axis=0)
     # One that leaves its level in the cell follows the adjoint equation there.
     leaves = partial & (np.maximum(np.abs(first - begin), np.abs(last - end)) > _LEVEL)
-    return Costate(whole, first, last, creeping | (flat & ~leaves), float(added))
+    even = creeping | (flat & ~leaves)
+    return Costate(whole, first, last, even, _parts(give * ~even), added)
 
 
 def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
@@ -613,10 +645,11 @@ def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
 
 def partial_cells(
     hamiltonian: Hamiltonian, mean: FloatArray, near: float
-) -> tuple[BoolArray, BoolArray]:
-    """Cells in which a control is partial, (q, n); and those in which the costate itself is level.
+) -> tuple[BoolArray, FloatArray]:
+    """Cells in which a control is partial that all share, (n,); and the levels of single ones.
 
-    By common traction, or a common brake, that is the sum of the costates.
+    There the costate times the gain is at a level, (q, n), elsewhere NaN; by common traction, or a
+    common brake, the sum of all is.
     """
     problem, prices, plan = hamiltonian.problem, hamiltonian.prices, hamiltonian.plan
     own, regained = mean * problem.gain[:, None], prices.regained[:, None]
@@ -626,12 +659,13 @@ def partial_cells(
     pulled = np.where(_inside(plan.traction, pull), near, _LEVEL)
     shared = np.abs(worth - prices.traction) < pulled
     braked = np.where(_inside(plan.braking, brake), near, _LEVEL)
+    level = np.full(own.shape, np.nan)
     if problem.common:
         shared |= (np.abs(worth) < braked[0]) | (np.abs(worth - regained.sum()) < braked[0])
-        alone = np.zeros(own.shape, dtype=np.bool_)
     else:
-        alone = np.asarray((np.abs(own) < braked) | (np.abs(own - regained) < braked))
-    return np.asarray(shared | alone), alone
+        for each in (regained, np.zeros((1, 1))):
+            level = np.where(np.abs(own - each) < braked, each, level)
+    return np.asarray(shared), level
 
 
 def _inside(effort: FloatArray, most: FloatArray) -> BoolArray:
@@ -639,31 +673,63 @@ def _inside(effort: FloatArray, most: FloatArray) -> BoolArray:
     return np.asarray((effort > _INSIDE * most) & (effort < (1.0 - _INSIDE) * most))
 
 
-def _together(
-    base: FloatArray,
-    worth: FloatArray,
-    gain: FloatArray,
-    kinds: tuple[BoolArray, BoolArray, BoolArray],
-) -> tuple[FloatArray, BoolArray]:
-    """Slopes such that the sum of the costates is level where a common control is partial.
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """Levels at which costates are kept in some cells.
+
+    Attributes
+    ----------
+    give : (q, n) array
+        By which part each gives way where the sum is kept; elsewhere 0.
+    own : (q, n) array
+        Each by itself; NaN where it is not kept.
+    total : float
+        The sum; all levels are of the costate times the gain.
+    gain : (q, 1) array
+    """
+
+    give: FloatArray
+    own: FloatArray
+    total: float
+    gain: FloatArray
+
+    def of(self, cells: slice, free: BoolArray | None = None) -> _Levels:
+        """Those of some of the cells; of the sum by what is `free` to change there alone."""
+        give, own = self.give[:, cells], self.own[:, cells]
+        if free is not None:
+            give, own = _parts(give * free), np.full(own.shape, np.nan)
+        return replace(self, give=give, own=own)
+
+    def kept(self, costate: FloatArray) -> FloatArray:
+        """A costate at its levels."""
+        found = np.where(np.isnan(self.own), costate * self.gain, self.own)
+        found = found + self.give * (self.total - found.sum(axis=0))
+        return np.asarray(found / self.gain)
+
+
+def _giving(worth: FloatArray, kinds: tuple[BoolArray, BoolArray, BoolArray]) -> FloatArray:
+    """By which part each gives way where a common control is partial, (q, n); elsewhere 0.
 
     A configuration at its limit takes what the others leave: it stays there under any costate that
     falls less than the adjoint equation asks for. Where there is none all share it, by what effort
     is `worth` to them, (q, n).
-
-    Returns
-    -------
-    base : (q, n, p) array
-    even : (q, n) array of bool
-        Whose slope was changed.
     """
     shared, alone, held = kinds
     able = np.asarray(held & ~alone)
     able = np.where(able.any(axis=0), able, ~alone) & shared
     weight = np.where(able, np.abs(worth) + 1e-12, 0.0)
-    part = weight / np.maximum(weight.sum(axis=0), 1e-300) / gain[:, None]
-    excess = (gain[:, None, None] * base).sum(axis=0)
-    return base - part[:, :, None] * excess, np.asarray(able)
+    return _parts(weight)
+
+
+def _parts(weight: FloatArray) -> FloatArray:
+    """Of each, of the sum over the configurations; 0 where there is none."""
+    return np.asarray(weight / np.maximum(weight.sum(axis=0), 1e-300))
+
+
+def _together(slopes: FloatArray, give: FloatArray, gain: FloatArray) -> FloatArray:
+    """Slopes such that the sum of the costates is level where some `give` way, (q, n, p)."""
+    excess = (gain[:, None, None] * slopes).sum(axis=0)
+    return np.asarray(slopes - (give / gain[:, None])[:, :, None] * excess)
 
 
 def _standing(hamiltonian: Hamiltonian) -> BoolArray:
@@ -796,42 +862,77 @@ class _Bounded:
     Attributes
     ----------
     hamiltonian : Hamiltonian
-    value : float [J/kg]
     along : ((q, n, p) array, (q, n, p) array)
         The costate and its slopes.
     least : (n, p) array [J/(kg m)]
         Of the Hamiltonian.
-    excess : (n,) array [J/kg]
-        See `ContinuousBound`.
+    at_nodes : (n + 1,) array [J/kg]
+        See `Costate`.
+    times : float [J/kg]
+        What the times allowed are worth.
     """
 
     hamiltonian: Hamiltonian
-    value: float
     along: tuple[FloatArray, FloatArray]
     least: FloatArray
-    excess: FloatArray
+    at_nodes: FloatArray
+    times: float
 
     @staticmethod
     def of(hamiltonian: Hamiltonian, multipliers: Multipliers, times: float) -> _Bounded:
-        """By the better of two costates; the excess by the one that is level in more cells."""
-        tried = []
-        for near in (_LEVEL, _NEAR_LEVEL):
-            costate = costate_of(hamiltonian, multipliers, near)
+        """By the best of several costates on each stretch."""
+
+        def bounded(near: float, *level: BoolArray | bool) -> _Bounded:
+            costate = costate_of(hamiltonian, multipliers, near, *level)
             along = costate.along(hamiltonian)
-            least = hamiltonian.least(*along)
-            value = float((least * hamiltonian.segments.weights).sum()) + costate.at_nodes - times
-            tried.append((value, along, least))
-        excess = hamiltonian.excess(along, least)
-        return _Bounded(hamiltonian, *max(tried, key=lambda each: each[0]), excess)
+            return _Bounded(hamiltonian, along, hamiltonian.least(*along), costate.at_nodes, times)
+
+        near = bounded(_NEAR_LEVEL)
+        found = near.joined(bounded(_LEVEL))
+        if found.excess.sum() > CLOSE * abs(found.value):
+            # A level helps in long cells; in the next ones the costate has to follow it.
+            levels = [bounded(_NEAR_LEVEL, *each) for each in ((True, False), (False, True))]
+            gains = [each.cells - near.cells for each in levels]
+            helps = [np.convolve(gain, np.ones(3), mode="same") > 0.0 for gain in gains]
+            for each in (*levels, bounded(_NEAR_LEVEL, *helps)):
+                found = found.joined(each)
+        return found
+
+    @property
+    def cells(self) -> FloatArray:
+        """What each cell adds to the bound, (n,) [J/kg]."""
+        return np.asarray((self.least * self.hamiltonian.segments.weights).sum(axis=1))
+
+    @property
+    def value(self) -> float:
+        """The bound [J/kg]."""
+        return float(self.cells.sum() + self.at_nodes.sum()) - self.times
+
+    @property
+    def excess(self) -> FloatArray:
+        """See `ContinuousBound`, (n,) [J/kg]."""
+        return self.hamiltonian.excess(self.along, self.least)
+
+    def joined(self, other: _Bounded) -> _Bounded:
+        """The better of two on each stretch of cells on whose both sides they are the same."""
+        pairs = list(zip(self.along, other.along, strict=True))
+        differ = np.any([np.any(a != b, axis=(0, 2)) for a, b in pairs], axis=0)
+        stretch = np.cumsum(np.diff(differ, prepend=False) & differ) * differ
+        at_node = np.maximum(np.append(stretch, 0), np.insert(stretch, 0, 0))
+        gain = np.bincount(stretch, other.cells - self.cells)
+        gain += np.bincount(at_node, other.at_nodes - self.at_nodes, gain.size)
+        better = (gain > 0.0) & (np.arange(gain.size) > 0)
+        cells = better[stretch][:, None]
+        lam, slope = (np.where(cells, b, a) for a, b in pairs)
+        least = np.where(cells, other.least, self.least)
+        at_nodes = np.where(better[at_node], other.at_nodes, self.at_nodes)
+        return replace(self, along=(lam, slope), least=least, at_nodes=at_nodes)
 
     def raised(self) -> _Bounded:
         """The same where no traction is more than the speeds of all allow together."""
         if self.along[0].shape[0] == 1 or self.excess.sum() <= CLOSE * abs(self.value):
             return self
-        least = self.hamiltonian.raised(self.least, *self.along)
-        more = (least - self.least) * self.hamiltonian.segments.weights
-        excess = self.hamiltonian.excess(self.along, least)
-        return replace(self, value=self.value + float(more.sum()), least=least, excess=excess)
+        return replace(self, least=self.hamiltonian.raised(self.least, *self.along))
 
 
 def _falls(hamiltonian: Hamiltonian, multipliers: Multipliers) -> FloatArray:
