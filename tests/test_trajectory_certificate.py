@@ -62,7 +62,7 @@ def test_cells_follow_the_plan_until_the_gap_is_small(case):
 
 @pytest.mark.parametrize("objective", ["expected", "line", "wheel"])
 def test_long_cells_of_partial_traction_cost_the_bound_little(objective):
-    """The sum of the costates stays at its level there; with that of the cells beside, 1 to 2.5 %."""
+    """The sum of the costates stays at its level there; at its neighbours', 1 to 2.5 %."""
     reserve, count, gap = {
         "expected": (2.0, 4, 0.01), "line": (0.3, 3, 5e-3), "wheel": (0.5, 3, 0.012),
     }[objective]  # fmt: skip
