@@ -39,6 +39,7 @@ from trainlog.formats.files import (
     atomic_write,
     check_written,
     read_bytes,
+    refuse_reading,
     sha256,
 )
 from trainlog.topics import (
@@ -791,10 +792,7 @@ def read_mdf_trip(path: str | Path) -> Trip:
         If the file is missing, cannot be read, or another program wrote it.
     """
     path = Path(path)
-    library = load("asammdf")
-    if not path.is_file():
-        raise InputError("does not exist", file=path, remedy="check the path")
-    with closing(called(path, lambda: library.MDF(path))) as mdf:
+    with opened_mdf(path) as mdf:
         attachments = {str(each.file_name): each.extract() for each in mdf.attachments}
         if INDEX not in attachments:
             raise InputError(
@@ -808,6 +806,18 @@ def read_mdf_trip(path: str | Path) -> Trip:
         }
     wanted = {name: attachments[name] for name in index["attachments"]}
     return Trip(frames, index["metadata"], tuple(index["provenance"]), wanted)
+
+
+@contextmanager
+def opened_mdf(path: Path) -> Iterator[Any]:
+    """The file as asammdf gives it; InputError if it cannot be read."""
+    library = load("asammdf")
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        refuse_reading(path, error)
+    with stream, closing(called(path, lambda: library.MDF(stream))) as mdf:
+        yield mdf
 
 
 def called(path: Path, call: Callable[[], Any]) -> Any:

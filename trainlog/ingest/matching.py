@@ -57,7 +57,7 @@ from trainlog.ingest.motion import (
 )
 from trainlog.ingest.receiver import Driven, Fixes, distance_driven
 from trainlog.ingest.recording import Table
-from trainlog.railway.geometry import SPACING as TRACK_SPACING, Track, beside, candidates, to_plane
+from trainlog.railway.geometry import Track, beside, candidates, to_plane, track_of
 from trainlog.railway.line import Geometry, Line
 from trainlog.railway.train import Train
 from trainlog.units import NANOSECONDS
@@ -122,19 +122,10 @@ def edge_tracks(
 ) -> EdgeTracks:
     """The edges on the plane that touches the earth at `origin`."""
     tracks = tuple(
-        None if geometry is None else _track(geometry, float(length), origin)
+        None if geometry is None else track_of(geometry, float(length), origin)
         for geometry, length in zip(geometries, graph.lengths, strict=True)
     )
     return EdgeTracks(graph, tracks, origin)
-
-
-def _track(geometry: Geometry, length: float, origin: tuple[float, float]) -> Track:
-    even = np.arange(geometry.positions[0], geometry.positions[-1], TRACK_SPACING)
-    positions = np.unique(np.concatenate([geometry.positions, even]))
-    positions = positions[(positions >= -1.0) & (positions <= length + 1.0)]
-    points = to_plane(*geometry.at(positions), origin)
-    moving = np.concatenate(([True], np.abs(np.diff(points)) > 0.0))
-    return Track(positions[moving], points[moving], origin)
 
 
 def edge_nodes(

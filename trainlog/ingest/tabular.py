@@ -27,9 +27,8 @@ import pyarrow.parquet
 
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError, suggestion
-from trainlog.extras import load
 from trainlog.formats.files import read_bytes
-from trainlog.formats.trip_tables import called
+from trainlog.formats.trip_tables import called, opened_mdf
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of, undescribed, wanted_columns
 from trainlog.ingest.profile import WORDS, Column, FileOptions, MismatchError, Profile
 from trainlog.ingest.recording import (
@@ -424,15 +423,6 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
     """The file's text as UTF-8, without byte order mark, each line ended by a line feed."""
     codec = encoding.lower().replace("_", "-")
     wide = codec.startswith(("utf-16", "utf-32", "utf16", "utf32"))
-    if not wide:
-        # A power cut leaves zeros where the file system had no time for data.
-        data = data.rstrip(b"\0")
-    if not data or data.isspace():
-        raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
-    marked = not wide and data.startswith(UTF8_MARK)
-    if marked:
-        # The file states its encoding; recorders of one layout differ in it.
-        encoding = "utf-8"
     if not wide and data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
             f"is not {encoding} text: it begins with the mark of UTF-16",
@@ -440,13 +430,11 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
             place="byte 0",
             remedy='set encoding = "utf-16" under [file] of the profile',
         )
-    if not wide and b"\0" in data:
-        raise InputError(
-            "is not text: it holds zero bytes",
-            file=path,
-            place=f"byte {data.index(0)}",
-            remedy="give the recorder's CSV, not its binary file",
-        )
+    data = plain_text(data, path, "give the recorder's CSV, not its binary file", wide=wide)
+    marked = not wide and data.startswith(UTF8_MARK)
+    if marked:
+        # The file states its encoding; recorders of one layout differ in it.
+        encoding = "utf-8"
     try:
         if marked or codec in ("utf-8", "utf8", "utf-8-sig", "ascii"):
             data.decode("ascii" if codec == "ascii" and not marked else "utf-8")
@@ -462,6 +450,37 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
             remedy='set encoding under [file] of the profile, for example "cp1252"',
         ) from error
     return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
+
+
+def plain_text(data: bytes, path: Path, remedy: str, *, wide: bool = False) -> bytes:
+    """A text without the zeros that a power cut leaves where there was no time for data.
+
+    Parameters
+    ----------
+    data : bytes
+    path : Path
+    remedy : str
+        Where it holds other zeros.
+    wide : bool
+        Whether its letters are of several bytes, so that zeros are text.
+
+    Raises
+    ------
+    InputError
+        If nothing is left, or it is not text.
+    """
+    if not wide:
+        data = data.rstrip(b"\0")
+    if not data or data.isspace():
+        raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
+    if not wide and b"\0" in data:
+        raise InputError(
+            "is not text: it holds zero bytes",
+            file=path,
+            place=f"byte {data.index(0)}",
+            remedy=remedy,
+        )
+    return data
 
 
 def _header_line(data: bytes, path: Path, options: FileOptions) -> tuple[int, int]:
@@ -555,7 +574,7 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
     if profile is None:
         raise undescribed("is a Parquet table of a layout that trainlog does not know", path)
     data = pa.BufferReader(read_bytes(path))
-    try:
+    with readable_parquet(path):
         names = tuple(pa.parquet.read_schema(data).names)
         wanted = list(dict.fromkeys(wanted_columns(profile, names, path)))
         problems = [
@@ -567,20 +586,23 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
             raise MismatchError.listing(problems, file=path)
         data.seek(0)
         table = pa.parquet.read_table(data, columns=wanted)
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(
-            f"is not a readable Parquet table: {_first_line(error)}",
-            file=path,
-            remedy="copy the file again; was the recorder stopped while writing?",
-        ) from error
     if not table.num_rows:
         raise InputError("has no row of data", file=path, remedy="record again")
     rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
     return recording_of(Cells(table, rows, rows.size), profile, path, columns=names)
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0][:120]
+@contextmanager
+def readable_parquet(path: Path) -> Iterator[None]:
+    """InputError where what is read of a Parquet table is damaged."""
+    try:
+        yield
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"is not a readable Parquet table: {str(error).splitlines()[0][:120]}",
+            file=path,
+            remedy="copy the file again; was the recorder stopped while writing?",
+        ) from error
 
 
 # ------------------------------------------------------------------------------ measurement files
@@ -626,7 +648,7 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
             path,
             "that says which channel is what",
         )
-    with _open(path) as mdf:
+    with opened_mdf(path) as mdf:
         start = _start(mdf, profile, path)
         places = _places(mdf, profile, path)
         every = {
@@ -640,24 +662,6 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
     left = [name for place, name in every.items() if place not in mapped]
     others = f"channels that the profile does not map: {', '.join(left)}"
     return together(found, metadata={"clock": "MDF"}, not_used={others: len(left)} if left else {})
-
-
-@contextmanager
-def _open(path: Path) -> Iterator[Any]:
-    """The file as asammdf gives it."""
-    library = load("asammdf")
-    try:
-        stream = path.open("rb")
-    except OSError as error:
-        raise InputError(
-            (error.strerror or str(error)).lower(), file=path, remedy="check the path"
-        ) from error
-    with stream:
-        mdf = called(path, lambda: library.MDF(stream))
-        try:
-            yield mdf
-        finally:
-            mdf.close()
 
 
 def _start(mdf: Any, profile: Profile, path: Path) -> int:

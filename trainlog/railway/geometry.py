@@ -306,14 +306,25 @@ class Candidates:
     distance: FloatArray
 
 
-def track_of(geometry: Geometry) -> Track:
+def track_of(
+    geometry: Geometry, length: float | None = None, origin: tuple[float, float] | None = None
+) -> Track:
     """The track of a geometry, long stretches divided.
 
-    The plane touches the earth in the middle of the points.
+    Parameters
+    ----------
+    geometry : Geometry
+    length : float [m], optional
+        Of the line: points beyond its ends are left out.
+    origin : (latitude, longitude) [deg], optional
+        Where the plane touches the earth; default: in the middle of the points.
     """
     even = np.arange(geometry.positions[0], geometry.positions[-1], SPACING)
     positions = np.unique(np.concatenate([geometry.positions, even]))
-    origin = (float(geometry.latitudes.mean()), float(geometry.longitudes.mean()))
+    if length is not None:
+        positions = positions[(positions >= -1.0) & (positions <= length + 1.0)]
+    if origin is None:
+        origin = (float(geometry.latitudes.mean()), float(geometry.longitudes.mean()))
     points = to_plane(*geometry.at(positions), origin)
     moving = np.concatenate(([True], np.abs(np.diff(points)) > 0.0))
     return Track(positions[moving], points[moving], origin)

@@ -47,7 +47,7 @@ from trainlog.ingest.proposal.vocabulary import (
     zone_of,
 )
 from trainlog.ingest.recording import NO_TIME
-from trainlog.ingest.tabular import is_parquet, open_text
+from trainlog.ingest.tabular import is_parquet, open_text, plain_text, readable_parquet
 from trainlog.units import NANOSECONDS
 
 DELIMITERS = (";", ",", "\t", "|", " ")
@@ -180,14 +180,8 @@ def looks_like_table(head: bytes, path: Path) -> bool:
 
 
 def _parquet_layout(path: Path, data: bytes) -> Layout:
-    try:
+    with readable_parquet(path):
         table = pa.parquet.read_table(pa.BufferReader(data))
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(
-            f"is not a readable Parquet table: {str(error).splitlines()[0][:120]}",
-            file=path,
-            remedy="copy the file again; was the recorder stopped while writing?",
-        ) from error
     names = tuple(str(name) for name in table.schema.names)
     fields = [table.schema.field(name).metadata or {} for name in names]
     units = tuple(
@@ -263,17 +257,8 @@ def _decoded(path: Path, data: bytes) -> tuple[str, str, str]:
         codec = "utf-16-le" if head[1:2] == b"\0" else "utf-16-be"
         why = "every other byte is zero"
     else:
-        data = data.rstrip(b"\0")
+        data = plain_text(data, path, "give the recorder's table, not its binary file")
         why = "ASCII" if data.isascii() else why
-        if not data.strip():
-            raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
-        if b"\0" in data:
-            raise InputError(
-                "is not text: it holds zero bytes",
-                file=path,
-                place=f"byte {data.index(0)}",
-                remedy="give the recorder's table, not its binary file",
-            )
     try:
         return codec, data.decode(codec).removeprefix("\ufeff"), why
     except UnicodeDecodeError as error:
