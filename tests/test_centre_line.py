@@ -13,8 +13,7 @@ from satellite_trips import Receiver, curve_of, drive, errors, winding
 
 from analysis import TripRefusedError, coast_down, fit_trip, geometry_of, line_of
 from analysis.geometry.centre_line import CentreLine
-from estimators.altitude import OVER, Ride, height_profile
-from estimators.centre_line import CURVATURE_CHANGE, fitted_curve
+from estimators.centre_line import CURVATURE_CHANGE, OVER, Ride, fitted_curve, height_profile
 from trainlog import Geometry, InputError, Trip
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import line_to_bytes, read_line, write_line

@@ -25,7 +25,7 @@ from trainlog.errors import InputError
 from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.replay import run_viewer, viewer, write_replay
-from trainlog.replay.log_layout import DRAWN, scalars, write_layout
+from trainlog.replay.layout import DRAWN, scalars, write_layout
 from trainlog.replay.picture import HeadlessViewer, headless_viewer, take_picture
 from trainlog.replay.viewer import NOWHERE, has_display, offline, open_viewer, web_viewer
 from trainlog.topics import TOPICS

@@ -19,8 +19,8 @@ from analysis.charts import (
     Panel,
     Rule,
 )
+from analysis.comparison import CAUSES
 from analysis.comparison.calculated import Calculation
-from analysis.comparison.causes import CAUSES
 from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
 from trainlog.units import JOULES_PER_KWH, KMH
 

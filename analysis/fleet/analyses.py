@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from analysis.comparison.causes import CAUSES, LOST
+from analysis.comparison import CAUSES, LOST
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import COLUMNS as SUMMARY, Column, arrow_of, frame_of

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.comparison.causes import LOST
+from analysis.comparison import LOST
 from analysis.comparison.compare import (
     STOPPING_REACH,
     CommonRange,

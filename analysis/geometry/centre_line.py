@@ -12,8 +12,7 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from analysis.view import trip_of
-from estimators.altitude import OVER, HeightProfile, Ride, height_profile
-from estimators.centre_line import Curve, fitted_curve
+from estimators.centre_line import OVER, Curve, HeightProfile, Ride, fitted_curve, height_profile
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.display import counted

@@ -14,7 +14,7 @@ import pandas as pd
 from analysis.adhesion.condition_table import bins_table, with_ends
 from analysis.adhesion.map_plot import lowest_bins
 from analysis.charts import BLUE, GREEN, GREY, ORANGE, RED, Chart, Curve, Panel, Rule, Span
-from analysis.comparison.causes import CAUSES, LOST
+from analysis.comparison import CAUSES, LOST
 from analysis.fleet.analyses import ANALYSES, code_of, computation_of
 from analysis.fleet.channels import CHANNELS, raw_step
 from analysis.fleet.checks import contradicted_dates

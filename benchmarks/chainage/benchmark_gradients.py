@@ -23,7 +23,7 @@ from recordings import PAIRS, line_and_train
 from analysis.geometry.centre_line import CentreLine, geometry_of, line_of
 from analysis.resistance.coast_down import coast_down
 from analysis.truth import truth_of
-from estimators.altitude import OVER
+from estimators.centre_line import OVER
 from trainlog.errors import NotIdentifiableError
 from trainlog.ingest import profile_of
 from trainlog.ingest.chainage import estimated_state

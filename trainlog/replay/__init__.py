@@ -7,8 +7,8 @@ from trainlog.extras import require
 
 require("rerun")
 
+from trainlog.replay.layout import scalars as scalars, write_layout as write_layout
 from trainlog.replay.live import LiveReplay as LiveReplay, live_replay as live_replay
-from trainlog.replay.log_layout import scalars as scalars, write_layout as write_layout
 from trainlog.replay.picture import (
     HeadlessViewer as HeadlessViewer,
     headless_viewer as headless_viewer,

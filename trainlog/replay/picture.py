@@ -65,7 +65,7 @@ def take_picture(
         Where on that timeline: nanoseconds or, on the position timeline, metres. Default: its
         middle.
     layout : path, optional
-        Instead of the recording's own, see `trainlog.replay.log_layout`.
+        Instead of the recording's own, see `trainlog.replay.layout`.
     settle : float [s]
         From when the recording is loaded to when its picture is taken.
 
