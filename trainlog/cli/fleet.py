@@ -130,9 +130,9 @@ def fleet_show(
         List files that do not count, with the reason (copies, other recordings of a drive, older
         versions, missing and refused files), damaged logs that count, and trips without a result.
     """
-    from analysis.catalogue_table import overview_table, problems_table
     from analysis.fleet.update import fleet_status
     from trainlog.catalogue import open_catalogue
+    from trainlog.catalogue.querying import overview_table, problems_table
 
     with open_catalogue(catalogue, create=False) as opened:
         counts = opened.counts()
@@ -195,8 +195,8 @@ def fleet_query(
     output : FILE
         Table to write, with all rows in SI units (.csv, .parquet; SQL: .csv).
     """
-    from analysis.catalogue_table import found_table, trips_table
     from trainlog.catalogue import open_catalogue, write_trips
+    from trainlog.catalogue.querying import found_table, trips_table
     from trainlog.formats.files import csv_bytes, write_bytes
 
     limits: dict[str, Any] = {"train": train, "line": line, "start": from_, "end": to}
