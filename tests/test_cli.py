@@ -106,9 +106,12 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def state_of(folder: Path) -> dict[Path, tuple[int, int]]:
-    """Size and time of each file."""
-    states = ((path, path.stat()) for path in folder.rglob("*") if path.is_file())
-    return {path: (each.st_size, each.st_mtime_ns) for path, each in states}
+    """Size and time of each file, and the folders."""
+    states = ((path, path.stat()) for path in folder.rglob("*"))
+    return {
+        path: (each.st_size, each.st_mtime_ns) if path.is_file() else (0, 0)
+        for path, each in states
+    }
 
 
 SHORT = {
@@ -132,6 +135,8 @@ REFUSED = {
     "simulate fleet drawn -o x --count 3 --trips-per-day 2": "leave out --trips-per-day",
     "simulate drive BOTH --weather wet -o x": "--weather",
     "simulate drive BOTH --map m.map -o x": "--map",
+    "convert stopping.mcap -o sub/x.mcap --topic /nope": "stopping.mcap: has no topic /nope; it",
+    "convert stopping.mcap -o .mcap": ".mcap: is the name of a .mcap file, and a folder is needed",
     "convert copy nonstop.mcap -o x.mcap --km 1:2": "--km cannot be taken: several logs are joined",
     "map show file --km 8:9": "what a picture shows",
     # values that cannot be

@@ -557,12 +557,12 @@ def convert(
             remedy="give one, or name a log (.mcap) in which they are joined",
         )
     else:
+        from trainlog.formats.files import output_folder
         from trainlog.mcap.convert import convert as write, span_of
 
         time = times(from_, to, lambda: span_of(sources[0]))
         position = None if km is None else stretch(km, line_of_log(sources[0]))
-        output.parent.mkdir(parents=True, exist_ok=True)
-        with task("converting", unit="row") as step:
+        with output_folder(output.parent), task("converting", unit="row") as step:
             done = write(
                 sources[0], output, progress=step, topics=topic or None, time=time,
                 position=position,

@@ -360,11 +360,12 @@ def output_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     False
     """
     wanted = Path(path)
-    if wanted.suffix.lower() in _FILE_SUFFIXES and not wanted.is_dir():
+    suffix = wanted.suffix or wanted.name
+    if suffix.lower() in _FILE_SUFFIXES and not wanted.is_dir():
         raise InputError(
-            f"is the name of a {wanted.suffix} file, and a folder is needed",
+            f"is the name of a {suffix} file, and a folder is needed",
             file=wanted,
-            remedy=f"name a folder, such as {wanted.with_suffix('')}",
+            remedy=f"name a folder, such as {wanted.with_name(wanted.stem.lstrip('.'))}",
         )
     missing = [folder for folder in (wanted, *wanted.parents) if not folder.exists()]
     try:
