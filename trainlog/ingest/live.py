@@ -21,19 +21,18 @@ import pandas as pd
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes
-from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.formats.sfera import SferaJourney
 from trainlog.ingest.clock import same_as_previous
 from trainlog.ingest.motion import MANY
 from trainlog.ingest.pipeline import (
-    PROFILE_ATTACHMENT,
     Given,
+    attachments_of,
     bounded_limits,
     default_profile,
     metadata_of,
+    profile_of,
 )
-from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
+from trainlog.ingest.profile import Limits, Profile, Repair, own_topics
 from trainlog.ingest.recording import (
     INFO,
     LONGEST_TEXT,
@@ -52,7 +51,6 @@ from trainlog.ingest.tabular import open_text
 from trainlog.ingest.telegrams import TelegramFramer
 from trainlog.mcap.recorder import Recording, record
 from trainlog.topics import EVENTS, GNSS_MOTION, TOPICS, TRAIN_STATE, Topic
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT
 from trainlog.units import NANOSECONDS
 
 CONFIRMING = 3
@@ -452,21 +450,14 @@ class LiveIngest:
                 remedy="give the line of its route (my.network.json#Wil,Gossau), or record without"
                 " and ingest what --raw kept",
             )
-        attachments: dict[str, bytes] = {}
-        profile = given.profile
-        if profile is not None and not isinstance(profile, Profile):
-            attachments[PROFILE_ATTACHMENT] = read_bytes(profile)
-            profile = parse_profile(attachments[PROFILE_ATTACHMENT], file=profile)
+        profile, attachments = profile_of(given.profile)
         header = None
         if options.header is not None:
             if profile is None:
                 raise InputError("a header goes with a profile", remedy="give --profile, too")
             header = open_text(options.header, profile.file).names
         rules = profile or default_profile()
-        if given.line is not None:
-            attachments[LINE_ATTACHMENT] = line_to_bytes(given.line)
-        if given.train is not None:
-            attachments[TRAIN_ATTACHMENT] = train_to_bytes(given.train)
+        attachments |= attachments_of(given.line, given.train)
         direction = given.direction or rules.trip.direction or "forward"
         known = metadata_of(Recorded((), 0), rules, given.line, given.train, direction)
         known = {"trip": Path(path).stem} | known | dict(given.metadata or {})

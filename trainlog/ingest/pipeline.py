@@ -246,7 +246,7 @@ def check_given(given: Given) -> None:
     ------
     InputError
     """
-    _profile(given.profile)
+    profile_of(given.profile)
     if given.format is not None:
         format_called(given.format)
 
@@ -344,11 +344,8 @@ def fingerprint(path: Path, given: Given) -> dict[str, Any] | None:
     rules, carried, chosen = _chosen(path, given.profile, given.format)
     if is_registered(chosen):
         return None
+    carried |= attachments_of(given.line, given.train)
     digests = {name: sha256(data) for name, data in carried.items()}
-    if given.line is not None:
-        digests[LINE_ATTACHMENT] = sha256(line_to_bytes(given.line))
-    if given.train is not None:
-        digests[TRAIN_ATTACHMENT] = sha256(train_to_bytes(given.train))
     if given.network is not None:
         digests[NETWORK_INPUT] = given.network.sha256
     return {
@@ -420,7 +417,7 @@ def _chosen(
     """The profile, the attachment that carries it along, and the format of a file."""
     if profile is None and format is None:
         profile = own_profile(path)
-    rules, carried = _profile(profile)
+    rules, carried = profile_of(profile)
     return rules, carried, format_of(path, format or (rules.file.format if rules else None))
 
 
@@ -525,7 +522,7 @@ def _check_stated_load(stated: str, train: Train | None) -> None:
     check_load(load, train)
 
 
-def _profile(profile: str | Path | Profile | None) -> tuple[Profile | None, dict[str, bytes]]:
+def profile_of(profile: str | Path | Profile | None) -> tuple[Profile | None, dict[str, bytes]]:
     """The profile, and the attachment that carries it along."""
     if profile is None:
         return None, {}
@@ -609,10 +606,7 @@ def _trip(
     if doubtful:
         trip.metadata["motion_evidence"] = doubtful
     trip.metadata["start"] = trip.start.isoformat()
-    if line is not None:
-        trip.attachments[LINE_ATTACHMENT] = line_to_bytes(line)
-    if train is not None:
-        trip.attachments[TRAIN_ATTACHMENT] = train_to_bytes(train)
+    trip.attachments.update(attachments_of(line, train))
     kept_rows = sum(len(table) for table in tables)
     report = Report(
         recording.rows_read,
@@ -717,6 +711,16 @@ def _from_start(table: Table, start: Quantity | str | None) -> Table:
     first = position[np.isfinite(position)][0]
     moved = position - first + start.si("m")
     return Table(table.time, table.rows, {**table.signals, POSITION: moved}, table.texts)
+
+
+def attachments_of(line: Line | None, train: Train | None) -> dict[str, bytes]:
+    """The attachments that carry line and train along."""
+    found = {}
+    if line is not None:
+        found[LINE_ATTACHMENT] = line_to_bytes(line)
+    if train is not None:
+        found[TRAIN_ATTACHMENT] = train_to_bytes(train)
+    return found
 
 
 def metadata_of(
