@@ -267,6 +267,10 @@ def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(wh
     assert catalogue.counts()["refused"] == 0
     refused(InputError, "does not exist", catalogue.add, logs / "absent")
     refused(InputError, "no log", catalogue.add, SAMPLES / ".." / "docs" / "reference")
+    trainlog.write(replace(trainlog.read(logs / "nonstop.mcap"), topics={}), bad)
+    assert catalogue.add(logs).counts["refused"] == 1
+    assert "has no samples" in catalogue.uncounted().set_index("what")["reason"]["refused"]
+    bad.unlink()
     # What cannot be read takes no trip away.
     (logs / "deep" / "stopping.mcap").write_text("no log")
     assert catalogue.add(logs).counts["refused"] == 1

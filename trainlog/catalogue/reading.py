@@ -120,7 +120,7 @@ def read_entry(path: str | Path) -> LogEntry:
     Raises
     ------
     LogError
-        If it is no log, holds no trip, or nothing of it is readable.
+        If it is no log, holds no trip or no sample, or nothing of it is readable.
     InputError
         If there is no such file.
 
@@ -133,6 +133,8 @@ def read_entry(path: str | Path) -> LogEntry:
     with Source(path) as source, in_file(path):
         contents, (trip, span) = contents_used(source, lambda found: _read(source, found))
         check_readable(contents.account)
+        if not contents.account.messages:
+            raise LogError("has no samples", remedy="leave it out: nothing was recorded")
     return _entry(trip, span, contents)
 
 
