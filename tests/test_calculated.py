@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from functools import cache
 
@@ -17,7 +18,7 @@ from trainlog import read_line, read_train
 from trainlog.errors import InputError, LogError
 from trainlog.formats.railway import write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.mcap import read_log
+from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, ParameterSet, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.scenario import Scenario
@@ -166,6 +167,7 @@ def test_efforts_that_are_missing_everywhere_explain_nothing():
     controls["tractive_effort"] = controls["tractive_effort"].where(kept)
     found = calculate(driven().with_topic(controls), TRAIN)
     assert (found.explained, found.residual) == ({}, 0.0)
+    assert found.plot().axes
 
 
 def test_brakes_that_are_not_recorded_are_no_error_of_the_model():
@@ -194,6 +196,21 @@ def test_the_command_names_what_is_wrong(tmp_path, works):
     (trip,) = json.loads(works("compare", "calculated", log, "--model", path, "--json"))["trips"]
     assert [each["name"] for each in trip["wrong"]] == ["r2"]
     assert len(trip["sections"]) == 4
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_a_trip_that_is_refused_does_not_stop_the_others(tmp_path, shell):
+    good, short = sample("stopping.mcap"), tmp_path / "short.mcap"
+    write_log(driven().within(0.0, 15.0), short)
+    words = ("compare", "calculated", short, good, "--model", sample(DEFAULT_TRAIN))
+    status, shown, complaint = shell(*words, "--json")
+    assert (status, len(json.loads(shown)["trips"])) == (1, 1)
+    assert complaint.startswith(f"trainlog: {short}: trip 'trip-03' runs ")
+    other = tmp_path / "stopping.mcap"
+    shutil.copy(good, other)
+    status, _, complaint = shell(*words, other, "--picture", tmp_path / "p.png")
+    assert (status, list(tmp_path.glob("*.png"))) == (2, [])
+    assert f"{other}: has the same name as {good}" in complaint
 
 
 def test_trips_together_contradict_what_one_leaves_open():

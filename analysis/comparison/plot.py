@@ -177,7 +177,7 @@ def calculation_charts(found: Calculation) -> list[Chart]:
     if found.inputs.efforts:
         bars.insert(0, Curve("measured", rows - 0.18, measured, GREY, "bars", width=0.34))
     bars.append(Curve("", rows + 0.18, expected, INK, "points", *ends, width=0.5))
-    top = 1.3 * float(np.nanmax(np.append(ends[1], measured)))
+    top = 1.3 * float(np.nanmax(np.append(ends[1], measured), initial=0.0)) or 1.0
     works = Chart(
         "", [Panel("tractive work [kWh]", bars, 0.8, limits=(0.0, top))],
         ticks=[(float(row), str(name)) for row, name in zip(rows, found.table.index, strict=True)],

@@ -12,11 +12,13 @@ import typer
 
 import analysis
 import trainlog
+from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import (
     Logs,
     Picture,
     chosen_logs,
     destination,
+    distinct,
     logs_in,
     moment,
     named_apart,
@@ -25,7 +27,7 @@ from trainlog.cli.options import (
 )
 from trainlog.cli.terminal import console, print_error, say, show, state, wrote
 from trainlog.display import counted
-from trainlog.errors import InputError
+from trainlog.errors import InputError, TrainlogError
 from trainlog.progress import task, track
 from trainlog.units import SPEED
 
@@ -140,12 +142,24 @@ def compare_calculated(
     """
     from analysis.charts import draw
     from analysis.comparison.calculated import judged_together, together_words
+    from trainlog.mcap.records import in_file
 
     predicted, trips = _model(model), logs_in(logs)
-    pictures = named_apart(picture, [log.stem for log in trips])
-    every, calculations = [], []
+    names = [log.stem for log in trips]
+    if picture is not None:
+        distinct(names, trips)
+    pictures = named_apart(picture, names)
+    every, calculations, failed = [], [], 0
     for number, log in enumerate(track(trips, "calculating", "trip")):
-        found = analysis.calculate(log, predicted, wind_std=wind)
+        try:
+            with in_file(log):
+                found = analysis.calculate(log, predicted, wind_std=wind)
+        except TrainlogError as error:  # one trip that is refused says nothing of the others
+            if len(trips) == 1:
+                raise
+            print_error(str(error))
+            failed += 1
+            continue
         calculations.append(found)
         every.append(found.data())
         together = judged_together(calculations)
@@ -156,6 +170,7 @@ def compare_calculated(
             wrote(path)
     if len(calculations) > 1:
         console.print(together_words(calculations, together))
+    end_in_part(failed, len(trips))
 
 
 def _model(path: Path) -> ParameterSet | Train:
