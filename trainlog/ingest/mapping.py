@@ -116,7 +116,7 @@ def recording_of(
         elif column.value is not None:
             constants[name] = float(in_si(name, column, np.asarray(column.value)))
         elif name in WORDS:
-            texts[name] = _words(cells.table, column)
+            texts[name] = words_in(cells.table[column.names[0]])
         else:
             found, met, garbled = _field(name, column, cells, profile, file)
             values |= found
@@ -136,12 +136,8 @@ def recording_of(
         )
     _name_slip_protection(profile, texts, constants)
     table = Table(time, cells.rows, values, texts)
-    everywhere = np.ones(len(cells.table), dtype=np.bool_)
-    about = {
-        name: np.asarray([word.strip() for word in _text(cells, name, everywhere)], np.object_)
-        for name in profile.trip.columns.names
-        if name in present
-    }
+    names = profile.trip.columns.names
+    about = {name: words_in(cells.table[name]) for name in names if name in present}
     left = _left(profile, columns)
     return Recording(
         (table,), cells.rows_read, tuple(findings), constants, {}, left, raw=tuple(raw), about=about
@@ -248,7 +244,7 @@ def _short(text: str) -> str:
 
 def _whole(column: pa.ChunkedArray, decimal: str) -> bool:
     """Whether a column holds whole numbers only."""
-    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+    if is_text(column):
         return not pc.any(pc.match_substring(column, decimal)).as_py()
     return bool(pa.types.is_integer(column.type))
 
@@ -278,7 +274,7 @@ def numbers(
     """
     if pa.types.is_dictionary(column.type):
         column = pc.cast(column, column.type.value_type)
-    text = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
+    text = is_text(column)
     if text and thousands:
         parted = pc.match_substring_regex(column, grouped(decimal, thousands))
         column = pc.if_else(parted, pc.replace_substring(column, thousands, ""), column)
@@ -301,8 +297,14 @@ def numbers(
     return values, empty, garbled
 
 
-def _words(table: pa.Table, column: Column) -> NDArray[np.object_]:
-    text = pc.fill_null(pc.cast(table[column.names[0]], pa.string()), "")
+def is_text(column: pa.ChunkedArray) -> bool:
+    """Whether a column holds texts."""
+    return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
+
+
+def words_in(column: pa.ChunkedArray) -> NDArray[np.object_]:
+    """The text of each cell without blanks around it; empty where there is none."""
+    text = pc.fill_null(pc.cast(column, pa.string()), "")
     return np.asarray(pc.utf8_trim_whitespace(text).to_pylist(), dtype=np.object_)
 
 
@@ -405,7 +407,7 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
     elif pa.types.is_timestamp(columns[0].type):
         time = _from_typed(columns[0], options.timezone, file)
     else:
-        if options.format == "iso" and len(columns) == 1 and _is_text(columns[0]):
+        if options.format == "iso" and len(columns) == 1 and is_text(columns[0]):
             undated = pc.fill_null(pc.match_substring_regex(columns[0], _NO_DATE), False).to_numpy()
             columns = [pc.replace_substring_regex(columns[0], _NO_DATE, "1980-01-06")]
         time = _from_text(columns, options, decimal, file)
@@ -477,7 +479,7 @@ def _from_count(
 
 def elapsed_time(column: pa.ChunkedArray, options: TimeOptions, decimal: str) -> IntArray:
     """Time that a column counts [ns]: a number of units, or hours, minutes and seconds as text."""
-    if _is_text(column) and pc.any(pc.match_substring(column, ":")).as_py():
+    if is_text(column) and pc.any(pc.match_substring(column, ":")).as_py():
         return _hours_minutes_seconds(column, decimal)
     factor = NANOSECONDS_PER[options.unit]
     whole = _whole_numbers(column)
@@ -527,7 +529,7 @@ def _from_text(
     columns: list[pa.ChunkedArray], options: TimeOptions, decimal: str, file: Path
 ) -> IntArray:
     """Time from text, ISO 8601 or after a pattern."""
-    texts = [column if _is_text(column) else pc.cast(column, pa.string()) for column in columns]
+    texts = [column if is_text(column) else pc.cast(column, pa.string()) for column in columns]
     joined = [pc.utf8_trim_whitespace(text) for text in texts]
     text = joined[0] if len(joined) == 1 else pc.binary_join_element_wise(*joined, " ")
     if options.format == "iso":
@@ -541,10 +543,6 @@ def _from_text(
     if options.date is not None:
         naive = _dated(naive, options.date)
     return _localised(naive, options.timezone, file)
-
-
-def _is_text(column: pa.ChunkedArray) -> bool:
-    return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
 
 
 def _from_iso(text: pa.ChunkedArray, timezone: str, decimal: str, file: Path) -> IntArray:

@@ -159,6 +159,13 @@ def plane(table: Table) -> ComplexArray | None:
     return np.where(fixed, places, np.nan)
 
 
+def fix_std(table: Table, points: ComplexArray) -> float:
+    """Standard deviation of a fix on each axis [m], as the receiver usually states it."""
+    accuracy = table.signals.get(ACCURACY, np.full(points.size, np.nan))
+    stated = accuracy[np.isfinite(points) & (accuracy > 0.0)]
+    return float(np.median(stated)) if stated.size else FIX_STD
+
+
 def unlike_a_train(tables: Sequence[Table]) -> str:
     """Why a recording does not show a train's motion, in words; empty if it may.
 

@@ -22,13 +22,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import csv_bytes, read_bytes
-from trainlog.ingest.mapping import recording_of, undescribed, wanted_columns
+from trainlog.ingest.mapping import recording_of, undescribed, wanted_columns, words_in
 from trainlog.ingest.motion import ENOUGH, POSITION, SHORTEST, STANDING, plane, speed_of
 from trainlog.ingest.profile import Profile, RideOptions, TripColumns, problem_of
 from trainlog.ingest.recording import (
@@ -469,8 +468,7 @@ def _fixes(
     """All fixes as one recording, and whose they are."""
     text = open_text(path, profile.file)
     cells = text.cells([*wanted_columns(profile, text.names, path), options.device])
-    device = pc.fill_null(pc.utf8_trim_whitespace(cells.table[options.device]), "")
-    return recording_of(cells, profile, path), np.asarray(device.to_pylist(), dtype=np.object_)
+    return recording_of(cells, profile, path), words_in(cells.table[options.device])
 
 
 def _during(ride: _Ride, fixes: Table, device: NDArray[np.object_]) -> BoolArray:

@@ -30,7 +30,6 @@ from estimators.receiver_states import SPACING, Lateness, lateness, receiver_sta
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, numbered, robust_std
 from trainlog.ingest.clock import Result
 from trainlog.ingest.motion import (
-    ACCURACY,
     ALIKE,
     CHORD,
     ELSEWHERE,
@@ -52,6 +51,7 @@ from trainlog.ingest.motion import (
     STEEPEST,
     agreement,
     covered,
+    fix_std,
     held,
     plane,
     repeats,
@@ -506,7 +506,7 @@ def contradicted_speeds(table: Table) -> tuple[BoolArray, list[Finding]]:
     if np.count_nonzero(known) < MANY or np.count_nonzero(np.isfinite(speed)) < 2:
         return none, []
     seconds = seconds_of(table)
-    std = np.sqrt(2.0) * _fix_std(table, points)
+    std = np.sqrt(2.0) * fix_std(table, points)
     doubtful = contradicted(seconds, points, speed, std)
     if not doubtful.any():
         return none, []
@@ -632,7 +632,7 @@ def old_fixes(table: Table) -> tuple[BoolArray, list[Finding]]:
     none = np.zeros(len(table), dtype=np.bool_)
     if points is None or speed is None:
         return none, []
-    seconds, std = seconds_of(table), _fix_std(table, points)
+    seconds, std = seconds_of(table), fix_std(table, points)
     along = way_along(points, std)
     driven, missing = integral(seconds, speed)
     fixed = np.flatnonzero(np.isfinite(points))
@@ -659,13 +659,6 @@ def old_fixes(table: Table) -> tuple[BoolArray, list[Finding]]:
     old = held(age, seconds, OLDEST, REPLAYED - 0.5) & (behind > GATE * std)
     note = f"replayed by the receiver, up to {found.age[old].max(initial=0)} s old by the speeds"
     return old, table.found("off_line", old, "/gnss/fix", note)
-
-
-def _fix_std(table: Table, points: ComplexArray) -> float:
-    """Standard deviation of a fix on each axis [m], as the receiver usually states it."""
-    accuracy = table.signals.get(ACCURACY, np.full(points.size, np.nan))
-    stated = accuracy[np.isfinite(points) & (accuracy > 0.0)]
-    return float(np.median(stated)) if stated.size else FIX_STD
 
 
 def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:

@@ -34,7 +34,6 @@ from trainlog.ingest.motion import (
     ENOUGH,
     FAR,
     FEW,
-    FIX_STD,
     GNSS_SPEED,
     HOLD,
     INLIER,
@@ -55,6 +54,7 @@ from trainlog.ingest.motion import (
     agreement,
     covered,
     driven_mass,
+    fix_std,
     plane,
     repeats,
     scale_of,
@@ -425,9 +425,7 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     if places is None:
         return np.zeros(len(table), dtype=np.bool_)
     stated = table.signals.get(ACCURACY, np.full(len(table), np.nan))
-    stated = np.where(stated > 0.0, stated, np.nan)
-    known = stated[np.isfinite(stated) & np.isfinite(places)]
-    usual = min(float(np.median(known)), STAYED) if known.size else FIX_STD
+    usual = min(fix_std(table, places), STAYED)
     tolerance = FIX_TOLERANCE + HOLD * usual
     fastest = limits.of(GNSS_SPEED).high
     leaps = spikes(seconds, places, _fastest(table, seconds, fastest), tolerance)

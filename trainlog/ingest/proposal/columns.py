@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
-from trainlog.ingest.mapping import in_si
+from trainlog.ingest.mapping import in_si, is_text, words_in
 from trainlog.ingest.motion import (
     ACTS,
     ALIKE,
@@ -279,7 +279,7 @@ def _content(layout: Layout, name: str) -> tuple[FloatArray | None, str]:
     share = layout.share_of_numbers(name)
     if share >= MOST:
         return layout.number(name), ""
-    texts = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
+    texts = is_text(column)
     if texts and pc.any(pc.match_substring_regex(column, r"^-?\d{1,3}[ ',.]\d{3}\b")).as_py():
         why = f"{1.0 - share:.0%} of its cells are not numbers: marks between thousands?"
         return None, f"{why} Then state thousands under [file]"
@@ -855,8 +855,7 @@ def _stems(key: str) -> list[str]:
 
 def _cells(work: Work, name: str) -> NDArray[np.object_]:
     """The text of a column; an empty cell has that of the row before."""
-    text = pc.utf8_trim_whitespace(pc.fill_null(pc.cast(work.layout.table[name], pa.string()), ""))
-    return carried_on(np.asarray(text.to_pylist(), dtype=np.object_))
+    return carried_on(words_in(work.layout.table[name]))
 
 
 def _number(work: Work) -> str | None:

@@ -33,6 +33,7 @@ from trainlog.ingest.mapping import (
     THOUSANDS,
     ZONE,
     grouped,
+    is_text,
     numbers,
     read_time,
     states_zone,
@@ -616,7 +617,7 @@ def _cells(layout: Layout, name: str) -> list[str]:
     column = layout.table[name]
     if pa.types.is_date(column.type):
         column = column.cast(pa.string())
-    if not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)):
+    if not is_text(column):
         return []
     picked = column.take(pa.array(np.arange(0, len(column), max(1, len(column) // 600))))
     return [cell.strip() for cell in picked.to_pylist() if cell is not None and cell.strip()]
