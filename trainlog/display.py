@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -54,6 +54,18 @@ def counted(count: int, noun: str) -> str:
     ('1 trip', '2 trips', '12,345 rows')
     """
     return f"{count:,} {noun}{'s' * (count != 1)}"
+
+
+def few(words: Sequence[str], most: int) -> str:
+    """The first of some words, and how many more there are.
+
+    Examples
+    --------
+    >>> few(["Wil", "Uzwil", "Flawil", "Gossau"], 2), few(["Wil"], 2)
+    ('Wil, Uzwil and 2 more', 'Wil')
+    """
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more
 
 
 def span(values: ArrayLike, factor: float = 1.0, digits: int = 0) -> str:

@@ -21,7 +21,7 @@ from analysis.adhesion.condition_table import (
 )
 from trainlog.arrays import FloatArray
 from trainlog.condition import estimated
-from trainlog.display import counted
+from trainlog.display import counted, few
 from trainlog.errors import InputError
 from trainlog.presentation import SHARE, Column, Presented, WordTable, frame_table, new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
@@ -369,10 +369,9 @@ def _elsewhere(first: TrackConditionMap, second: TrackConditionMap) -> Iterator[
         if key in other and one[key]["layer"] != other[key]["layer"]
     ]
     if found:
-        more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
         yield (
             f"The maps count {counted(len(found), 'trip')} under different rail conditions (first,"
-            f" second): {', '.join(found[:LISTED])}{more}; one of the two is wrong."
+            f" second): {few(found, LISTED)}; one of the two is wrong."
         )
 
 

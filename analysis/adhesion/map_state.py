@@ -34,7 +34,7 @@ from analysis.adhesion.condition_table import (
 )
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import day_of_trip, known_before, left_out, setting
-from trainlog.display import counted
+from trainlog.display import counted, few
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.railway import line_of, read_line
@@ -832,8 +832,7 @@ def map_words(track: TrackConditionMap) -> list[str]:
         for note, trips in each.notes.items():
             if note.startswith(SET_ASIDE):
                 continue
-            more = f" and {len(trips) - 1} more" if len(trips) > 1 else ""
-            words.append(f"{each.layer}, {trips[0]}{more}: {note}")
+            words.append(f"{each.layer}, {few(trips, 1)}: {note}")
     return words + [
         f"trip '{trip['trip']}' is {note}"
         for trip in track.trips

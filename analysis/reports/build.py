@@ -37,7 +37,7 @@ from analysis.reports.results import (
 from analysis.reports.summary import content_of, copies_in, report, results_in
 from analysis.reports.trip import Motion, Zone, recorded_trip, trip_sections
 from trainlog import __version__
-from trainlog.display import counted, in_brief
+from trainlog.display import counted, few, in_brief
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import (
     check_kind,
@@ -493,7 +493,7 @@ def _origin(files: Sequence[Path], options: ReportOptions, source: Path) -> Sect
     if len(files) > MOST_TRACED:
         steps.caption = f"{len(files) - MOST_TRACED} more files; 'trainlog show' states theirs"
     commands = [
-        _COMMANDS[name].format(names[0] + (f" and {len(names) - 1} more" * (len(names) > 1)))
+        _COMMANDS[name].format(few(names, 1))
         for name, names in made_by.items()
         if name in _COMMANDS
     ]

@@ -69,7 +69,7 @@ from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_win
 from analysis.view import Given, TripView, each_given, views_of
 from estimators.regression import Free, regress
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.display import counted, span
+from trainlog.display import counted, few, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats import railway
 from trainlog.formats.files import sha256_of
@@ -650,11 +650,10 @@ class Sources:
             logs = list(dict.fromkeys(view.path for view in self.views if view.path is not None))
             if not logs:
                 raise
-            names = ", ".join(log.name for log in logs[:3])
-            more = f" and {len(logs) - 3} more" if len(logs) > 3 else ""
+            names = few([log.name for log in logs], 3)
             alone = len(logs) == 1
             raise NotIdentifiableError(
-                error.problem if alone else f"{error.problem} (logs {names}{more})",
+                error.problem if alone else f"{error.problem} (logs {names})",
                 file=logs[0] if alone else None,
                 place=error.place,
                 remedy=error.remedy,

@@ -32,7 +32,7 @@ from analysis.resistance.recording import (
 )
 from analysis.resistance.regression import diagnosed
 from analysis.view import Given, TripView, each_given, views_of
-from trainlog.display import counted, span
+from trainlog.display import counted, few, span
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.railway import train_of
@@ -125,8 +125,7 @@ class Fits(Presented):
         }
         reasons = [f"{trip} ({error.reason})" for trip, error in self.refused.items()]
         if reasons:
-            more = f" and {len(reasons) - 4} more" if len(reasons) > 4 else ""
-            rows["refused"] = ", ".join(reasons[:4]) + more
+            rows["refused"] = few(reasons, 4)
         return rows
 
     def tables(self) -> list[WordTable]:

@@ -61,6 +61,7 @@ from analysis.trajectory.sqp import (
     minimise,
 )
 from trainlog.arrays import FloatArray
+from trainlog.display import few
 from trainlog.errors import InfeasibleError, TrainlogError
 from trainlog.progress import note
 
@@ -742,9 +743,8 @@ def paced_grid(
 
 
 def _not_passed(failures: list[str]) -> TrainlogError:
-    words = failures[0] + (f" and {len(failures) - 1} more" if len(failures) > 1 else "")
     return TrainlogError(
-        f"the trajectory does not pass its audit: {words}",
+        f"the trajectory does not pass its audit: {few(failures, 1)}",
         remedy="more cells, or another running time",
     )
 

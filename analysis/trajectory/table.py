@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ import pandas as pd
 
 from analysis.trajectory.advice import JourneyAdvice, driver_table, journey_advice
 from analysis.trajectory.problem import adhesion_words
-from trainlog.display import at_most, counted, lateness
+from trainlog.display import at_most, counted, few, lateness
 from trainlog.formats.files import csv_bytes, write_bytes
 from trainlog.presentation import (
     DURATION,
@@ -177,7 +177,7 @@ def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTabl
     audit = certificate["audit"]
     least = max(certificate["least_time"])
     reserve = f"{certificate['reserve']:.1%} over {least:.1f} s ({clock(least)})"
-    deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
+    deciding = f"{len(trajectory.configurations)}, deciding: {few(certificate['active'], 4)}"
     bound = kwh(certificate["lower_bound"])
     agreed = certificate.get("agreement", {})
     shares = ", ".join(f"{name} {share:.2%}" for name, share in agreed.items())
@@ -315,7 +315,3 @@ def _adhesion(trajectory: Trajectory) -> str:
         return f"{share:.1%} of the adhesion counted on at most"
     by_map = trajectory.provenance.get("settings", {}).get("adhesion")
     return "planned by a map that limits it nowhere" if by_map else "not limited, for want of a map"
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

@@ -29,7 +29,7 @@ from analysis.verification.verify import (
     time_of,
     verify,
 )
-from trainlog.display import counted
+from trainlog.display import counted, few
 from trainlog.errors import MOST_LISTED, InputError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
@@ -67,9 +67,8 @@ def by_reason(left_out: Iterable[LeftOut]) -> list[str]:
 def _named(trips: Sequence[str]) -> str:
     if len(trips) == 1:
         return f"trip '{trips[0]}'"
-    more = f" and {len(trips) - MOST_NAMED} more" if len(trips) > MOST_NAMED else ""
-    first = ", ".join(f"'{each}'" for each in trips[:MOST_NAMED])
-    return f"{counted(len(trips), 'trip')} ({first}{more})"
+    named = few([f"'{each}'" for each in trips], MOST_NAMED)
+    return f"{counted(len(trips), 'trip')} ({named})"
 
 
 OF_EDGES = (

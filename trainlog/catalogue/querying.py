@@ -23,7 +23,7 @@ from trainlog.catalogue.database import (
     trip_edges,
     trips,
 )
-from trainlog.display import counted
+from trainlog.display import counted, few
 from trainlog.errors import InputError
 from trainlog.presentation import MASS, NUMBER, Column, Quantity, Said, WordTable, new_table
 from trainlog.spans import times_of
@@ -231,8 +231,7 @@ class Trips(Database):
             folded = {each.casefold(): each for each in reversed(values)}
             close = get_close_matches(value.casefold(), list(folded), n=1)
             meant = f" did you mean '{folded[close[0]]}'?" if close else ""
-            more = f" and {len(values) - 8} more" if len(values) > 8 else ""
-            known = f" known: {', '.join(values[:8])}{more}" if values else " none states any"
+            known = f" known: {few(values, 8)}" if values else " none states any"
             found.append(f"no trip has the {column} '{value}';{meant}{known}")
         return found
 
@@ -255,10 +254,9 @@ class Trips(Database):
             )
         gone = found[found["path"].isna()]
         if len(gone):
-            names = ", ".join(gone["name"].iloc[:5])
-            more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
+            names = few(gone["name"].tolist(), 5)
             raise InputError(
-                f"the logs of {counted(len(gone), 'trip')} have vanished: {names}{more}",
+                f"the logs of {counted(len(gone), 'trip')} have vanished: {names}",
                 file=self.place,
                 remedy="add the folder that they were moved to, or remove them from the catalogue",
             )

@@ -31,6 +31,7 @@ from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from trainlog.arrays import IntArray
+from trainlog.display import few
 from trainlog.errors import LogError
 from trainlog.extras import load
 from trainlog.mcap.contents import (
@@ -43,6 +44,7 @@ from trainlog.mcap.contents import (
 )
 from trainlog.mcap.records import (
     MESSAGE,
+    MOST_NAMED,
     RECORD_HEAD,
     Account,
     Source,
@@ -66,9 +68,6 @@ DEEPEST = 32
 
 LARGEST = 2**25
 """Longer messages are not decoded [bytes]: as objects they would take many times their length."""
-
-_MOST_NAMED = 8
-"""Topics that an error names."""
 
 _MOST_VALUES = 4096
 """Numbers and texts in a ROS message, apart from arrays whose length stands in the message."""
@@ -224,9 +223,8 @@ def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:
     asked = {topics} if isinstance(topics, str) else set(topics)
     held = sorted({channel.topic for channel in channels})
     for name in sorted(asked - set(held)):
-        named = ", ".join(shown(topic) for topic in held[:_MOST_NAMED]) or "none at all"
-        more = f" and {len(held) - _MOST_NAMED} more" if len(held) > _MOST_NAMED else ""
-        raise LogError(f"has no topic {shown(name)}", remedy=f"topics are {named}{more}")
+        named = few([*map(shown, held)], MOST_NAMED) or "none at all"
+        raise LogError(f"has no topic {shown(name)}", remedy=f"topics are {named}")
     return [channel for channel in channels if channel.topic in asked]
 
 

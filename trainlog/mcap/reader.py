@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from mcap.records import Attachment, Metadata
 
+from trainlog.display import few
 from trainlog.errors import InputError, LogError
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.codec import Range, decoded, range_of
@@ -35,6 +36,7 @@ from trainlog.mcap.contents import (
 )
 from trainlog.mcap.records import (
     FORMAT_RECORD,
+    MOST_NAMED,
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
     RECORDING_RECORD,
@@ -61,9 +63,6 @@ from trainlog.spans import (
 )
 from trainlog.topics import RECORDED, SCHEMA_VERSION, TOPICS, Topic, column_field
 from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip, nanoseconds
-
-_MOST_NAMED = 8
-"""Topics of a foreign file that an error names."""
 
 _Frames = dict[str, pd.DataFrame]
 _T = TypeVar("_T")
@@ -326,8 +325,7 @@ def _check_version(
     if FORMAT_RECORD not in metadata and not channels:
         held = sorted({shown(channel.topic) for channel in contents.channels.values()})
         raise LogError(
-            f"has no topic of trainlog, but {', '.join(held[:_MOST_NAMED]) or 'none at all'}"
-            + (f" and {len(held) - _MOST_NAMED} more" if len(held) > _MOST_NAMED else ""),
+            f"has no topic of trainlog, but {few(held, MOST_NAMED) or 'none at all'}",
             remedy="bring it in (trainlog ingest), or read its tables (trainlog.mcap.frames_of)",
         )
     version = metadata.get(FORMAT_RECORD, {}).get("schema_version", str(SCHEMA_VERSION))

@@ -292,6 +292,10 @@ def nothing_of(path: str | Path) -> LogError:
     )
 
 
+MOST_NAMED = 8
+"""Topics that an error names."""
+
+
 def shown(text: str) -> str:
     """A text from a file, for a message: on one line, of bounded length, in quotes."""
     cut = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 
+from trainlog.display import few
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.formats.railway import line_to_bytes
@@ -181,10 +182,9 @@ def write_replay(
         recording_id=content_id(surveys, trajectory, condition_map),
         send_properties=False,
     )
-    others = f" and {len(names) - 1} more" if len(names) > 1 else ""
     chart = chart_of([each.line for each in surveys], [e.fixes for e in surveys], tiles=asked.tiles)
     with atomic_write(path) as temporary, _saved(recording, temporary, path):
-        recording.send_recording_name(names[0] + others)
+        recording.send_recording_name(few(names, 1))
         recording.send_recording_start_time_nanos(surveys[0].clock.start)
         for first in lines:
             draw_line_of(recording, surveys[first], condition_map, chart)
