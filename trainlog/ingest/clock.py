@@ -327,9 +327,12 @@ def count_gaps(table: Table, limits: Limits) -> Result:
 
 def gap_threshold(time: IntArray, limits: Limits) -> float:
     """Time between two rows [s] beyond which it counts as a gap."""
-    if limits.gap is not None:
-        return limits.gap
-    return max(1.0, round(5.0 * usual_step(time), 3))
+    return gap_beside(usual_step(time), limits)
+
+
+def gap_beside(usual: float, limits: Limits) -> float:
+    """The same where rows usually lie so far apart [s]."""
+    return max(1.0, round(5.0 * usual, 3)) if limits.gap is None else limits.gap
 
 
 def usual_step(time: IntArray) -> float:

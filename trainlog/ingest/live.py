@@ -22,7 +22,7 @@ from trainlog.arrays import BoolArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.sfera import SferaJourney
-from trainlog.ingest.clock import same_as_previous
+from trainlog.ingest.clock import gap_beside, same_as_previous
 from trainlog.ingest.motion import MANY
 from trainlog.ingest.pipeline import (
     Given,
@@ -262,8 +262,7 @@ class Sequence:
         """Go on behind rows that follow, and count the gaps before them."""
         steps = np.diff(time, prepend=time[0] if before == NO_TIME else before)
         self._highest = int(time[-1])
-        least = self._limits.gap or max(1.0, 5.0 * self._usual() / NANOSECONDS)
-        gaps = steps > least * NANOSECONDS
+        gaps = steps > gap_beside(self._usual() / NANOSECONDS, self._limits) * NANOSECONDS
         self._met.count("gaps", gaps)
         for end, step in zip(time[gaps], steps[gaps] / NANOSECONDS, strict=True):
             self._met.longest_gap = max(self._met.longest_gap, float(step))
