@@ -325,6 +325,8 @@ def fleet(
         wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s; optional: to=2026-10-20, share=30% of
         the trips. May be given several times.
     """
+    from trainlog.formats.files import output_folder
+
     if count is not None:
         refuse_rivals("--count gives the trips in all", {"--trips-per-day": trips_per_day})
     drawn, _, lines = network.partition(":")
@@ -344,8 +346,9 @@ def fleet(
         faults=[trainlog.TrainFault.of(words) for words in fault or []],
         start=start,
     )
-    console.print(f"{fleet}")
-    logs = trainlog.write_fleet(fleet, output, jobs)
+    with output_folder(output):
+        console.print(f"{fleet}")
+        logs = trainlog.write_fleet(fleet, output, jobs)
     for each in logs.stuck:
         print_error(each.reason)
     wrote(output)

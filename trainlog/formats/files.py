@@ -327,9 +327,16 @@ def made_folder(path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     InputError
-        If it cannot be made.
+        If it cannot be made, or its name is that of a file.
     """
     made = Path(path)
+    suffix = made.suffix or made.name
+    if suffix.lower() in _FILE_SUFFIXES and not made.is_dir():
+        raise InputError(
+            f"is the name of a {suffix} file, and a folder is needed",
+            file=made,
+            remedy=f"name a folder, such as {made.with_name(made.stem.lstrip('.'))}",
+        )
     try:
         made.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -348,7 +355,7 @@ def output_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     InputError
-        If it cannot be made, or its name is that of a file.
+        As `made_folder`.
 
     Examples
     --------
@@ -360,13 +367,6 @@ def output_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     False
     """
     wanted = Path(path)
-    suffix = wanted.suffix or wanted.name
-    if suffix.lower() in _FILE_SUFFIXES and not wanted.is_dir():
-        raise InputError(
-            f"is the name of a {suffix} file, and a folder is needed",
-            file=wanted,
-            remedy=f"name a folder, such as {wanted.with_name(wanted.stem.lstrip('.'))}",
-        )
     missing = [folder for folder in (wanted, *wanted.parents) if not folder.exists()]
     try:
         yield made_folder(wanted)
