@@ -26,8 +26,16 @@ from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.replay import run_viewer, viewer, write_replay
 from trainlog.replay.layout import DRAWN, scalars, write_layout
-from trainlog.replay.picture import HeadlessViewer, headless_viewer, take_picture
-from trainlog.replay.viewer import NOWHERE, has_display, offline, open_viewer, web_viewer
+from trainlog.replay.viewer import (
+    NOWHERE,
+    HeadlessViewer,
+    has_display,
+    headless_viewer,
+    offline,
+    open_viewer,
+    take_picture,
+    web_viewer,
+)
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip, frame_of
 

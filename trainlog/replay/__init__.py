@@ -9,18 +9,16 @@ require("rerun")
 
 from trainlog.replay.layout import scalars as scalars, write_layout as write_layout
 from trainlog.replay.live import LiveReplay as LiveReplay, live_replay as live_replay
-from trainlog.replay.picture import (
-    HeadlessViewer as HeadlessViewer,
-    headless_viewer as headless_viewer,
-    take_picture as take_picture,
-)
 from trainlog.replay.recording import (
     Replay as Replay,
     ReplayOptions as ReplayOptions,
     write_replay as write_replay,
 )
 from trainlog.replay.viewer import (
+    HeadlessViewer as HeadlessViewer,
     has_display as has_display,
+    headless_viewer as headless_viewer,
     open_viewer as open_viewer,
     run_viewer as run_viewer,
+    take_picture as take_picture,
 )
