@@ -179,25 +179,53 @@ def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
             letters, speeds = letters + letter, [*speeds, after]
             more.append(min(draw(st.sampled_from([0.0, 0.5, 3.0, 9.0])), more[-1] + 5.0))
             others += "B" if letter == "C" and more[-1] < more[-2] - 2.0 else letter
-    plan, phases = _with_phases(letters + "B", [*speeds, 0.0]), [letters + "B", others + "B"]
-    every = np.column_stack((np.array([speeds, np.add(speeds, more)]) / 3.6, np.zeros(2)))
-    fastest = np.maximum(every[1, 1:], every[1, :-1])
     pieces = np.cumsum([draw(st.booleans()) for _ in letters] + [True])
     slack = draw(st.lists(st.sampled_from([0.0, 0.3, 4.0, 60.0]), min_size=16, max_size=16))
+    plan = _of_two(letters + "B", others + "B", speeds, more)
+    fastest = np.maximum(plan.speeds[1, 1:], plan.speeds[1, :-1])
     values = [fastest[pieces == each].max() + slack[each] / 3.6 for each in np.unique(pieces)]
     starts = np.flatnonzero(np.diff(pieces, prepend=-1))
+    return plan, StepProfile(plan.positions[starts], np.array(values))
+
+
+def _of_two(letters: str, others: str, speeds: list[float], more: list[float]) -> Trajectory:
+    """A plan of one configuration, and another that is so much faster at each place [km/h]."""
+    plan, phases = _with_phases(letters, [*speeds, 0.0]), [letters, others]
+    every = np.column_stack((np.array([speeds, np.add(speeds, more)]) / 3.6, np.zeros(2)))
     one = plan.configurations[0]
     return replace(
         plan, configurations=(one, replace(one, name="faster")), speeds=every,
         times=np.stack((plan.times[0], plan.times[0] - 1e-3)), certificate={"phases": phases},
         braking_effort=np.array([[BRAKES.get(x, 0.0) for x in each] for each in phases]),
-    ), StepProfile(plan.positions[starts], np.array(values))  # fmt: skip
+    )  # fmt: skip
 
 
 @settings(max_examples=200)
 @given(drawn_plans())
 def test_rows_say_what_any_plan_does(drawn):
-    plan, limits = drawn
+    _check_rows(*drawn)
+
+
+@pytest.mark.parametrize(
+    ("letters", "speeds", "more", "limits"),
+    [
+        ("TTTTTTTB", [40] * 6 + [41], {4: 3.0}, {0.0: 43.0, 1500.0: 40.0, 1800.0: 41.0}),
+        ("T" * 10 + "CCCCB", [40] * 14, {11: 0.5, 13: 0.5, 14: 3.0}, {0.0: 40.5, 3600.0: 43.0}),
+        (
+            "TTTTTCTTTB", [66, 66, 66, 91, 131, 136, 136, 136, 136], {6: 3.0},
+            {0.0: 139.0, 2100.0: 136.0},
+        ),
+        ("TCCCB", [40, 39, 39, 39], {3: 0.5}, {0.0: 40.0, 1200.0: 39.0}),
+    ],
+    ids=["a lower limit later", "a higher limit later", "a limit ahead", "rises after a fall"],
+)  # fmt: skip
+def test_a_speed_not_to_exceed_is_below_no_configuration(letters, speeds, more, limits):
+    speeds = [0.0, *map(float, speeds)]
+    plan = _of_two(letters, letters, speeds, [more.get(k, 0.0) for k in range(len(speeds))])
+    _check_rows(plan, StepProfile(np.array([*limits]), np.array([*limits.values()]) / KMH))
+
+
+def _check_rows(plan: Trajectory, limits: StepProfile) -> None:
     places, speeds, top = plan.positions, plan.speeds[0], 1.0 / KMH
     phases = np.array([["TPCHB".index(x) for x in each] for each in plan.certificate["phases"]])
     rows = instructions(plan, limits)

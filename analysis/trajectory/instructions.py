@@ -152,8 +152,8 @@ _AHEAD = 8.0
 _NEAR = 8.0 / KMH
 """A limit is stated where a configuration that coasts comes so near to it [m/s]."""
 
-_WHOLE = 1e-2
-"""What a whole number of km/h may lack for rounding errors."""
+_WHOLE, _EXACT = 1e-2, 1e-9
+"""What a whole number of km/h may lack for rounding errors: of a plan, and of a limit."""
 
 _TINY = 1e-3
 """Shorter pieces [m] are none."""
@@ -169,15 +169,15 @@ def _rounded(speed: float, most: float) -> float:
     return float(min(np.round(KMH * speed), np.floor(KMH * most + _WHOLE))) / KMH
 
 
-def rounded_down(speed: float) -> float:
-    """A speed [m/s] in whole km/h, never more than it is.
+def rounded_down(speed: float, lacking: float = _WHOLE) -> float:
+    """A speed [m/s] in whole km/h: rounded down, unless it lacks no more than `lacking` [km/h].
 
     Examples
     --------
     >>> round(3.6 * rounded_down(25.2 + 0.25), 3)
     91.0
     """
-    return float(np.floor(KMH * speed + _WHOLE)) / KMH
+    return float(np.floor(KMH * speed + lacking)) / KMH
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,9 +300,13 @@ class Instruction:
         return f"; at most {', '.join(words)}" if words else ""
 
 
-def _with_cap(caps: list[Cap], cap: Cap, slack: float = 0.0) -> list[Cap]:
-    """Speeds not to exceed with one more, unless the one before, no higher, holds for it, too."""
-    if caps and caps[-1].speed <= cap.speed + slack and caps[-1].end >= cap.start:
+def _with_cap(caps: list[Cap], cap: Cap, planned: float, slack: float = 0.0) -> list[Cap]:
+    """Speeds not to exceed with one more, unless the one before, no higher, holds for it, too.
+
+    It does not where a configuration is `planned` to be faster [m/s].
+    """
+    lower = caps and caps[-1].speed <= cap.speed + slack and caps[-1].end >= cap.start
+    if lower and planned <= caps[-1].speed + NOTICED:
         return [*caps[:-1], replace(caps[-1], end=cap.end)]
     return [*caps, cap]
 
@@ -312,7 +316,7 @@ def limits_between(limits: StepProfile, first: float, last: float) -> list[Cap]:
     edges = limits.positions
     inside = edges[(edges > first + _TINY) & (edges < last - _TINY)].tolist()
     return [
-        Cap(rounded_down(float(limits(begin + _TINY))), begin, end)
+        Cap(rounded_down(float(limits(begin + _TINY)), _EXACT), begin, end)
         for begin, end in pairwise([first, *inside, last])
     ]
 
@@ -378,7 +382,9 @@ class _Plan:
         held = (every == Phase.CRUISING) | (every == Phase.PARTIAL_BRAKING)
         if np.any(fast & held):
             # A speed that is held below the limits is the train's own top speed.
-            self.limits = StepProfile(limits.positions, np.minimum(limits.values, top))
+            self.limits = StepProfile(
+                limits.positions, np.minimum(limits.values, max(top, rounded_down(top)))
+            )
         inertia = np.array([each.inertia for each in trajectory.configurations])[:, None]
         braking = trajectory.braking_effort / inertia
         self.net = np.abs(trajectory.tractive_effort / inertia[row] - braking[row])
@@ -509,17 +515,22 @@ class _Plan:
             first, last = np.searchsorted(self.places, [piece.start, piece.end])
             speeds = self.trajectory.speeds[:, first : last + 1]
             near = speeds.max() > piece.speed - _NEAR
-            rises = np.any(speeds[:, :-1].max(axis=1) > speeds[:, 0] + 0.1 * NOTICED)
+            risen = speeds[:, :-1] - np.minimum.accumulate(speeds[:, :-1], axis=1)
+            rises = np.any(risen > 0.1 * NOTICED)
             begins = piece.start == row.position and not coasts
             if drives and near and piece.speed < row.target - _WHOLE:
-                found.append(replace(piece, start=row.position))
+                # From where none is planned to be faster up to there.
+                here = slice(int(np.searchsorted(self.places, row.position)), int(first))
+                slow = self.highest[here] <= piece.speed + NOTICED
+                free = here.stop - int(np.argmin(slow[::-1])) if not slow.all() else here.start
+                found.append(replace(piece, start=float(self.places[free])))
             elif (
                 near
                 and not (drives or begins)
                 and piece.start < row.by
                 and (rises or before > piece.speed)
             ):
-                found = _with_cap(found, piece)
+                found = _with_cap(found, piece, float(speeds.max()))
             before = piece.speed
         if coasts:
             past = np.array([row.end + _AHEAD * row.until])
@@ -527,7 +538,11 @@ class _Plan:
             brakes = after is not None and after.phase > Phase.COASTING
             least = row.until if brakes else min(row.until, soon - 2.0 * NOTICED)
             if fastest > least + NOTICED:
-                end = Cap(rounded_down(fastest if brakes else min(fastest, soon)), row.end, row.end)
+                most, ahead = rounded_down(fastest), rounded_down(soon)
+                if not brakes and fastest <= ahead + NOTICED:
+                    most = min(most, ahead)
+                end = Cap(most, row.end, row.end)
                 # Within what is noticed of the speed up to there, it is said by that.
-                found = _with_cap(found, end, 0.0 if brakes else NOTICED + _WHOLE / KMH)
+                slack = 0.0 if brakes else NOTICED + _WHOLE / KMH
+                found = _with_cap(found, end, fastest, slack)
         return found
