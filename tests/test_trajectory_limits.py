@@ -18,9 +18,11 @@ from trajectory_cases import (
     slippery,
 )
 
+from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.rollout import run_together
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_trajectory, write_trajectory
 from trainlog.railway import Configuration, Line, TimingPoint, TrackConditionMap
@@ -59,6 +61,21 @@ def test_the_map_limits_the_efforts_where_it_was_observed():
     assert found.certificate["audit"]["adhesion"] <= 1.0 + 1e-6
     assert free.certificate["energy"] < found.certificate["energy"]
     assert np.array_equal(unaware.tractive_effort, free.tractive_effort)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_common_brake_is_within_what_the_weakest_can_do(seed):
+    """The lightest keeps its deceleration with less effort than the heaviest has."""
+    run = TrajectoryProblem(
+        hilly_line(), FLIRT, drawn(FLIRT, 4, seed=seed, spread=0.2), braking="common",
+        final_speed=8.0,
+    )  # fmt: skip
+    fastest = fastest_run(run)
+    problem = discretise(run, np.linspace(0.0, 8_000.0, 161))
+    tapered, plan = run_together(problem, fastest.at(problem.positions))
+    braking, most = plan.braking, tapered.most_braking(plan.z)
+    assert braking.max() > 0.9 * most.min(axis=0).max()
+    assert np.all(braking <= most * (1.0 + 1e-9))
 
 
 def test_common_brakes_are_common_and_cost_no_less():

@@ -790,6 +790,9 @@ class DrivenPlan:
         late = max(float(each.max()) for each in delays(problem, driven, running_time))
         kept = z[:, -1].max() <= problem.final_ceiling + _SPARE_Z
         kept &= bool(np.all(z >= problem.floor - _SPARE_Z) and np.all(z[:, 1:-1] > 0.0))
+        if problem.common:
+            beyond = driven.braking - problem.most_braking(z)
+            kept &= bool(beyond.max() <= _VIOLATION * problem.braking.max())
         return DrivenPlan(problem, driven, late if kept else np.inf)
 
     @staticmethod

@@ -202,7 +202,8 @@ class DiscreteProblem:
     taper : Taper
         Of the common traction; `drag0` holds it, so that the motion is that of the cells' means.
     braking : (q, n) array [m/s²]
-        Largest braking effort, all brakes together; eq. (7) with comfort and adhesion.
+        Largest braking effort, all brakes together; eq. (7) with comfort and adhesion. Of a
+        common brake the least of all.
     friction, dynamic : (q, n) array [m/s²]
         What each kind of brake can do.
     dynamic_power : float [W/kg]
@@ -509,6 +510,10 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
     efforts = effort_limits(run, inside(positions, SUBSTEPS), run.adhesion(positions))
     power, fastest = np.array([c.max_power for c in run.configurations]), run.train.max_speed
     own, braking = train.traction_curve, train.dynamic_braking_curve
+    brakes = efforts.braking / reference
+    if run.braking == "common":
+        # None brakes harder than the one that can do least.
+        brakes = np.broadcast_to(brakes.min(axis=0), brakes.shape)
     return DiscreteProblem(
         run=run,
         positions=positions,
@@ -523,7 +528,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         traction=efforts.traction.min(axis=0) / reference,
         power=power / reference,
         taper=Taper(np.zeros(step.size), np.zeros(step.size)),
-        braking=efforts.braking / reference,
+        braking=brakes,
         friction=efforts.friction / reference,
         dynamic=efforts.dynamic / reference,
         dynamic_power=train.max_dynamic_braking_power / reference,
