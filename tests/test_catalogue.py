@@ -25,6 +25,7 @@ import trainlog
 from analysis.view import views_of
 from trainlog.catalogue import Catalogue, Computation, FileEntry, ResultOutcome, open_catalogue
 from trainlog.catalogue.database import metadata
+from trainlog.catalogue.querying import overview_table
 from trainlog.errors import InputError
 from trainlog.identity import Known, TripIdentity, same_drives
 from trainlog.mcap import DamageWarning, account_of
@@ -275,6 +276,17 @@ def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(wh
     (logs / "deep" / "stopping.mcap").write_text("no log")
     assert catalogue.add(logs).counts["refused"] == 1
     assert len(catalogue) == 2
+
+
+def test_trips_of_unknown_train_and_weather_are_summed_under_a_dash(where, logs):
+    catalogue = where()
+    known = trainlog.read(logs / "nonstop.mcap")
+    trainlog.write(replace(known, metadata={}), logs / "nonstop.mcap")
+    catalogue.add(logs)
+    for by in ("train", "weather"):
+        cells = {row[0] for row in overview_table(catalogue, by).words}
+        assert len(cells) == 2
+        assert "-" in cells
 
 
 def test_many_files_are_read_by_several_processes_with_the_same_result(

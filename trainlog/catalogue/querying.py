@@ -495,10 +495,11 @@ _NAMES = {"route": "trains", "weather": "weather"}
 
 def overview_table(catalogue: Catalogue, by: str = "route") -> WordTable:
     """How many trips there are by train and line, or by what is given."""
-    frame = catalogue.overview(by).map(_cell)
+    frame = catalogue.overview(by)
     columns = [each for each in _COLUMNS if each.name in frame]
     table = new_table(f"Catalogue {catalogue.place}", *columns, name=_NAMES.get(by, f"{by}s"))
-    return table.add_rows(frame.to_dict("records"))
+    rows = frame.to_dict("records")
+    return table.add_rows({name: _cell(row[name]) for name in row} for row in rows)
 
 
 def _cell(value: Any) -> Any:
