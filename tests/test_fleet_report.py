@@ -20,7 +20,13 @@ from analysis.fleet.checks import contradicted_dates
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Cause, Explanation, Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
-from analysis.reports.fleet import FleetFacts, FleetReportOptions, attention_parts, fleet_page
+from analysis.reports.fleet import (
+    FleetFacts,
+    FleetReportOptions,
+    _by_day,
+    attention_parts,
+    fleet_page,
+)
 from analysis.reports.page import Page, Section
 from trainlog import DEFAULT_LINE, Edge, Network, Node, read_line, sample, write_network
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
@@ -93,6 +99,15 @@ def test_trips_and_energy_are_those_of_the_tables(catalogue, page):
     assert edge["runs"] == len(driving)
     lost = {row["cause"]: row["a_run_s"] for row in table_of(page, "lost_time")}
     assert lost["slower"] == pytest.approx(driving["lost_slower"].mean())
+
+
+def test_days_without_trips_have_no_bar():
+    """A clock that starts at 1980-01-06 would give thousands of them."""
+    starts = pd.to_datetime(["1980-01-06", "2026-10-01", "2026-10-01"], utc=True)
+    chart = _by_day(pd.DataFrame({"start": starts, "kind": ["a", "a", None]}))
+    first, second = chart.panels[0].curves
+    np.testing.assert_array_equal(first.x, [3_657.0, 20_727.0])
+    np.testing.assert_array_equal((first.y, second.y), [(1.0, 1.0), (1.0, 2.0)])
 
 
 @pytest.mark.usefixtures("unpainted_page")

@@ -319,8 +319,6 @@ def _by_day(trips: pd.DataFrame) -> Part:
     day = trips["start"].dt.tz_localize(None).dt.floor("D")
     counts = trips.assign(_kind=trips["kind"].fillna("").replace("", "kind not stated"))
     table = pd.crosstab(day, counts["_kind"])
-    table = table.reindex(pd.date_range(day.min(), day.max()), fill_value=0)
-
     at = pd.DatetimeIndex(table.index).as_unit("s").asi8 / 86_400.0
     top = table.cumsum(axis=1)
     colours = (BLUE, ORANGE, GREEN, GREY)
