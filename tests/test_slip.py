@@ -398,6 +398,26 @@ def no_axle_speed(trip: Trip) -> Trip:
     return trip.with_topic(axles)
 
 
+@pytest.mark.parametrize("efforts", ["with the speeds", "between them"])
+def test_rows_without_any_wheel_speed_are_no_samples(trips, efforts):
+    trip = trips[0].trip
+    axles = trip["/train/axles"]
+    between = axles.set_axis(axles.index + pd.Timedelta("50ms"))
+    speeds = [name for name in axles if name.startswith("wheel_speed_")]
+    apart = {name: np.nan for name in axles if name not in speeds}
+    if efforts == "between them":
+        axles, between = axles.assign(**apart), between.assign(**dict.fromkeys(speeds, np.nan))
+    else:
+        between = between * np.nan
+    every = pd.concat([axles, between]).sort_index()
+    every.attrs = axles.attrs
+    found, whole = slip(trip.with_topic(every)), slip(trip)
+    assert found.time.equals(whole.time)
+    assert len(found.events) == pytest.approx(len(whole.events), rel=0.02)
+    if efforts == "with the speeds":
+        pd.testing.assert_frame_equal(found.events, whole.events)
+
+
 def of_train(trip: Trip, train: Train) -> Trip:
     stated = {TRAIN_ATTACHMENT: train_to_bytes(train)}
     return replace(trip, attachments={**trip.attachments, **stated})

@@ -184,17 +184,21 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         samples.
     """
     frame = trip[TRAIN_AXLES.name]
+    numbers, speeds, notes = _speeds(trip, frame, train)
+    # A row without any wheel speed is no sample of them.
+    measured = np.flatnonzero(np.isfinite(speeds).any(axis=1))
+    efforts = _axle_efforts(frame, train.axles.count)
+    own = None if efforts is None else efforts[measured]
+    frame, speeds = frame.iloc[measured], speeds[measured]
     if len(frame) < 2:
         raise LogError(
             f"trip '{trip.name}': /train/axles holds {counted(len(frame), 'sample')}",
             remedy="record the axles over the whole trip",
         )
-    numbers, speeds, notes = _speeds(trip, frame, train)
     time, clock = seconds(frame), pd.DatetimeIndex(frame.index)
     sampling = float(np.median(np.diff(time)))
     gain, delay, said = _corrections(known)
     total = _total(trip, clock)
-    own = _axle_efforts(frame, train.axles.count)
     level, own, more = _level(own, total, known)
     if own is None:
         own = np.full((len(frame), train.axles.count), np.nan)
