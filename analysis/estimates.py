@@ -70,6 +70,7 @@ def with_estimates(trip: Trip | TripView) -> tuple[Trip, tuple[str, ...]]:
     ()
     """
     refusals: list[str] = []
+    first: TrainlogError | None = None
     added: list[str] = []
     view = view_of(trip)
     result = view.trip
@@ -83,10 +84,12 @@ def with_estimates(trip: Trip | TripView) -> tuple[Trip, tuple[str, ...]]:
             added.append(name)
         except TrainlogError as error:
             refusals.append(f"{name}: {error}")
-    if not added:
+            first = first or error
+    if first is not None and not added:
         raise LogError(
-            f"trip '{view.name}': nothing can be estimated; {refusals[0]}",
-            remedy="give a log with /train/state",
+            f"trip '{view.name}': nothing can be estimated; state: {first.problem}",
+            place=first.place,
+            remedy=first.remedy if "/train/state" in result else "give a log with /train/state",
         )
     done = result.with_step(
         "estimate", software=f"trainlog {__version__}", added=added, refused=refusals

@@ -167,8 +167,9 @@ def test_a_state_of_one_sample_is_not_smoothed(simulated):
     one = simulated[0].with_topic(simulated[0]["/train/state"].iloc[:1])
     assert "/train/state holds 1 sample; record it" in with_estimates(one)[1][0]
     twice = simulated[0]["/train/state"].iloc[[0, 0, 1, 1]]
-    said = "state: topic /train/state, row 1: trip 'trip-01': time does not increase"
-    refused(LogError, said, with_estimates, simulated[0].with_topic(twice))
+    said = "can be estimated; state: trip 'trip-01': time does not increase; ingest the recording"
+    stated = refused(LogError, said, with_estimates, simulated[0].with_topic(twice))
+    assert stated.place == "topic /train/state, row 1"
 
 
 def test_band_holds_the_whole_curve_as_often_as_it_says():
