@@ -10,6 +10,7 @@ it, the row was dropped.
 from __future__ import annotations
 
 import io
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -28,6 +29,7 @@ from trainlog.errors import LogError
 from trainlog.presentation import Presented
 from trainlog.topics import EVENTS, RECORDED, TOPICS, Field, Topic, column_field, recorded_topic
 from trainlog.trip import Trip, frame_of
+from trainlog.units import EARTH_RADIUS
 
 NO_TIME = int(np.iinfo(np.int64).min)
 """Time of a row whose clock could not be read."""
@@ -35,7 +37,7 @@ NO_TIME = int(np.iinfo(np.int64).min)
 TIME_CELL = "time"
 """Column of a `Raw` that holds times which could not be read."""
 
-METRES_PER_DEGREE = 111_195.0
+METRES_PER_DEGREE = math.radians(EARTH_RADIUS)
 """Length of a degree of latitude [m]."""
 
 INFO, WARNING = 2, 3
