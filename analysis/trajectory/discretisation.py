@@ -202,8 +202,7 @@ class DiscreteProblem:
     taper : Taper
         Of the common traction; `drag0` holds it, so that the motion is that of the cells' means.
     braking : (q, n) array [m/s²]
-        Largest braking effort, all brakes together; eq. (7) with comfort and adhesion. Of a
-        common brake the least of all.
+        Largest braking effort, all brakes together; eq. (7) with comfort and adhesion.
     friction, dynamic : (q, n) array [m/s²]
         What each kind of brake can do.
     dynamic_power : float [W/kg]
@@ -302,6 +301,13 @@ class DiscreteProblem:
             for speed in (fastest, slowest):
                 found = np.minimum(found, self.dynamic_curves.at(speed))
         return np.asarray(found)
+
+    @property
+    def usable_braking(self) -> FloatArray:
+        """What each brake may do at most: a common one what the weakest of all can, (q, n)."""
+        if not self.common:
+            return self.braking
+        return np.broadcast_to(self.braking.min(axis=0), self.braking.shape)
 
     def most_braking(self, z: FloatArray, spare: float = 0.0) -> FloatArray:
         """The most that all brakes together can do all through each cell, (q, n) [m/s²].
@@ -510,10 +516,6 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
     efforts = effort_limits(run, inside(positions, SUBSTEPS), run.adhesion(positions))
     power, fastest = np.array([c.max_power for c in run.configurations]), run.train.max_speed
     own, braking = train.traction_curve, train.dynamic_braking_curve
-    brakes = efforts.braking / reference
-    if run.braking == "common":
-        # None brakes harder than the one that can do least.
-        brakes = np.broadcast_to(brakes.min(axis=0), brakes.shape)
     return DiscreteProblem(
         run=run,
         positions=positions,
@@ -528,7 +530,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         traction=efforts.traction.min(axis=0) / reference,
         power=power / reference,
         taper=Taper(np.zeros(step.size), np.zeros(step.size)),
-        braking=brakes,
+        braking=efforts.braking / reference,
         friction=efforts.friction / reference,
         dynamic=efforts.dynamic / reference,
         dynamic_power=train.max_dynamic_braking_power / reference,

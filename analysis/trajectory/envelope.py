@@ -372,7 +372,8 @@ def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None)
                 fastest = np.minimum(fastest, by_curve)
             highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
             ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
-    brakes, motion = _brakes_of(problem), _motion_of(problem)
+    brakes = _brakes_of(replace(problem, braking=problem.usable_braking))
+    motion = _motion_of(problem)
     curve: FloatArray = brake_backwards(ceiling, problem.final, traction, brakes, motion)
     return curve
 

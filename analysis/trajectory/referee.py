@@ -218,7 +218,7 @@ def _bounded(
     high_z = np.tile(problem.ceiling, (q, 1))
     low_z[:, 0] = high_z[:, 0] = problem.initial
     low_z[:, n], high_z[:, n] = 0.0, problem.final_ceiling
-    brakes = problem.braking[:1] if problem.common else problem.braking
+    brakes = problem.usable_braking[:1] if problem.common else problem.braking
     most_dynamic = problem.dynamic if dynamic.numel() else np.empty((0, n))
     unknowns = ca.veccat(z, traction, braking, dynamic, worst)
     zeros, spare = np.zeros(brakes.size + most_dynamic.size), np.abs(problem.taper.fall)

@@ -354,7 +354,7 @@ def _run_at(problem: DiscreteProblem, curves: FloatArray, cruising_speed: float)
     z, traction, braking = cruise(
         curves, cruising_speed, problem.common, problem.initial, problem.traction, problem.gain,
         problem.power, *_curve_arrays(problem), problem.taper.fall, problem.taper.crest,
-        problem.braking, problem.drag0, problem.drag1, problem.drag2, problem.step,
+        problem.usable_braking, problem.drag0, problem.drag1, problem.drag2, problem.step,
     )  # fmt: skip
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
