@@ -27,7 +27,7 @@ _DOUBLINGS, _EXACT = 4, 1e-4
 ARRIVAL_TOLERANCE = 1e-4
 """Lateness that an audited trajectory may have [s]."""
 
-SPEED_TOLERANCE = 1e-5
+SPEED_TOLERANCE = 1e-6
 """Excess over the permitted speed [m/s]."""
 
 EFFORT_TOLERANCE = 1e-6
