@@ -108,7 +108,7 @@ def changed(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
     ("content", "path", "value", "message"),
     [
         (TRACK, "cant", 1, ", cant: unknown key 'cant'; correct its spelling or remove it"),
-        (TRACK, "metadata/version", "1", ", metadata.version: unknown key 'version'; correct its"),
+        (TRACK, "metadata/version", "1", ", metadata.version: unknown key 'version'; did you mean"),
         (TRACK, "ETCS braking data/Kv", 1, ", ETCS braking data.Kv: unknown key 'Kv'; correct"),
         (TRACK, "stops/unit", "s", ", stops.unit: unit 's' cannot be read as m; declare a unit"),
         (TRACK, "stops/values", [0, 2, 2], ", stops.values[2]: stop at 2000 m follows stop at"),
@@ -130,7 +130,7 @@ def changed(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
             TRAIN,
             "efficiency traction",
             {"units": {"load": "%"}, "values": [[0, 1]]},
-            ": 4 problems: (1) efficiency traction.units: unknown key 'units'; correct its",
+            ": 4 problems: (1) efficiency traction.units: unknown key 'units'; did you mean",
         ),
     ],
 )

@@ -27,8 +27,8 @@ _DOUBLINGS, _EXACT = 4, 1e-4
 ARRIVAL_TOLERANCE = 1e-4
 """Lateness that an audited trajectory may have [s]."""
 
-SPEED_TOLERANCE = 1e-6
-"""Excess over the permitted speed [m/s]."""
+SPEED_TOLERANCE, POINT_TOLERANCE = 1e-6, 1e-5
+"""Excess over the permitted speed, and beyond a speed at a passing point [m/s]."""
 
 EFFORT_TOLERANCE = 1e-6
 """Excess over a limit of power, effort or adhesion, relative."""
@@ -91,7 +91,7 @@ class Audit:
             ("arrives late by [s]", self.arrival - running_time, ARRIVAL_TOLERANCE),
             ("passes too early by [s]", self.early, ARRIVAL_TOLERANCE),
             ("passes too late by [s]", self.tardy, ARRIVAL_TOLERANCE),
-            ("passes too slowly or too fast by [m/s]", self.slow, SPEED_TOLERANCE),
+            ("passes too slowly or too fast by [m/s]", self.slow, POINT_TOLERANCE),
             ("stops short by [m]", self.shortfall, STOPPING_TOLERANCE),
             ("is too fast at the end by [m/s]", self.end_speed - run.final_speed, END_TOLERANCE),
             ("exceeds the permitted speed by [m/s]", self.overspeed, SPEED_TOLERANCE),
