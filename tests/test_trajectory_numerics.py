@@ -11,9 +11,10 @@ from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, opt
 
 from analysis.studies.cunillera_2022.model import phases_by_switching
 from analysis.trajectory import active_set, convex, optimiser
-from analysis.trajectory.active_set import Answer
+from analysis.trajectory.active_set import Answer, initial_guess, searched
 from analysis.trajectory.convex import NoSolutionError, power_cells
 from analysis.trajectory.discretisation import discretise, graded_mesh
+from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.instructions import Phase, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import Solution
@@ -115,6 +116,19 @@ def test_cells_too_long_to_be_passed_within_their_limit_have_no_power():
     cells = discretise(problem, np.array([0.0, 500.0, 1_000.0, 2_500.0, 2_750.0, 3_000.0]))
     assert np.flatnonzero(cells.ceiling < 0.0).tolist() == [2, 3]
     assert power_cells(cells, 0.5, np.ones(5)).tolist() == [0, 1, 3, 4]
+
+
+def test_a_stop_within_one_long_cell_is_driven_to_the_millimetre():
+    """Steps near the standstill are inexact: the train stops short, unless the cell is split."""
+    run = TrajectoryProblem(level_line(8_000.0, (0.0, 120.0)), FLIRT, observed(FLIRT, 1.0))
+    fastest = fastest_run(run)
+    ramp = np.array([0.0, 2.0, 6.0, 15.0, 40.0, 100.0, 250.0, 600.0])
+    problem = discretise(run, np.append(ramp, np.arange(1_000.0, 8_001.0, 500.0)))
+    time = 1.1 * float(fastest.times[0])
+    guess = initial_guess(problem, fastest.at(problem.positions), time)
+    answer, found, _ = searched(problem, guess, fastest, time)
+    assert found.failures(run, time) == []
+    assert answer.problem.step[-1] < 0.5 * problem.step[-1]
 
 
 def test_embedded_line_and_train_with_twelve_configurations():

@@ -657,8 +657,10 @@ def split_where_long(answer: Answer, found: Audit) -> FloatArray:
     """
     problem, z = answer.problem, 0.5 * found.speeds**2
     reached = integrate_cells(problem, replace(answer.plan, z=z))[0]
-    # Where the audit stands it shows nothing more.
-    error = np.where(z[:, 1:] > 0.0, np.abs(reached - z[:, 1:]), 0.0).max(axis=0) / _PARTED
+    # Where the audit stands it shows nothing more: what it lacks to the end would have been left.
+    error = np.where(z[:, 1:] > 0.0, np.abs(reached - z[:, 1:]), 0.0).max(axis=0)
+    error[-1] += float((found.shortfall * z[:, -2]).max()) / problem.step[-1]
+    error /= _PARTED
     parts = np.clip(np.ceil(error**0.25), 1, _MOST_PARTS).astype(int)
     shares = np.concatenate([np.arange(count) / count for count in parts.tolist()])
     cell = np.repeat(np.arange(parts.size), parts)
