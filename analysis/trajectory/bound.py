@@ -585,7 +585,7 @@ def costate_of(
     limit, floor = node_limits(hamiltonian)
     limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
     held = limited[:, :-1] & limited[:, 1:]
-    shared, own = partial_cells(hamiltonian, mean, near)
+    shared, pulls, own = partial_cells(hamiltonian, mean, near)
     alone = ~np.isnan(own)
     partial = shared | alone
     flat = alone | (held & (shape.mean(axis=2) < 0.0))
@@ -604,7 +604,6 @@ def costate_of(
     trust = np.where(partial, 1e-6, 1.0) * np.where(creeping, 1e-12, 1.0) / step**2
     left, right = end[:, :-1], begin[:, 1:]
     middle = (trust[:, :-1] * left + trust[:, 1:] * right) / (trust[:, :-1] + trust[:, 1:])
-    pulls = _inside(plan.traction, most_efforts(problem, plan)[0]) & shared
     give = np.where(pulled & pulls, give, 0.0)
     levels = _Levels(give, np.where(braked, own, np.nan), hamiltonian.prices.traction, gain)
     begin, end = levels.kept(begin), levels.kept(end)
@@ -645,19 +644,25 @@ def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
 
 def partial_cells(
     hamiltonian: Hamiltonian, mean: FloatArray, near: float
-) -> tuple[BoolArray, FloatArray]:
-    """Cells in which a control is partial that all share, (n,); and the levels of single ones.
+) -> tuple[BoolArray, BoolArray, FloatArray]:
+    """Where a control is partial that all share, and where one that each has by itself.
 
-    There the costate times the gain is at a level, (q, n), elsewhere NaN; by common traction, or a
-    common brake, the sum of all is.
+    Returns
+    -------
+    shared : (n,) array of bool
+        Of common traction, or a common brake: the sum of the costates is at a level.
+    pulls : (n,) array of bool
+        Those of them in which traction is well inside its limits.
+    level : (q, n) array
+        Of the costate times the gain where each has its own; elsewhere NaN.
     """
     problem, prices, plan = hamiltonian.problem, hamiltonian.prices, hamiltonian.plan
     own, regained = mean * problem.gain[:, None], prices.regained[:, None]
     worth = np.asarray(own.sum(axis=0))
     pull, brake = most_efforts(problem, plan)
     # Multipliers are less exact than controls: where one is inside its limits a level is wide.
-    pulled = np.where(_inside(plan.traction, pull), near, _LEVEL)
-    shared = np.abs(worth - prices.traction) < pulled
+    pulls = _inside(plan.traction, pull)
+    shared = np.abs(worth - prices.traction) < np.where(pulls, near, _LEVEL)
     braked = np.where(_inside(plan.braking, brake), near, _LEVEL)
     level = np.full(own.shape, np.nan)
     if problem.common:
@@ -665,7 +670,7 @@ def partial_cells(
     else:
         for each in (regained, np.zeros((1, 1))):
             level = np.where(np.abs(own - each) < braked, each, level)
-    return np.asarray(shared), level
+    return np.asarray(shared), np.asarray(pulls & shared), level
 
 
 def _inside(effort: FloatArray, most: FloatArray) -> BoolArray:
