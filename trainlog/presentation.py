@@ -111,6 +111,7 @@ class Quantity:
 SPEED = Quantity("m_s", "km/h", KMH)
 POSITION = Quantity("m", "km", 1e-3, 3)
 DURATION = Quantity("s", "s")
+HOURS = Quantity("s", "h", 1.0 / 3600.0, 1)
 MASS = Quantity("kg", "t", 1e-3)
 FORCE = Quantity("N", "kN", 1e-3, 2)
 POWER = Quantity("W", "kW", 1e-3, 0)

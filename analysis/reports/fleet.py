@@ -32,6 +32,7 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import csv_bytes, made_folder, write_bytes
 from trainlog.presentation import (
     DURATION,
+    HOURS,
     NUMBER,
     POSITION,
     SHARE,
@@ -64,7 +65,6 @@ MOST_BARS = 40
 
 DISTANCE = Quantity("m", "km", 1e-3, 0)
 PER_KM = Quantity("J_m", "kWh/km", 1e3 / JOULES_PER_KWH, 2)
-HOURS = Quantity("s", "h", 1.0 / 3600.0, 1)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,16 @@ from trainlog.catalogue.database import (
 )
 from trainlog.display import counted, few
 from trainlog.errors import InputError
-from trainlog.presentation import MASS, NUMBER, Column, Quantity, Said, WordTable, new_table
+from trainlog.presentation import (
+    HOURS,
+    MASS,
+    NUMBER,
+    Column,
+    Quantity,
+    Said,
+    WordTable,
+    new_table,
+)
 from trainlog.spans import times_of
 from trainlog.units import DAY, clock
 
@@ -437,7 +446,6 @@ class Trips(Database):
 # -------------------------------------------------------------------------- tables of a catalogue
 
 
-HOURS = Quantity("s", "h", 1.0 / 3600.0, 1)
 DISTANCE = Quantity("m", "km", 1e-3, 1)
 
 _TIME = "%Y-%m-%d %H:%M UTC"
