@@ -418,6 +418,32 @@ def test_rows_without_any_wheel_speed_are_no_samples(trips, efforts):
         pd.testing.assert_frame_equal(found.events, whole.events)
 
 
+def without_speeds(trip: Trip, axle: int, times: pd.DatetimeIndex) -> Trip:
+    axles = trip["/train/axles"].copy()
+    axles.loc[axles.index.isin(times), f"wheel_speed_{axle}"] = np.nan
+    return trip.with_topic(axles)
+
+
+def test_a_missing_sample_of_an_axle_does_not_split_its_slip(trips):
+    """A longer gap does: slip protection may have ended the slip in it."""
+    for each in (trips[0], *trips[2:]):  # the other has slips at the threshold, which noise decides
+        whole, clock = each.found.events, each.trip["/train/axles"].index
+        found = slip(without_speeds(each.trip, 1, clock[::50])).events
+        assert found["axle"].tolist() == whole["axle"].tolist()
+        np.testing.assert_allclose(found["peak_slip"], whole["peak_slip"], rtol=0.2)
+        energies = found[["energy", "energy_std"]].to_numpy()
+        assert (np.abs(energies[:, 0] - whole["energy"]) < 2.0 * energies[:, 1]).all()
+    slips = trips[0].found.events
+    longest = slips.loc[slips["duration"].idxmax()]
+    middle = longest["start"] + 0.5 * (longest["release"] - longest["start"])
+    clock = trips[0].trip["/train/axles"].index
+    for gap, events in ((0.3, 1), (1.0, 2)):
+        half = pd.Timedelta(seconds=gap / 2.0)
+        lost = clock[(clock > middle - half) & (clock < middle + half)]
+        found = slip(without_speeds(trips[0].trip, int(longest["axle"]), lost)).events
+        assert len(found) == len(slips) + events - 1
+
+
 def of_train(trip: Trip, train: Train) -> Trip:
     stated = {TRAIN_ATTACHMENT: train_to_bytes(train)}
     return replace(trip, attachments={**trip.attachments, **stated})

@@ -443,7 +443,7 @@ def _slip(view: TripView) -> SlipAnalysis:
     )  # fmt: skip
     slipping = slipping_axles(motion)
     slipping |= small_slips(motion, slipping)
-    slipping &= np.isfinite(axles.wheel_speed)
+    slipping = _leave_out_gaps(axles, slipping)
     least = least_slip(motion)
     against = 0 if share is None else _without_contradicted(motion, slipping, share)
     events = event_rows(motion, slipping)
@@ -864,6 +864,21 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
         frame["measured"] &= ~later
         frame.loc[later, ["energy", "energy_std"]] = np.nan
     return frame
+
+
+def _leave_out_gaps(axles: PoweredAxles, slipping: BoolArray) -> BoolArray:
+    """Slips (n, k) without the samples in which an axle's speed is not known.
+
+    A slip goes on over a gap in which slip protection could not have ended it: no longer than
+    `CUT_TIME`, or of a single sample.
+    """
+    known, rows = np.isfinite(axles.wheel_speed), np.arange(len(slipping))[:, None]
+    before = np.maximum.accumulate(np.where(known, rows, 0), axis=0)
+    after = np.minimum.accumulate(np.where(known, rows, rows[-1])[::-1], axis=0)[::-1]
+    short = (after - before == 2) | (axles.time[after] - axles.time[before] <= CUT_TIME)
+    slips = slipping & known
+    goes_on = np.take_along_axis(slips, before, axis=0) & np.take_along_axis(slips, after, axis=0)
+    return np.asarray(slips | (goes_on & short))
 
 
 def _without_contradicted(motion: Motion, slipping: BoolArray, share: FloatArray) -> int:
