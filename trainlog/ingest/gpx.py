@@ -155,7 +155,8 @@ class _Reader:
     def entity(self, name: str, *_: Any) -> None:
         raise InputError(
             f"declares the entity '{name}'",
-            place=f"line {self.parser.CurrentLineNumber}, column {self.parser.CurrentColumnNumber}",
+            place=f"line {self.parser.CurrentLineNumber},"
+            f" column {self.parser.CurrentColumnNumber + 1}",
             remedy="no recorder writes that; a file that grows while it is read is refused",
         )
 
@@ -221,7 +222,7 @@ def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:
             raise InputError(
                 f"is not XML: {expat.ErrorString(error.code)}",
                 file=path,
-                place=f"line {error.lineno}, column {error.offset}",
+                place=f"line {error.lineno}, column {error.offset + 1}",
                 remedy="copy the file again, or correct it there or just before",
             ) from error
         cut = error.lineno
