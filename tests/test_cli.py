@@ -16,6 +16,7 @@ import pytest
 from contents import put
 
 import analysis
+import trainlog
 from trainlog.formats.railway import write_parameters
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
 
@@ -293,6 +294,20 @@ def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path, shell):
     lines = err.splitlines()
     assert lines[0] == f"trainlog: {light}: 3 problems"
     assert [line.split(":")[0] for line in lines[1:]] == ["  colour", "  max_speed", "  mass"]
+
+
+def test_a_log_without_axles_is_estimated_but_has_no_table_of_slips(tmp_path, shell):
+    trip = trainlog.read(sample("nonstop.mcap"), ["/train/state", "/train/controls"])
+    trainlog.write(trip.between(trip.start, trip.start + pd.Timedelta("3min")), tmp_path / "a.mcap")
+    table, output = tmp_path / "slips.csv", tmp_path / "out"
+    status, _, said = shell("estimate", tmp_path / "a.mcap", "-o", output, "--slips", table)
+    assert status == 1
+    assert (
+        said
+        == f"trainlog: {table}: is not written: no log shows slip; give logs with /train/axles\n"
+    )
+    assert (output / "a.mcap").exists()
+    assert not table.exists()
 
 
 def test_slip_events_of_all_logs_are_tabled(tmp_path, shell):

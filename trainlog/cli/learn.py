@@ -21,7 +21,7 @@ from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import Count, Logs, Picture, Written, destination, distinct, logs_in
 from trainlog.cli.terminal import console, print_error, say, show, state, wrote
 from trainlog.display import counted
-from trainlog.errors import InputError, LogError
+from trainlog.errors import LogError
 from trainlog.progress import track
 from trainlog.units import PERCENT, SPEED
 
@@ -185,7 +185,7 @@ def estimate(logs: Logs, /, *, output: Path, slips: Path | None = None) -> None:
         Table of the slip events of all logs (CSV): axle, creepage, energy ...
     """
     from analysis.estimates import estimate_log, write_slip_table
-    from trainlog.formats.files import output_folder
+    from trainlog.formats.files import check_kept, output_folder
 
     found, refused, analysed = logs_in(logs), 0, list[Path]()
     estimated: list[dict[str, object]] = []
@@ -193,8 +193,7 @@ def estimate(logs: Logs, /, *, output: Path, slips: Path | None = None) -> None:
     distinct([log.name for log in found], found)
     with output_folder(output):
         for log in track(found, "estimating", "log"):
-            if (output / log.name).resolve() == log.resolve():
-                raise InputError("would be overwritten", file=log, remedy="name another folder")
+            check_kept([log], output / log.name)
             try:
                 refusals = estimate_log(log, output / log.name)
             except LogError as error:
@@ -212,9 +211,10 @@ def estimate(logs: Logs, /, *, output: Path, slips: Path | None = None) -> None:
             wrote(output / log.name)
             if not any(refusal.partition(": ")[0] == "adhesion" for refusal in refusals):
                 analysed.append(log)
-    if table is not None:
-        if not analysed:
-            raise LogError("no log shows slip", remedy="give logs with /train/axles")
+    if table is not None and analysed:
         console.print(f"{counted(write_slip_table(analysed, table), 'slip event')}")
         wrote(table)
-    end_in_part(refused, len(found))
+    elif table is not None:
+        refused += 1
+        print_error(f"{table}: is not written: no log shows slip; give logs with /train/axles")
+    end_in_part(refused, len(found) + (table is not None))

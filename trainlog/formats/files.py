@@ -9,7 +9,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -319,6 +319,19 @@ def check_written(value: object, kind: type) -> None:
         If it is not.
     """
     check_kind(value, kind, remedy=f"give the {kind.__name__} first, then the path")
+
+
+def check_kept(inputs: Iterable[Path], output: Path) -> None:
+    """Refuse an output that is one of the inputs, under whatever name.
+
+    Raises
+    ------
+    InputError
+        If it is; names the input.
+    """
+    for path in inputs:
+        if output.exists() and path.exists() and output.samefile(path):
+            raise InputError("would be overwritten", file=path, remedy="name another output")
 
 
 def made_folder(path: str | os.PathLike[str]) -> Path:

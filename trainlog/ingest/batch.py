@@ -18,7 +18,7 @@ import pandas as pd
 
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
-from trainlog.formats.files import head_of, output_folder, refuse_workbook, sha256_of
+from trainlog.formats.files import check_kept, head_of, output_folder, refuse_workbook, sha256_of
 from trainlog.formats.trip_tables import INDEX_FILE
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.ingest.pipeline import (
@@ -557,12 +557,7 @@ class _Batch:
         identity = identity_of(trip)
         ends = ["", f"-{digest[:8]}", *(f"-{digest[:8]}-{number}" for number in range(2, 1_000))]
         for log in (self.output / f"{plain}{end}.mcap" for end in ends):
-            if any(log.exists() and one.exists() and one.samefile(log) for one in self.files):
-                raise InputError(
-                    "would be overwritten by the log that is made of it",
-                    file=log,
-                    remedy="name another folder",
-                )
+            check_kept(self.files, log)
             held = self._by_log.get(log)
             again = held is not None and held.recording == name
             if again and held is not None and digest not in held.recorded.values():

@@ -14,7 +14,7 @@ import pandas as pd
 from mcap.records import Chunk
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.files import atomic_write, sha256_of
+from trainlog.formats.files import atomic_write, check_kept, sha256_of
 from trainlog.formats.trip_tables import (
     CsvTripIndex,
     FolderWriter,
@@ -180,8 +180,7 @@ def _check_target(source: Path, target: Path) -> None:
             file=target,
             remedy="end it in .mcap, .mf4, .parquet or .csv",
         )
-    if target.exists() and source.exists() and target.samefile(source):
-        raise InputError("would be overwritten", file=source, remedy="choose another name")
+    check_kept([source], target)
 
 
 def _pieces(
@@ -354,8 +353,7 @@ def _check(paths: list[Path], target: Path, prefer: str | Path | None) -> None:
     for number, path in enumerate(paths):
         if path in paths[:number]:
             raise InputError("is given twice", file=path, remedy="name each log once")
-        if target.exists() and path.exists() and target.samefile(path):
-            raise InputError("would be overwritten", file=path, remedy="choose another name")
+    check_kept(paths, target)
     if prefer is not None and Path(prefer) not in paths:
         raise InputError(f"'{prefer}' is not one of the logs", remedy="prefer one of those named")
 
@@ -528,13 +526,7 @@ def recover(path: str | Path, output: str | Path) -> Account:
     (False, True)
     """
     with Source(path) as source:
-        target = Path(output)
-        if target.exists() and target.samefile(path):
-            raise InputError(
-                "would be overwritten by what is recovered from it",
-                file=output,
-                remedy="name another file to write to",
-            )
+        check_kept([Path(path)], Path(output))
         with in_file(path):
             check_is_mcap(source)
             contents = scanned(source)
