@@ -198,7 +198,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path):
         assert not page.exists()
     assert kind_of(sample("CH_StGallen_Wil.map")) == "map"
     refused(InputError, "but a line file", kind_of, sample("CH_StGallen_Wil.line.json"))
-    for unknown in ("Europe/Wil", ""):
+    for unknown in ("Europe/Wil", "", "+02:00:30", "UTC+02:75", "-01:00.5"):
         refused(InputError, "is not a time zone", known_zone, unknown)
 
 

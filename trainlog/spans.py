@@ -75,6 +75,9 @@ def stamp_of(time: Any) -> pd.Timestamp:
     return stamp
 
 
+_OFFSET = re.compile(r"[-+]\d\d:?[0-5]\d(:?00)?")
+
+
 def zone_of(name: str) -> tzinfo:
     """The time zone of a name, or of an offset as ``+02:00``.
 
@@ -92,11 +95,16 @@ def zone_of(name: str) -> tzinfo:
     trainlog.errors.InputError: 'Europe/Zuerich' is not a time zone; did you mean 'Europe/Zurich...
     """
     try:
+        offset = str(name).removeprefix("UTC")
+        if offset[:1] in ("+", "-") and _OFFSET.fullmatch(offset) is None:
+            raise ValueError("not an offset in minutes")
         found = pd.Timestamp(0, tz=name).tzinfo
     except (LookupError, ValueError, TypeError, OSError) as error:
         from zoneinfo import available_timezones
 
-        remedy = did_you_mean(name, sorted(available_timezones()), "name it as Europe/Zurich")
+        remedy = did_you_mean(
+            name, sorted(available_timezones()), "name it as Europe/Zurich or +02:00"
+        )
         raise InputError(f"'{name}' is not a time zone", remedy=remedy) from error
     assert found is not None
     return found
