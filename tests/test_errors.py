@@ -66,6 +66,12 @@ def test_every_error_survives_pickling_and_copying():
             assert again.remedy == error.remedy
 
 
+def test_a_message_is_one_line_whatever_it_names():
+    error = TrainlogError("trip 'a\nb' has no speed", file="c\r\nd.mcap", remedy="record it")
+    assert str(error) == "c d.mcap: trip 'a b' has no speed; record it"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
 def without_remedy() -> list[str]:
     """Places where the product raises an `InputError` that states no remedy."""
     return [

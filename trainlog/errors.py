@@ -109,7 +109,8 @@ class TrainlogError(Exception):
         self.remedy = remedy
         where = ", ".join(str(part) for part in (file, place) if part is not None)
         message = f"{where}: {problem}" if where else problem
-        super().__init__(f"{message}; {remedy}" if remedy else message)
+        whole = f"{message}; {remedy}" if remedy else message
+        super().__init__(" ".join(whole.splitlines()))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Children take other arguments than the message: pickle what they became."""
