@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from refusals import refused
 from simulated_line import level_line, steps
 
-from analysis.studies.in_train_forces import simulation as study
+from analysis.studies import in_train_forces as study
 from trainlog.cli.main import run as command
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_consist, write_consist, write_line

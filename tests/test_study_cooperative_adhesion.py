@@ -18,10 +18,17 @@ from analysis.control.cooperative import (
     within,
 )
 from analysis.control.rail_estimate import MAXIMA, RailEstimator
+from analysis.studies import zhao_2025 as study
 from analysis.studies.report import as_markdown
-from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.run import published_table, start_table, torque_table, trip_of
-from analysis.studies.zhao_2025.simulation import coefficients, demand_on, runge_kutta
+from analysis.studies.zhao_2025 import (
+    coefficients,
+    demand_on,
+    published_table,
+    runge_kutta,
+    start_table,
+    torque_table,
+    trip_of,
+)
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import DRY, WET
 

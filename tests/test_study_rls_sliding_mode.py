@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.studies.amirhosseini_2024 import simulation as study
-from analysis.studies.amirhosseini_2024.run import trip_of
-from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
+from analysis.studies import amirhosseini_2024 as study
+from analysis.studies.amirhosseini_2024 import SlidingModeController, Target, trip_of
 
 
 def test_the_scalar_estimator_reaches_the_published_figures():

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analysis.studies.cunillera_2022 import model as study
+from analysis.studies import cunillera_2022 as study
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.instructions import Phase
 from trainlog.railway import Trajectory

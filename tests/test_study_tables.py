@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.studies.in_train_forces.simulation import crest_and_sag, run
+from analysis.studies.in_train_forces import crest_and_sag, run
 from trainlog.cli.main import run as command
 from trainlog.formats.railway import read_consist
 from trainlog.formats.samples import sample

@@ -14,7 +14,7 @@ from simulated_line import level_line
 from analysis import CooperativeTraction, ReadhesionControl, with_traction
 from analysis.control.rail_estimate import MAXIMA, RailEstimator, map_prior
 from analysis.control.traction import TUNING, drive_model
-from analysis.studies.zhao_2025.simulation import runge_kutta
+from analysis.studies.zhao_2025 import runge_kutta
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import read_line, read_train

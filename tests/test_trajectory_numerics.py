@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, optimised, steps
 
-from analysis.studies.cunillera_2022.model import phases_by_switching
+from analysis.studies.cunillera_2022 import phases_by_switching
 from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.active_set import Answer, initial_guess, searched
 from analysis.trajectory.convex import NoSolutionError, power_cells

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from simulated_line import steps
 
-from analysis.studies.cunillera_2022.model import TRAIN
+from analysis.studies.cunillera_2022 import TRAIN
 from analysis.trajectory.journey import JourneyPlan, optimise_journey
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.control.cooperative import CooperativeController, Demand, adhesion_at
-from analysis.studies.zhao_2025.simulation import (
+from analysis.studies.zhao_2025 import (
     CASES,
     DURATION,
     PRESETS,

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.studies.cunillera_2022.model import TRAIN as VIRM6
+from analysis.studies.cunillera_2022 import TRAIN as VIRM6
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.referee import IpoptResult, refereed

@@ -47,7 +47,7 @@ def rls_sliding_mode(*, output: Path, seed: Seed = 1) -> None:
     output : FOLDER
         Folder for logs and pictures.
     """
-    from analysis.studies.amirhosseini_2024.run import main
+    from analysis.studies.amirhosseini_2024 import main
 
     with _reported(output) as report:
         main(report, seed)
@@ -80,7 +80,7 @@ def consist(
     speed : SPEED
         Speed to keep; default: 80 km/h.
     """
-    from analysis.studies.in_train_forces.run import ConsistOptions, main
+    from analysis.studies.in_train_forces import ConsistOptions, main
     from trainlog.units import KMH
 
     with _reported(output) as report:
@@ -144,7 +144,7 @@ def robust_minimax(
     cells : N
         Cells of the grid.
     """
-    from analysis.studies.cunillera_2022.run import main
+    from analysis.studies.cunillera_2022 import main
 
     with _reported(output) as report:
         main(report, cells)
@@ -165,7 +165,7 @@ def cooperative_adhesion(*, output: Path) -> None:
     output : FOLDER
         Folder for logs and pictures.
     """
-    from analysis.studies.zhao_2025.run import main
+    from analysis.studies.zhao_2025 import main
 
     with _reported(output) as report:
         main(report)

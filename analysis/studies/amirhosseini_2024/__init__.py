@@ -1,1 +1,0 @@
-"""Amirhosseini et al. (2024): recursive least squares and sliding-mode control of a train."""

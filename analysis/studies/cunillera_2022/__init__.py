@@ -1,1 +1,0 @@
-"""Cunillera et al. (2022): robust minimax trajectories over an observed set."""

@@ -1,1 +1,0 @@
-"""Forces between the coupled vehicles of a train."""
