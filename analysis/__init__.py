@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     )
     from analysis.adhesion.condition_table import bins_table as bins_table
     from analysis.adhesion.export import export_map as export_map
-    from analysis.adhesion.map_difference import map_difference as map_difference
-    from analysis.adhesion.map_history import map_history as map_history
+    from analysis.adhesion.map_difference import (
+        map_difference as map_difference,
+        map_history as map_history,
+    )
     from analysis.adhesion.map_state import map_state as map_state
     from analysis.adhesion.slip import slip as slip
     from analysis.comparison.calculated import calculate as calculate

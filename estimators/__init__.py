@@ -26,8 +26,11 @@ if TYPE_CHECKING:
         LinearGaussian as LinearGaussian,
         random_walk_slope as random_walk_slope,
     )
-    from estimators.motion import LastingError as LastingError, smooth_motion as smooth_motion
-    from estimators.odometry import OdometryFilter as OdometryFilter
+    from estimators.motion import (
+        LastingError as LastingError,
+        OdometryFilter as OdometryFilter,
+        smooth_motion as smooth_motion,
+    )
     from estimators.rls import (
         RecursiveLeastSquares as RecursiveLeastSquares,
         edges_crossed as edges_crossed,

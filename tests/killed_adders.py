@@ -24,7 +24,6 @@ from trainlog.catalogue import (
     Computation,
     ResultOutcome,
     open_catalogue,
-    reading,
     registration,
     results,
 )
@@ -79,7 +78,7 @@ def watch(passed: Passed) -> None:
         if not recording[0]:
             passed.at("logs registered")
 
-    passed.note(reading, "read_file", "a log looked at")
+    passed.note(registration, "read_file", "a log looked at")
     passed.note(results, "write_table", "a file written, its rows not")
     results.Computed.record = record  # type: ignore[method-assign,assignment]
     Database.writing = writing  # type: ignore[method-assign,assignment]

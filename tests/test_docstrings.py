@@ -27,7 +27,7 @@ def modules() -> list[str]:
 
 PACKAGES = ("trainlog", "analysis", "estimators")
 LONG = (
-    *("analysis.adhesion.map_history", "analysis.control.follow", "analysis.estimates"),
+    *("analysis.adhesion.map_difference", "analysis.control.follow", "analysis.estimates"),
     *("analysis.fleet.update", "analysis.geometry.centre_line", "analysis.network.maps"),
     *("analysis.trajectory.journey", "analysis.trajectory.optimiser"),
     *("analysis.trajectory.referee", "trainlog.catalogue.catalogue"),

@@ -13,7 +13,7 @@ from refusals import refused
 
 from estimators.adhesion import AdhesionObserver, SlipDetector
 from estimators.interface import Estimator
-from estimators.odometry import OdometryFilter
+from estimators.motion import OdometryFilter
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from estimators.odometry import OdometryFilter, OdometryResult
+from estimators.motion import OdometryFilter, OdometryResult
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 

@@ -18,8 +18,7 @@ from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Line, StepProfile
 from trainlog.simulation import Change, Rail, draw_days, simulate
-from trainlog.simulation.rail import KINDS
-from trainlog.simulation.weather import HOUR
+from trainlog.simulation.rail import HOUR, KINDS
 from trainlog.units import DAY
 
 

@@ -16,20 +16,22 @@ from simulated_line import level_line, steps
 
 from analysis.control.prediction import SOFTNESS, solve, terminal_weight
 from analysis.studies.hauck_2023 import model, model as dynamics, reference as shooting
-from analysis.studies.hauck_2023.controller import (
-    Controller,
-    MapController,
-    PublishedController,
-    sampled_system,
-)
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
-from analysis.studies.hauck_2023.section import (
+from analysis.studies.hauck_2023.reference import (
+    SAMPLING,
+    Reference,
     Section,
     check_timetable,
     fastest,
     fastest_unweighed,
+    reference,
     section_of,
+)
+from analysis.studies.hauck_2023.simulation import (
+    Controller,
+    MapController,
+    PublishedController,
+    sampled_system,
 )
 from trainlog import InputError, read_line, sample
 from trainlog.errors import InfeasibleError

@@ -18,8 +18,8 @@ import analysis
 from analysis import TripRefusedError, coast_down, fit_trip, view_of, with_estimates
 from analysis.resistance import TripFit
 from analysis.resistance.curve import band_factor, curve_std
+from analysis.resistance.noise import build_windows
 from analysis.resistance.recording import prepare
-from analysis.resistance.windows import build_windows
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import read_line, read_train, train_to_bytes
 from trainlog.formats.samples import sample

@@ -12,10 +12,17 @@ from resistance_trips import LINE, RESISTANCE, changed, constant_speed, recordin
 from scipy.special import ndtri
 
 from analysis.resistance import TripFit, TripRefusedError, fit_trip
-from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.noise import (
+    FLOOR,
+    Likelihood,
+    NoiseModel,
+    NoiseParts,
+    Windows,
+    build_windows,
+    estimate_noise,
+)
 from analysis.resistance.recording import REASONS
 from analysis.resistance.regression import LEAST_FORCE, Residuals, diagnosed, fit_windows
-from analysis.resistance.windows import Windows, build_windows
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import RunningResistance, StepProfile, Survey

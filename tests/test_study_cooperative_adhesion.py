@@ -17,7 +17,7 @@ from analysis.control.cooperative import (
     adhesion_at,
     within,
 )
-from analysis.control.rail_estimate import MAXIMA, RailEstimator
+from analysis.control.traction import MAXIMA, RailEstimator
 from analysis.studies import zhao_2025 as study
 from analysis.studies.report import as_markdown
 from analysis.studies.zhao_2025 import (

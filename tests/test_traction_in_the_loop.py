@@ -12,8 +12,7 @@ from refusals import refused
 from simulated_line import level_line
 
 from analysis import CooperativeTraction, ReadhesionControl, with_traction
-from analysis.control.rail_estimate import MAXIMA, RailEstimator, map_prior
-from analysis.control.traction import TUNING, drive_model
+from analysis.control.traction import MAXIMA, TUNING, RailEstimator, drive_model, map_prior
 from analysis.studies.zhao_2025 import runge_kutta
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map

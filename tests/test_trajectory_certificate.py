@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory import certificate
+from analysis.trajectory import optimiser
 from analysis.trajectory.active_set import initial_guess, search
 from analysis.trajectory.bound import continuous_bound, reached
 from analysis.trajectory.discretisation import discretise, graded_mesh
@@ -78,13 +78,13 @@ def test_long_cells_of_partial_traction_cost_the_bound_little(objective):
 
 
 def test_a_bound_above_the_plan_certifies_nothing(monkeypatch):
-    given = certificate.continuous_bound
+    given = optimiser.continuous_bound
 
     def wrong(*args: Any, **options: Any) -> Any:
         found = given(*args, **options)
         return replace(found, value=1.1 * found.value)
 
-    monkeypatch.setattr(certificate, "continuous_bound", wrong)
+    monkeypatch.setattr(optimiser, "continuous_bound", wrong)
     found = optimised(hilly_line(), VIRM6, observed(VIRM6, 1.0), cells=61, reserve=0.1).certificate
     assert found["lower_bound"] > found["energy"]
     assert not found["certified"]

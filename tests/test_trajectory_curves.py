@@ -10,8 +10,8 @@ from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimi
 
 from analysis.trajectory import active_set
 from analysis.trajectory.audit import Audit, audit
-from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.optimiser import GAP_TOLERANCE
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.railway import Configuration, EffortCurve, Train, Trajectory

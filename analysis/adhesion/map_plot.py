@@ -55,8 +55,7 @@ from trainlog.railway.line import Line, km_words
 from trainlog.spans import runs_of
 
 if TYPE_CHECKING:
-    from analysis.adhesion.map_difference import MapDifference
-    from analysis.adhesion.map_history import PlaceHistory
+    from analysis.adhesion.map_difference import MapDifference, PlaceHistory
 
 
 COLOURS = {"dry": ORANGE, "wet": BLUE}

@@ -32,7 +32,7 @@ from analysis.control.route import (
 )
 from analysis.trajectory.problem import TrajectoryProblem
 from estimators.linear_gaussian import corrected
-from estimators.odometry import OdometryFilter
+from estimators.motion import OdometryFilter
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -522,7 +522,7 @@ on most of the way, `balise_spacing` apart."""
 
 
 class Odometry:
-    """Position and speed of a train while it runs, by `estimators.odometry`.
+    """Position and speed of a train while it runs, by `estimators.motion`.
 
     Parameters
     ----------

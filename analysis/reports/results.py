@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.adhesion.condition_table import bins_table
-from analysis.adhesion.map_history import map_history
+from analysis.adhesion.map_difference import map_history
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
 from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, worded
 from analysis.reports.answers import map_words, summary_section

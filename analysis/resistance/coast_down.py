@@ -62,10 +62,17 @@ from analysis.resistance.combination import (
 )
 from analysis.resistance.curve import DragCurve
 from analysis.resistance.fit import check_speeds
-from analysis.resistance.noise import CAUSES, Expected, NoiseParts
+from analysis.resistance.noise import (
+    CAUSES,
+    WINDOW,
+    Expected,
+    NoiseParts,
+    WindowPoints,
+    Windows,
+    build_windows,
+)
 from analysis.resistance.recording import Recording, gradient_pieces, track_slope
 from analysis.resistance.regression import WindowFit, fit_windows
-from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_windows
 from analysis.view import Given, TripView, each_given, views_of
 from estimators.regression import Free, regress
 from trainlog.arrays import FloatArray, IntArray

@@ -32,8 +32,8 @@ import numpy as np
 import pandas as pd
 from numba import njit
 
+from analysis.resistance.noise import integral_between
 from analysis.resistance.recording import SpeedScale, increasing_seconds, speed_scale
-from analysis.resistance.windows import integral_between
 from estimators.motion import smooth_motion
 from estimators.regression import Free, regress
 from trainlog.arrays import BoolArray, FloatArray, robust_std

@@ -1,7 +1,7 @@
 """The passport of a recorded trip: what its recorder lacks, estimated with uncertainty.
 
 Delay and gain of the recorded efforts are sought in the equation of motion (see
-`analysis.resistance.windows`). With a gain g of the recorded effort F, a delay d of it, and the
+`analysis.resistance.noise`). With a gain g of the recorded effort F, a delay d of it, and the
 loaded mass m,
 
     Δv + ∫ a_track dt + Δp_rot / m = 1/(g m) ∫ F(t + d) dt - ∫ R(v) dt / m.
@@ -31,7 +31,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from analysis.resistance.noise import Expected
+from analysis.resistance.noise import Expected, Windows, build_windows, window_width
 from analysis.resistance.recording import (
     UNCALIBRATED_SCALE_STD,
     SpeedScale,
@@ -42,7 +42,6 @@ from analysis.resistance.recording import (
     sound,
 )
 from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, White
-from analysis.resistance.windows import Windows, build_windows, window_width
 from analysis.view import Given, TripView, view_of
 from estimators.regression import Cut, Free, Regression, regress
 from trainlog.arrays import FloatArray, robust_std

@@ -36,10 +36,11 @@ from analysis.resistance.noise import (
     Likelihood,
     NoiseModel,
     NoiseParts,
+    WindowPoints,
+    Windows,
     estimate_noise,
     shares,
 )
-from analysis.resistance.windows import WindowPoints, Windows
 from estimators.regression import Cut, Free, regress
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import BoolArray, FloatArray, IntArray

@@ -21,10 +21,9 @@ import cvxpy as cp
 import numpy as np
 
 from analysis.trajectory.advice import with_times
-from analysis.trajectory.certificate import gap_of
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, limiting_factors, place_of, seconds
-from analysis.trajectory.optimiser import COARSE_CELLS, optimise
+from analysis.trajectory.optimiser import COARSE_CELLS, gap_of, optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError

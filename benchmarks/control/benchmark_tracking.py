@@ -19,10 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.control.prediction import SOFTNESS, QPSubproblem, solve
-from analysis.studies.hauck_2023.controller import PublishedController
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.reference import Reference, reference
-from analysis.studies.hauck_2023.section import section_of
+from analysis.studies.hauck_2023.reference import Reference, reference, section_of
+from analysis.studies.hauck_2023.simulation import PublishedController
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.simulation.drivers import Stop
 from trainlog.units import KMH

@@ -23,8 +23,8 @@ from analysis.resistance import combine, fit_trip
 from analysis.resistance.combination import CommonFit, summarised
 from analysis.resistance.curve import band_factor, curve_std
 from analysis.resistance.fit import TripFit
+from analysis.resistance.noise import build_windows
 from analysis.resistance.recording import TripRefusedError, prepare
-from analysis.resistance.windows import build_windows
 from analysis.view import view_of
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import FloatArray

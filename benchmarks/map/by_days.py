@@ -21,6 +21,7 @@ import numpy as np
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.studies.hauck_2023 import scenarios as study
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
+from analysis.studies.hauck_2023.reference import NO_LIMIT
 from analysis.studies.hauck_2023.run import days_table
 from analysis.studies.hauck_2023.scenarios import (
     LAYER,
@@ -30,7 +31,6 @@ from analysis.studies.hauck_2023.scenarios import (
     replanned,
     timetable_of,
 )
-from analysis.studies.hauck_2023.section import NO_LIMIT
 from analysis.studies.hauck_2023.simulation import Run, run, with_map
 from trainlog.cli.terminal import console
 from trainlog.railway import StepProfile

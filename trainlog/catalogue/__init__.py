@@ -13,16 +13,14 @@ if TYPE_CHECKING:
         write_trips as write_trips,
     )
     from trainlog.catalogue.database import TRIP_COLUMNS as TRIP_COLUMNS, TripColumn as TripColumn
-    from trainlog.catalogue.reading import (
-        FileEntry as FileEntry,
-        LogEntry as LogEntry,
-        read_entry as read_entry,
-        read_file as read_file,
-    )
     from trainlog.catalogue.registration import (
         Added as Added,
+        FileEntry as FileEntry,
         FileOutcome as FileOutcome,
+        LogEntry as LogEntry,
         Refreshed as Refreshed,
+        read_entry as read_entry,
+        read_file as read_file,
     )
     from trainlog.catalogue.results import (
         Computation as Computation,

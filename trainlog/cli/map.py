@@ -219,7 +219,7 @@ def _show_place(
     picture: Path | None,
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day."""
-    from analysis.adhesion.map_history import MOST_DAYS
+    from analysis.adhesion.map_difference import MOST_DAYS
     from analysis.adhesion.map_state import line_of_map
     from analysis.charts import draw
     from trainlog.railway.line import position_of

@@ -34,7 +34,15 @@ from trainlog.railway.motion import timetable_run
 from trainlog.railway.weather import WEATHER_BY_EDGE
 from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import Plant
-from trainlog.simulation.rail import WARM_UP, Rail, RailState, midnight
+from trainlog.simulation.rail import (
+    HOUR,
+    WARM_UP,
+    Rail,
+    RailState,
+    draw_weather,
+    local_weather,
+    midnight,
+)
 from trainlog.simulation.recording import drive, recorded
 from trainlog.simulation.scenario import Scenario, drawn_habits, survey_error
 from trainlog.simulation.vehicles import (
@@ -44,7 +52,6 @@ from trainlog.simulation.vehicles import (
     draw_trains,
     resistance_of_trip,
 )
-from trainlog.simulation.weather import HOUR, draw_weather, local_weather
 from trainlog.topics import TRUTH
 from trainlog.trip import Trip
 from trainlog.units import DAY, MINUTE

@@ -26,10 +26,9 @@ from trainlog.simulation.drivers import (
     plan,
 )
 from trainlog.simulation.plant import Plant
-from trainlog.simulation.rail import Rail, RailState, base_map, trip_profile
+from trainlog.simulation.rail import HOUR, Rail, RailState, base_map, trip_profile
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_scales
 from trainlog.simulation.traction import TractionLoop, TractionMaker
-from trainlog.simulation.weather import HOUR
 from trainlog.units import DAY, MINUTE, NANOSECONDS
 
 START = pd.Timestamp("2024-10-07T06:00:00Z").value

@@ -23,7 +23,7 @@ from analysis.charts import (
     line_charts,
 )
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.reference import Reference
+from analysis.studies.hauck_2023.reference import Reference, fastest, fastest_unweighed
 from analysis.studies.hauck_2023.scenarios import (
     SCENARIOS,
     Day,
@@ -34,7 +34,6 @@ from analysis.studies.hauck_2023.scenarios import (
     outcome,
     prepared,
 )
-from analysis.studies.hauck_2023.section import fastest, fastest_unweighed
 from analysis.studies.hauck_2023.simulation import Plan, Run, trip_of
 from analysis.studies.report import StudyReport
 from trainlog.arrays import FloatArray

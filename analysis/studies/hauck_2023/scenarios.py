@@ -17,14 +17,14 @@ import numpy as np
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.map_state import UsableAdhesion, typical_adhesion, usable_adhesion
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN, LeverTrain
-from analysis.studies.hauck_2023.reference import reference
-from analysis.studies.hauck_2023.section import (
+from analysis.studies.hauck_2023.reference import (
     NO_LIMIT,
     PLANNING,
     Section,
     check_timetable,
     fastest,
     fastest_unweighed,
+    reference,
     section_of,
     sections_of,
 )
