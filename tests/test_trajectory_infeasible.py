@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from typing import Any
 
 import cvxpy as cp
 import pytest
@@ -23,6 +24,7 @@ from trajectory_cases import (
 
 from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.convex import NoSolutionError, Relaxation
+from analysis.trajectory.discretisation import DiscreteProblem
 from analysis.trajectory.feasibility import UnprovenError
 from trainlog.cli.main import run
 from trainlog.errors import InfeasibleError, InputError
@@ -223,10 +225,21 @@ def test_limits_for_a_train_without_length_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("braking", ["common", "recourse"])
-def test_a_search_that_the_time_limit_ends_is_refused_without_a_proof(braking):
-    """A common brake cannot stop them all; and under one common traction no reserve is left."""
+def test_a_search_that_the_time_limit_ends_is_refused_without_a_proof(braking, monkeypatch):
+    """A common brake cannot stop them all; and under one common traction no reserve is left.
+
+    No finer grid is tried then: each would take longer than the last.
+    """
+    grids = list[int]()
+
+    def seen(problem: DiscreteProblem, *given: Any) -> Any:
+        grids.append(problem.shape[1])
+        return active_set.searched(problem, *given)
+
+    monkeypatch.setattr(optimiser, "searched", seen)
     question = {"initial_speed": 1.0, "braking": braking, "cells": 50, "time_limit": 1e-6}
     question |= {"running_time": 1541.0} if braking == "common" else {"reserve": 1e-9}
     configurations = observed(VIRM6, 0.97, 1.0, 1.03)
     words = "none was proven impossible: the relaxation is stopped by the time limit"
     refused(InfeasibleError, words, optimised, level_line(), VIRM6, configurations, **question)
+    assert max(grids) == grids[0]

@@ -697,7 +697,8 @@ def _audited(
             failures[-1] = failures[-1].why()
             if not isinstance(failures[-1], UnprovenError):
                 raise failures[-1]
-        if worked() - begun > EFFORT:
+        late = time_left() <= 0.0 and isinstance(failures[-1], (NotFoundError, UnprovenError))
+        if late or worked() - begun > EFFORT:
             break
     raise failures[0].why() if isinstance(failures[0], NotFoundError) else failures[0]
 
