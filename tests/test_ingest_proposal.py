@@ -527,6 +527,27 @@ def test_the_train_decides_between_units(tmp_path):
     assert (known["unit"], known["alternative"]) == ("N", "")
 
 
+def test_a_train_that_fits_imperial_units_alone_leaves_all_of_them_open(tmp_path):
+    """Miles, mph and pounds are one choice: in km, km/h and newtons the train is too light."""
+    run, train = drive(), read_train(sample(DEFAULT_TRAIN))
+    columns = {"distance": run.s / 1609.344, "speed": run.v / 0.44704, "TE": 0.8 * run.F / 4.448}
+    proposal = propose_profile(written(tmp_path, {"t [s]": run.t, **columns}), train)
+    for name, unit in {"state.position": "mile", "state.speed": "mph"}.items():
+        assert field(proposal, f"/train/{name}")["alternative"] == unit
+    assert field(proposal, "/train/controls.tractive_effort")["alternative"] == "lbf"
+
+
+def test_a_distance_that_falls_ends_at_0_of_a_line_that_is_known(tmp_path):
+    run, line = drive(), read_line(sample(DEFAULT_LINE))
+    columns = {"km": (line.length - 4e3 - run.s) / 1e3, "v [m/s]": run.v}
+    path = written(tmp_path, {"t [s]": run.t, **columns})
+    for known, start, opened in ((line, 4e3, False), (None, 443.9, True)):
+        proposal = propose_profile(path, line=known)
+        trip = ingest(path, proposal.profile)
+        assert trip["/train/state"].position.iloc[0] == pytest.approx(start, abs=1.0)
+        assert ("offset" in field(proposal, "/train/state.position")["alternative"]) is opened
+
+
 def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path):
     run = drive()
     stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")

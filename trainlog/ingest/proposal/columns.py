@@ -24,6 +24,7 @@ from trainlog.ingest.motion import (
     DRIVES,
     EFFORTS,
     ENOUGH,
+    FAR,
     GNSS_SPEED,
     LATITUDE,
     LIKELY,
@@ -59,6 +60,7 @@ from trainlog.ingest.proposal.vocabulary import (
     vocabulary,
 )
 from trainlog.ingest.recording import NO_TIME, SELDOM, carried_on, field_of
+from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import RECORDED, Recorded
 from trainlog.units import KMH, NANOSECONDS, factor, si_unit
@@ -117,7 +119,7 @@ class Work:
 
     Attributes
     ----------
-    layout, clock, meanings, train
+    layout, clock, meanings, train, line
         What is given.
     order : (n,) int array
         Rows that have a time, in its order.
@@ -148,6 +150,7 @@ class Work:
     clock: Clock
     meanings: dict[str, Meaning]
     train: Train | None
+    line: Line | None
     order: IntArray
     seconds: FloatArray
     numbers: dict[str, FloatArray] = field(default_factory=dict)
@@ -204,7 +207,11 @@ def said(*parts: str) -> str:
 
 
 def columns_of(
-    layout: Layout, clock: Clock, meanings: dict[str, Meaning], train: Train | None
+    layout: Layout,
+    clock: Clock,
+    meanings: dict[str, Meaning],
+    train: Train | None,
+    line: Line | None,
 ) -> Work:
     """The fields that the columns give.
 
@@ -217,7 +224,7 @@ def columns_of(
     order = known[np.argsort(clock.time[known], kind="stable")]
     seconds = (clock.time[order] - clock.time[order[0]]) / NANOSECONDS
     _refuse_no_recording(layout, seconds)
-    work = Work(layout, clock, meanings, train, order, seconds)
+    work = Work(layout, clock, meanings, train, line, order, seconds)
     for name in [name for name in layout.names if name not in clock.options.names]:
         role, why = role_of(meanings[name])
         numbers, no_numbers = _content(layout, name)
@@ -496,9 +503,14 @@ def _place_position(work: Work, name: str, answer: Answer, stated: str) -> None:
     checks.append(f"cumulative: {one_way:.1%} of its steps go one way")
     offset = 0.0
     if falling:
-        offset = -float(np.ceil(known[0] * length / 1e3)) * 1e3 / length
         why += "; it falls, so the train runs against it: sign -1"
-        other = said(other, f"offset = minus the line's length, not {offset:g}")
+        low, high = length * known.min(), length * known.max()
+        if work.line is not None and low > -FAR and high < work.line.length + FAR:
+            offset = -work.line.length / length
+            why += f", from the end of line '{work.line.name}'"
+        else:
+            offset = -float(np.ceil(known[0] * length / 1e3)) * 1e3 / length
+            other = said(other, f"offset = minus the line's length, not {offset:g}")
     work.place(
         POSITION, name, unit=answer.units["length"], sign=sign, offset=offset, why=why,
         check=", ".join(checks), alternative=other, unproven=unproven,

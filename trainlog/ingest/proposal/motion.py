@@ -160,6 +160,8 @@ UNITS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 """Units that are tried, with the cost of each where the file states none."""
 
+IMPERIAL = ("mile", "foot", "mph", "ft/s", "lbf", "klbf")
+
 SI = {"length": "m", "speed": "m/s", "force": "N"}
 
 OVERRULED = 3.0
@@ -263,9 +265,16 @@ def units_of(
         off = {name: abs(math.log(max(ratio, 1e-12))) for name, ratio in ratios.items()}
         mass = driven.mass * size.get("force", np.nan) / size["speed"] if driven.decides else np.nan
         cost = sum(min(12.0, max(0.0, each - TOLERANCE) / 0.04) for each in off.values())
+        usual = [0.0]
         for kind, unit in units.items():
             own = (stated or {}).get(kind)
-            cost += OVERRULED * (unit != own) if own else UNITS[kind].get(unit, 0.0)
+            charge = OVERRULED * (unit != own) if own else UNITS[kind].get(unit, 0.0)
+            if not own and unit in IMPERIAL:
+                usual.append(charge)
+            else:
+                cost += charge
+        # Who measures in miles also measures in mph and pounds: that is one choice.
+        cost += max(usual)
         cost += too_slow(size["speed"] * fastest) + too_fast(size["speed"] * fastest)
         if math.isfinite(mass) and mass:
             far = max(math.log(low / abs(mass)), math.log(abs(mass) / high))

@@ -170,7 +170,8 @@ def propose_profile(
     train : Train, optional
         Whose mass the efforts must accelerate; without it, any train's.
     line : Line, optional
-        At whose stations the trips must stop, where their counter starts elsewhere.
+        At whose end a counter that falls is 0, and at whose stations the trips must stop, where
+        their counter starts elsewhere.
 
     Raises
     ------
@@ -191,7 +192,7 @@ def propose_profile(
     units = zip(layout.names, layout.units, strict=True)
     meanings = {name: meaning_of(name, unit or None) for name, unit in units}
     clock = clock_of(layout, meanings)
-    work = columns_of(layout, clock, meanings, train)
+    work = columns_of(layout, clock, meanings, train, line)
     find_trips(work)
     keep_others(work)
     refuse_no_motion(work)
