@@ -23,13 +23,7 @@ from trainlog.formats.declared import built
 from trainlog.formats.files import atomic_write, write_bytes
 from trainlog.formats.railml import Element
 from trainlog.formats.railway import line_of, read_parameters, read_trajectory
-from trainlog.formats.sfera import (
-    SferaJourney,
-    documents_in,
-    is_sfera,
-    places_along,
-    read_journey,
-)
+from trainlog.formats.sfera import SferaJourney, documents_in, is_sfera, places_along, read_journey
 from trainlog.formats.sfera_messages import (
     DRY,
     Constraint,

@@ -15,12 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from analysis.adhesion.condition_table import (
-    bins_table,
-    day_name,
-    last_evidence,
-    lowest_apart,
-)
+from analysis.adhesion.condition_table import bins_table, day_name, last_evidence, lowest_apart
 from analysis.charts import (
     BLUE,
     GREEN,

@@ -183,8 +183,6 @@ def shortest_trip(driven: DrivenTrip) -> DrivenTrip | None:
             lever=FULL_LEVER,
             load=max(load, 0.0),
         )
-        if not np.isfinite(run.running_time):
-            return None
         position.append(run.positions)
         speed.append(run.speeds)
         running.append(run.times + (running[-1][-1] if running else 0.0))

@@ -22,14 +22,7 @@ from trainlog.ingest.chainage import OnLine
 from trainlog.ingest.receiver import Fixes, count_placed, distance_driven, fixes_of
 from trainlog.presentation import Presented
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
-from trainlog.railway.line import (
-    CurvatureProfile,
-    Geometry,
-    Line,
-    Station,
-    StepProfile,
-    Survey,
-)
+from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile, Survey
 from trainlog.trip import Trip
 from trainlog.units import KMH, PER_MILLE
 

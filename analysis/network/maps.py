@@ -32,13 +32,7 @@ from trainlog.condition import estimated, known_before
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.files import (
-    made_folder,
-    read_bytes,
-    sha256,
-    sha256_of,
-    write_bytes,
-)
+from trainlog.formats.files import made_folder, read_bytes, sha256, sha256_of, write_bytes
 from trainlog.formats.mapfile import MapFile, read_map
 from trainlog.formats.railway import network_from_bytes
 from trainlog.presentation import (

@@ -14,15 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.charts import (
-    BLUE,
-    Chart,
-    Curve,
-    Panel,
-    limit_curve,
-    rows_to_draw,
-    worded,
-)
+from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, rows_to_draw, worded
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
 from analysis.reports.answers import VERDICTS, Verdict, summary_section, verdict_counts
 from analysis.reports.page import WITHOUT_BOKEH, Commands, Page, Part, Section, Warned
@@ -39,14 +31,7 @@ from analysis.reports.trip import Motion, Zone, recorded_trip, trip_sections
 from trainlog import __version__
 from trainlog.display import counted, few, in_brief
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.files import (
-    check_kind,
-    logs_of,
-    read_bytes,
-    sha256,
-    sha256_of,
-    to_bytes,
-)
+from trainlog.formats.files import check_kind, logs_of, read_bytes, sha256, sha256_of, to_bytes
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.railway import line_of
 from trainlog.mcap import read_log

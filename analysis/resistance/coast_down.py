@@ -53,13 +53,7 @@ from analysis.resistance.coasting_detection import (
     motion_of,
     smoothed_over,
 )
-from analysis.resistance.combination import (
-    BETWEEN_TRIPS,
-    PRIOR_TRIPS,
-    SOFTWARE,
-    nodes_over,
-    pooled,
-)
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, nodes_over, pooled
 from analysis.resistance.curve import DragCurve
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.noise import (

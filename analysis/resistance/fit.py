@@ -44,16 +44,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import PARAMETERS
 from trainlog.identity import text_of
-from trainlog.presentation import (
-    MASS,
-    NUMBER,
-    POWER,
-    Band,
-    Column,
-    Presented,
-    WordTable,
-    new_table,
-)
+from trainlog.presentation import MASS, NUMBER, POWER, Band, Column, Presented, WordTable, new_table
 from trainlog.railway.line import Line, StepProfile, in_km
 from trainlog.railway.passport import Passport
 from trainlog.railway.resistance import LARGEST_STD, TERMS, EffortCurve, RunningResistance, basis

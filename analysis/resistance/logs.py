@@ -19,17 +19,9 @@ from analysis.resistance.combination import (
     summarised,
 )
 from analysis.resistance.curve import CURVE_COLUMNS, HEAD_WIND, RESISTANCE_COLUMN, STATED_AT
-from analysis.resistance.fit import (
-    COLUMNS,
-    TOPICS,
-    TripFit,
-    check_speeds,
-    fit_trip,
-)
+from analysis.resistance.fit import COLUMNS, TOPICS, TripFit, check_speeds, fit_trip
 from analysis.resistance.observed import COVER, LISTED, check_choice, parameter_set
-from analysis.resistance.recording import (
-    TripRefusedError,
-)
+from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import diagnosed
 from analysis.view import Given, TripView, each_given, views_of
 from trainlog.display import counted, few, span

@@ -47,12 +47,7 @@ from estimators.regression import Cut, Free, Regression, regress
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.display import counted
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.railway import (
-    largest_load,
-    passport_of,
-    recorded_load,
-    with_passport,
-)
+from trainlog.formats.railway import largest_load, passport_of, recorded_load, with_passport
 from trainlog.ingest.motion import suspect_efforts
 from trainlog.ingest.recording import Finding
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients

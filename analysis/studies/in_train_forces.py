@@ -37,13 +37,7 @@ from trainlog.presentation import WordTable, new_table
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.train import Consist
 from trainlog.simulation.consist import ConsistPlant, ConsistState
-from trainlog.topics import (
-    ENVIRONMENT,
-    TRAIN_CONTROLS,
-    TRAIN_COUPLERS,
-    TRAIN_STATE,
-    TRAIN_VEHICLES,
-)
+from trainlog.topics import ENVIRONMENT, TRAIN_CONTROLS, TRAIN_COUPLERS, TRAIN_STATE, TRAIN_VEHICLES
 from trainlog.trip import Trip
 from trainlog.units import KMH, PER_MILLE
 

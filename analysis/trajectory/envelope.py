@@ -20,14 +20,7 @@ from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
 from trainlog.errors import InfeasibleError
 from trainlog.railway.line import km_words
-from trainlog.railway.motion import (
-    Brakes,
-    Motion,
-    Traction,
-    brake_backwards,
-    effort_at,
-    speed_of,
-)
+from trainlog.railway.motion import Brakes, Motion, Traction, brake_backwards, effort_at, speed_of
 from trainlog.railway.resistance import arrays_of
 from trainlog.units import KMH
 

@@ -25,16 +25,7 @@ from trainlog.catalogue.database import (
 )
 from trainlog.display import counted, few
 from trainlog.errors import InputError
-from trainlog.presentation import (
-    HOURS,
-    MASS,
-    NUMBER,
-    Column,
-    Quantity,
-    Said,
-    WordTable,
-    new_table,
-)
+from trainlog.presentation import HOURS, MASS, NUMBER, Column, Quantity, Said, WordTable, new_table
 from trainlog.spans import times_of
 from trainlog.units import DAY, clock
 

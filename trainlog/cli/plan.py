@@ -27,16 +27,7 @@ from trainlog.cli.options import (
 from trainlog.cli.terminal import console, say, show, state, wrote
 from trainlog.errors import InputError, meant, similar
 from trainlog.progress import task
-from trainlog.units import (
-    COUNT,
-    DISTANCE,
-    MASS,
-    NUMBER,
-    PERCENT,
-    SHARE,
-    SPEED,
-    TIME,
-)
+from trainlog.units import COUNT, DISTANCE, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME
 
 if TYPE_CHECKING:
     from analysis.trajectory.journey import JourneyPlan

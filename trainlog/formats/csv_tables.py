@@ -19,11 +19,7 @@ import numpy as np
 import pandas as pd
 
 from trainlog.arrays import FloatArray
-from trainlog.declaration import (
-    Column,
-    Must,
-    check_plausible,
-)
+from trainlog.declaration import Column, Must, check_plausible
 from trainlog.display import counted, text_of_cell
 from trainlog.errors import InputError
 from trainlog.formats.declared import built

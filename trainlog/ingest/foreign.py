@@ -24,13 +24,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError, suggestion
 from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
-from trainlog.ingest.profile import (
-    PROFILE_FORMAT,
-    Column,
-    MismatchError,
-    Profile,
-    TimeOptions,
-)
+from trainlog.ingest.profile import PROFILE_FORMAT, Column, MismatchError, Profile, TimeOptions
 from trainlog.ingest.recording import (
     NO_TIME,
     SHOWN,

@@ -19,12 +19,7 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.identity import source_of
-from trainlog.ingest.chainage import (
-    AgainstLineError,
-    Estimate,
-    estimated_state,
-    position_offset,
-)
+from trainlog.ingest.chainage import AgainstLineError, Estimate, estimated_state, position_offset
 from trainlog.ingest.matching import placed
 from trainlog.ingest.motion import (
     FAR,

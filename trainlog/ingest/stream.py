@@ -36,12 +36,7 @@ from trainlog.ingest.messages import (
     fixes_of_pvt,
     is_of,
 )
-from trainlog.ingest.profile import (
-    ARRIVAL,
-    WORDS,
-    Profile,
-    known_field,
-)
+from trainlog.ingest.profile import ARRIVAL, WORDS, Profile, known_field
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Table
 from trainlog.ingest.sources import BLOCK
 from trainlog.ingest.telegrams import chosen, columns_of

@@ -26,14 +26,7 @@ from trainlog.formats.trip_tables import (
     read_parquet,
     trip_index,
 )
-from trainlog.mcap.contents import (
-    ChunkPlace,
-    Contents,
-    check_is_mcap,
-    fetched,
-    index_in,
-    scanned,
-)
+from trainlog.mcap.contents import ChunkPlace, Contents, check_is_mcap, fetched, index_in, scanned
 from trainlog.mcap.description import LogDescription, describe
 from trainlog.mcap.foreign import frames_of
 from trainlog.mcap.reader import check_readable, read_log, step_of, stream_log

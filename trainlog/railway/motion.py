@@ -11,7 +11,7 @@ that of constant acceleration, ``2 ds / (v + v')``, which stays finite from stan
 standstill, once over the whole and once over its halves, extrapolated to order four.
 
 A fastest run is the lower of two curves: full traction from the start, and full braking towards
-every speed limit and the end.
+every speed limit and the end. That of a timetable takes the acceleration of each step's beginning.
 """
 
 # The decorator of numba carries no types.
@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import FloatArray
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.train import Train
@@ -283,74 +283,31 @@ def _back(
 
 
 @njit(cache=True)
-def _pull(
-    z: float, limit: float, power: float, speeds: FloatArray, efforts: FloatArray, gain: float,
-    drag0: float, drag1: float, drag2: float,
-) -> float:  # fmt: skip
-    """Slope of ``z`` under full traction: effort limit, power limit and curve of effort."""
-    v = speed_of(z)
-    effort = min(limit, power / v) if v > 0.0 else limit
-    effort = min(effort, effort_at(v, speeds, efforts))
-    return float(gain * effort - drag0 - drag1 * v - 2.0 * drag2 * z)
-
-
-@njit(cache=True)
 def pull_forwards(
-    curve: FloatArray, initial: float, traction: Traction, motion: Motion,
-    order: int = 4, least: float = 0.0,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """Full traction from the start, each train by itself, below its braking `curve`.
+    ceiling: FloatArray, traction: Traction, drag0: FloatArray, drag1: float, drag2: FloatArray,
+    step: FloatArray, least: float,
+) -> FloatArray:  # fmt: skip
+    """Full traction of one train from standstill, below a ceiling: ``z`` at each node.
+
+    Each cell takes the acceleration of its beginning.
 
     Parameters
     ----------
-    curve : (q, n + 1) array [m²/s²]
-    initial : float [m²/s²]
-        ``z`` at the start.
+    ceiling : (n + 1,) array [m²/s²]
     traction : Traction
-    motion : Motion
-    order : {1, 4}
-        Of the integration: Runge-Kutta of order four on halves of the cells, the mean of `drag0` in
-        both; or the acceleration where a cell begins, for the whole of it.
+    drag0, drag2, step : (n,) array [m/s²], [1/m], [m]
+    drag1 : float [1/s]
     least : float [m²/s²]
-        ``z`` that is kept where traction does not overcome the line; 0: the train stalls there.
-
-    Returns
-    -------
-    z : (q, n + 1) array [m²/s²]
-    stalled : (q,) array
-        The cell in which a train comes to a stand, or -1.
+        ``z`` that is kept where traction does not overcome the line.
     """
-    gain, drag0, drag1, drag2, step = motion
-    q, n = drag2.shape
-    z = np.empty((q, n + 1))
-    stalled = np.empty(q, dtype=np.int64)
-    for a in range(q):
-        z[a, 0], stalled[a] = initial, -1
-        for k in range(n):
-            y, h, d = z[a, k], 0.5 * step[k], drag0[a, k]
-            mean = 0.5 * (d[0] + d[SUBSTEPS])
-            for j in range(1, SUBSTEPS):
-                mean += d[j]
-            mean /= SUBSTEPS
-            limit, power = traction.limit[k], traction.power[a]
-            speeds, efforts = traction.speeds[a], traction.efforts
-            if order == 1:
-                y += step[k] * _pull(
-                    y, limit, power, speeds, efforts, gain[a], d[0], drag1[a], drag2[a, k]
-                )
-            else:
-                cell = (limit, power, speeds, efforts, gain[a], mean, drag1[a], drag2[a, k])
-                for _ in range(2):
-                    k1 = _pull(y, *cell)
-                    k2 = _pull(y + 0.5 * h * k1, *cell)
-                    k3 = _pull(y + 0.5 * h * k2, *cell)
-                    k4 = _pull(y + h * k3, *cell)
-                    y += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-            y = max(y, least)
-            if y <= 0.0 and curve[a, k + 1] > 0.0 and stalled[a] < 0:
-                stalled[a] = k
-            z[a, k + 1] = max(min(y, curve[a, k + 1]), 0.0)
-    return z, stalled
+    z = np.zeros(ceiling.size)
+    for k in range(step.size):
+        v = speed_of(z[k])
+        effort = min(traction.limit[k], traction.power[0] / v) if v > 0.0 else traction.limit[k]
+        effort = min(effort, effort_at(v, traction.speeds[0], traction.efforts))
+        reached = z[k] + step[k] * (effort - drag0[k] - drag1 * v - 2.0 * drag2[k] * z[k])
+        z[k + 1] = max(min(max(reached, least), ceiling[k + 1]), 0.0)
+    return z
 
 
 def braking_curve(positions: FloatArray, limits: FloatArray, deceleration: float) -> FloatArray:
@@ -449,15 +406,9 @@ def timetable_run(
     track = line.track_acceleration(positions[:-1], train.strip_length)
     constant, linear, quadratic = resistance.parabola
     drag0 = (constant + mass * track) / inertia
-    motion = Motion(
-        np.ones(1),
-        np.repeat(drag0[None, :, None], SUBSTEPS + 1, axis=2),
-        np.array([linear / inertia]),
-        np.full((1, drag0.size), quadratic / inertia),
-        np.diff(positions),
-    )
-    ceiling = 0.5 * braking_curve(positions, limits, deceleration)[None] ** 2
-    z, _ = pull_forwards(ceiling, 0.0, traction, motion, 1, 0.5 * SLOWEST**2)
-    speeds = np.sqrt(2.0 * z[0])
+    ceiling = 0.5 * braking_curve(positions, limits, deceleration) ** 2
+    resisting = (drag0, linear / inertia, np.full(drag0.size, quadratic / inertia))
+    z = pull_forwards(ceiling, traction, *resisting, np.diff(positions), 0.5 * SLOWEST**2)
+    speeds = np.sqrt(2.0 * z)
     spent = np.cumsum(2.0 * np.diff(positions) / (speeds[1:] + speeds[:-1]))
     return FastestRun(positions, speeds, np.concatenate(([0.0], spent)))

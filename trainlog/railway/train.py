@@ -41,13 +41,7 @@ from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.presentation import FORCE, MASS, POWER, WordTable, new_table
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import (
-    SUFFIXES,
-    TERMS,
-    UNITS,
-    EffortCurve,
-    RunningResistance,
-)
+from trainlog.railway.resistance import SUFFIXES, TERMS, UNITS, EffortCurve, RunningResistance
 from trainlog.units import GRAVITY, KMH
 
 MassModel = Literal["mass_point", "homogeneous_strip"]

@@ -29,14 +29,7 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.replay.drawing import COLOURS_IN_WORDS, PHASE_LETTERS, Chart, Shown
-from trainlog.replay.samples import (
-    ELAPSED,
-    POSITION,
-    SPEEDS_SHOWN,
-    TIME,
-    Panel,
-    path_of,
-)
+from trainlog.replay.samples import ELAPSED, POSITION, SPEEDS_SHOWN, TIME, Panel, path_of
 from trainlog.replay.survey import BEHIND, SLOWER
 from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Field, Topic
 

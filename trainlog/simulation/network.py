@@ -18,14 +18,7 @@ from scipy.ndimage import grey_opening
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray
 from trainlog.errors import InputError
-from trainlog.railway import (
-    CurvatureProfile,
-    Geometry,
-    Line,
-    Station,
-    StepProfile,
-    Tunnel,
-)
+from trainlog.railway import CurvatureProfile, Geometry, Line, Station, StepProfile, Tunnel
 from trainlog.railway.geometry import from_plane, plane_curve, thinned
 from trainlog.railway.network import Edge, Network, Node, NodeKind
 from trainlog.units import KMH

@@ -14,12 +14,7 @@ import numpy as np
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train
-from trainlog.railway.adhesion import (
-    DRY,
-    LEAST_SPEED,
-    AdhesionCharacteristic,
-    creep_coefficients,
-)
+from trainlog.railway.adhesion import DRY, LEAST_SPEED, AdhesionCharacteristic, creep_coefficients
 from trainlog.railway.resistance import EffortCurve, arrays_of
 from trainlog.simulation import dynamics
 from trainlog.simulation.dynamics import (

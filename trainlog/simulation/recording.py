@@ -18,13 +18,7 @@ from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
 from trainlog.simulation.scenario import LARGEST_LOAD, Scenario
 from trainlog.simulation.traction import TractionLoop
 from trainlog.topics import EVENTS, REFERENCE, STANDSTILL, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
-from trainlog.trip import (
-    LINE_ATTACHMENT,
-    SCENARIO_ATTACHMENT,
-    TRAIN_ATTACHMENT,
-    Trip,
-    frame_of,
-)
+from trainlog.trip import LINE_ATTACHMENT, SCENARIO_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 from trainlog.units import NANOSECONDS
 
 STANDING = 10.0

@@ -17,14 +17,7 @@ from trainlog.formats.characteristic import characteristic_content
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
 from trainlog.railway.adhesion import AdhesionCharacteristic
-from trainlog.simulation.drivers import (
-    Driver,
-    Habits,
-    Observation,
-    Stop,
-    TimetableDriver,
-    plan,
-)
+from trainlog.simulation.drivers import Driver, Habits, Observation, Stop, TimetableDriver, plan
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.rail import HOUR, Rail, RailState, base_map, trip_profile
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_scales

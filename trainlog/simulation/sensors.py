@@ -17,12 +17,7 @@ import pandas as pd
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import Line
-from trainlog.topics import (
-    ENVIRONMENT,
-    GNSS_FIX,
-    GNSS_MOTION,
-    TRAIN_STATE,
-)
+from trainlog.topics import ENVIRONMENT, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import frame_of
 from trainlog.units import EARTH_RADIUS, NANOSECONDS
 

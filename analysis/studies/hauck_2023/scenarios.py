@@ -28,14 +28,7 @@ from analysis.studies.hauck_2023.reference import (
     section_of,
     sections_of,
 )
-from analysis.studies.hauck_2023.simulation import (
-    SHORTEST_DWELL,
-    Plan,
-    Run,
-    run,
-    trip_of,
-    with_map,
-)
+from analysis.studies.hauck_2023.simulation import SHORTEST_DWELL, Plan, Run, run, trip_of, with_map
 from analysis.studies.report import START
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
