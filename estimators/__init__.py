@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         OdometryFilter as OdometryFilter,
         smooth_motion as smooth_motion,
     )
-    from estimators.rls import (
+    from estimators.regression import (
         RecursiveLeastSquares as RecursiveLeastSquares,
         edges_crossed as edges_crossed,
         periods_elapsed as periods_elapsed,

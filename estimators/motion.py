@@ -1,7 +1,14 @@
-"""Smoothing of a train's motion: position, speed and acceleration with their uncertainty.
+"""A train's motion smoothed or filtered: position, speed, acceleration and their uncertainty.
 
 The motion is a linear-Gaussian model (`estimators.linear_gaussian`) whose acceleration is a
 first-order Markov process.
+
+`OdometryFilter` is for a train that runs: where it is and how fast, by its own instruments.
+Between two samples the accelerometer carries the motion on; an axle that neither pulls nor brakes,
+satellites' speed and positions that are known to be passed (balises) correct it. What is missing is
+bridged, as satellites in a tunnel, and the standard deviations grow. The state is position, speed,
+the accelerometer's bias, and by how much the wheel shows too high a speed, over the speed.
+One sample comes at a time, ten times a second at most.
 
 References
 ----------

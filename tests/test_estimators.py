@@ -14,7 +14,7 @@ from refusals import refused
 from estimators.adhesion import AdhesionObserver, SlipDetector
 from estimators.interface import Estimator
 from estimators.motion import OdometryFilter
-from estimators.rls import RecursiveLeastSquares
+from estimators.regression import RecursiveLeastSquares
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 

@@ -462,7 +462,7 @@ class _Stuck:
 
 def test_a_viewer_that_takes_nothing_does_not_delay_the_recording(tmp_path, monkeypatch):
     pytest.importorskip("rerun")
-    from trainlog.replay import live
+    from trainlog.replay import recording as live
 
     monkeypatch.setattr(live, "WAITING", 2)
     free = threading.Event()

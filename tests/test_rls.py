@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
-from estimators.rls import (
+from estimators.regression import (
     RecursiveLeastSquares,
     RlsResult,
     edges_crossed,

@@ -8,10 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
+from analysis.studies.hauck_2023 import run as study, simulation as driving
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.run import difference_table
-from analysis.studies.hauck_2023.scenarios import Day, day_by_day, least_lateness, replanned
+from analysis.studies.hauck_2023.run import (
+    Day,
+    day_by_day,
+    difference_table,
+    least_lateness,
+    replanned,
+)
 from analysis.studies.hauck_2023.simulation import trip_of
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile

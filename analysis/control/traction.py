@@ -6,8 +6,6 @@ controller of Zhao et al. (2025) with the rail of a track-condition map ahead, c
 wheels show; `ReadhesionControl` knows no map and no peak and takes effort off a wheel that begins
 to slip (after Kadowaki et al., 2007). Without either the plant's own slip protection works.
 
-What a traction controller knows of the rail under each axle: from a map, and learnt under way.
-
 Zhao et al. (2025) take the rail for known. `RailEstimator` learns it from slip speeds and adhesion
 in use: a hidden Markov model of the creep curve, of its maximum and of how its slip speeds are
 stretched against those of `trainlog.railway.adhesion.creep_coefficients`. A map gives the maximum

@@ -1,4 +1,20 @@
-"""Noise of the windows: what it consists of, and how large each part is on this trip.
+"""Windows, and their noise: a trip's samples as one row of a linear regression every second or so.
+
+The equation of motion of a train of mass m whose rotating parts carry the momentum p_rot,
+
+    m dv/dt + dp_rot/dt = F - m a_track(s) - r · basis(v),
+
+divided by m and integrated over a window gives the acceleration form
+
+    Δv + ∫ a_track dt = 1/m (∫ F dt - Δp_rot) - r/m · ∫ basis(v) dt,
+
+linear in 1/m and the coefficients r/m of running resistance. The measured speed change and the
+gradient stand on the left, so that the regressors carry next to no noise: what Δp_rot brings in is
+a tenth of the noise of Δv and biases 1/m by some 1e-6 of itself. Speed at a window's ends is
+averaged over half a window to either side; the integrals are averaged alike, so that the equation
+still holds exactly. The averages of one stretch lie side by side, so that every sample of the speed
+counts: windows of 10 s whose ends are averaged over 1 s leave nine tenths of them unused, and a
+trip on long pieces of gradient is then known a fifth less well.
 
 Four independent causes, each of one unknown size, make the windows' errors correlated:
 

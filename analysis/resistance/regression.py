@@ -1,8 +1,8 @@
 """The regression over the windows of a trip: `estimators.regression`, with its noise.
 
 The windows are whitened (`analysis.resistance.noise`), so that their regression is generalised
-least squares. Handed one by one to the UD-factorised recursion of `estimators.rls` they give what
-was known on the way.
+least squares. Handed one by one to the UD-factorised recursion of `estimators.regression` they give
+what was known on the way.
 
 Two errors of the recorded efforts are estimated along as nuisances, with a prior: a delay against
 the speed, and a wrong scale of the dynamic brake against traction. So is the resistance of tunnels
@@ -41,8 +41,7 @@ from analysis.resistance.noise import (
     estimate_noise,
     shares,
 )
-from estimators.regression import Cut, Free, regress
-from estimators.rls import RecursiveLeastSquares
+from estimators.regression import Cut, Free, RecursiveLeastSquares, regress
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway.resistance import OVER_MASS_STD, TERMS
 

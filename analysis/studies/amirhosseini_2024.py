@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from analysis.charts import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, Chart, Curve, Panel
 from analysis.studies.report import StudyReport, study_trip
-from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed
+from estimators.regression import RecursiveLeastSquares, edges_crossed, periods_elapsed
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.declaration import NotNegative, Positive, check
 from trainlog.formats.declared import thing_to_bytes

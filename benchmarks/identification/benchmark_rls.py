@@ -16,7 +16,7 @@ from filterpy.kalman import KalmanFilter
 from padasip.filters import FilterRLS
 from statsmodels.regression.recursive_ls import RecursiveLS
 
-from estimators.rls import RecursiveLeastSquares
+from estimators.regression import RecursiveLeastSquares
 from trainlog.arrays import FloatArray
 
 PRIOR = np.array([100.0, 1.0, 0.1])

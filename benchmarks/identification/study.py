@@ -26,7 +26,7 @@ from analysis.resistance.fit import TripFit
 from analysis.resistance.noise import build_windows
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.view import view_of
-from estimators.rls import RecursiveLeastSquares
+from estimators.regression import RecursiveLeastSquares
 from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import covariances_of
 from trainlog.railway.resistance import basis

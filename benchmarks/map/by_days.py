@@ -19,14 +19,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from analysis.adhesion.condition_map import adhesion_map
-from analysis.studies.hauck_2023 import scenarios as study
+from analysis.studies.hauck_2023 import run as study
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import NO_LIMIT
-from analysis.studies.hauck_2023.run import days_table
-from analysis.studies.hauck_2023.scenarios import (
+from analysis.studies.hauck_2023.run import (
     LAYER,
     cautious_adhesion,
     day_by_day,
+    days_table,
     first_day,
     replanned,
     timetable_of,

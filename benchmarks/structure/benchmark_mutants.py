@@ -40,9 +40,8 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 NEAREST = {
-    "estimators/regression.py": "regression resistance_windows passport",
+    "estimators/regression.py": "regression rls estimators resistance_windows passport",
     "analysis/resistance/regression.py": "resistance_windows passport",
-    "estimators/rls.py": "rls estimators resistance_windows",
     "estimators/condition_passes.py": "condition_passes condition_field traction_map",
     "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_export",
@@ -55,10 +54,9 @@ NEAREST = {
 """Modules, and the tests that a fault in them should fail, the quickest first."""
 
 WIDER = {
-    "estimators/regression.py": "coast_down resistance_fit golden",
+    "estimators/regression.py": "coast_down study_rls_sliding_mode resistance_fit golden",
     "analysis/resistance/regression.py": "coast_down resistance_fit resistance_together calculated"
     " golden tunnels",
-    "estimators/rls.py": "study_rls_sliding_mode resistance_fit golden",
     "estimators/condition_passes.py": "map_export map_difference golden",
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
     "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",

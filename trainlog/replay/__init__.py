@@ -8,10 +8,11 @@ from trainlog.extras import require
 require("rerun")
 
 from trainlog.replay.layout import scalars as scalars, write_layout as write_layout
-from trainlog.replay.live import LiveReplay as LiveReplay, live_replay as live_replay
 from trainlog.replay.recording import (
+    LiveReplay as LiveReplay,
     Replay as Replay,
     ReplayOptions as ReplayOptions,
+    live_replay as live_replay,
     write_replay as write_replay,
 )
 from trainlog.replay.viewer import (

@@ -2,11 +2,15 @@
 
 `base_map` and `trip_profile` draw what lasts of a line, and what one trip meets of it.
 
-A `Rail` lives in time. What lasts is drawn once a rail condition and
-changes at stated dates. Passing spots have a place, a birth, a depth and a decay: leaves under
+A `Rail` lives in time. What lasts is drawn once a rail condition (`draw_weather`),
+and changes at stated dates. Passing spots have a place, a birth, a depth and a decay: leaves under
 trees while they fall, contamination near stations, frost at night. Rain washes them away in part.
 Lives are lognormal, their decay is log-logistic (it holds, then falls, with a long tail), births
 are clustered in place and time, levels of sections step. Estimators must not assume these shapes.
+
+The weather is drawn hour by hour and follows the calendar of a temperate climate: leaves fall from
+October to the beginning of December, most at the turn of October, and nights freeze when the season
+and the clear sky allow.
 """
 
 from __future__ import annotations

@@ -3,6 +3,11 @@
 References are made for the good rail and the nominal mass; the controller knows the map of the
 rail that it meets, or none at all; the train is simulated axle by axle, with a mass that the
 controller does not know.
+
+`PublishedController` is that of eqs. (9) to (11): once a second a dense quadratic program in the
+levers of the next 20 s, linearised about the reference by time. `MapController` is
+`analysis.control.follow.Follower` on the same reference and map: it linearises about the
+prediction from the measured state, learns of its train, and has a guard between two programs.
 """
 
 from __future__ import annotations
