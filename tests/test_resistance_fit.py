@@ -194,6 +194,7 @@ def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line():
         "tractive effort is 0 throughout": 0.0 * effort,
         "declare unit kN for its column": 1e-3 * effort,
         "declare unit N for its column": 1e3 * effort,
+        r"tractive effort is 1.5 kN while the dynamic brake acts": effort + 1.5e3,
         "recorded efforts are 0.2[0-9] times what the motion needs": 0.25 * effort,
     }
     for message, wrong in cases.items():
@@ -203,6 +204,16 @@ def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line():
         )
         caught = refused(TripRefusedError, message, fit_trip, bad)
         assert caught.reason in ("not recorded", "contradiction")
+
+
+def test_a_dynamic_brake_of_0_throughout_is_taken_for_one_that_is_not_recorded(simulated):
+    for made in simulated[:2]:
+        silent, unknown = (
+            fit_trip(changed(made, "/train/controls", dynamic_braking_effort=value))
+            for value in (0.0, np.nan)
+        )
+        for speed in (10.0, 30.0):
+            assert silent.resistance(speed) == pytest.approx(unknown.resistance(speed))
 
 
 def test_slip_is_masked_where_no_axle_speeds_are_recorded():

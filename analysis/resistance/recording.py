@@ -166,6 +166,10 @@ DEMANDS = {
 MOVED = 0.05
 """Share of the largest demand by which it moves where an effort that rests is not believed."""
 
+FEWEST_BRAKING, OFF_ZERO = 20, 0.002
+"""Samples of dynamic braking that show whether the tractive effort is 0 there; and what of its
+largest it may be."""
+
 POSITION_STEP = 10.0
 """Half the distance over which the effect of a position error is measured [m]."""
 
@@ -496,12 +500,33 @@ def check_recorded(trip: Trip) -> None:
             place="topic /train/controls",
             remedy="map the column that holds it; running resistance needs it",
         )
+    _check_zero(trip)
     if LINE_ATTACHMENT in trip.attachments and "gradients" in line_of(trip).assumed:
         raise TripRefusedError(
             "not recorded",
             f"trip '{trip.name}': the gradients of line '{line_of(trip).name}' are not known",
             remedy="build the line from rides whose receivers give altitudes, or state its"
             " gradients; a level line is imported with --gradients-known",
+        )
+
+
+def _check_zero(trip: Trip) -> None:
+    """Refuse a tractive effort that is not 0 while the motors brake: it would be resistance."""
+    controls = trip["/train/controls"]
+    names = ("tractive_effort", "dynamic_braking_effort")
+    traction, dynamic = (controls[name].to_numpy(np.float64) for name in names)
+    largest = np.nanmax(dynamic) if np.isfinite(dynamic).any() else 0.0
+    braking = np.isfinite(traction) & (dynamic > MOVED * largest)
+    if np.count_nonzero(braking) < FEWEST_BRAKING:
+        return
+    rest = float(np.median(traction[braking]))
+    if rest > OFF_ZERO * np.nanmax(traction):
+        raise TripRefusedError(
+            "contradiction",
+            f"trip '{trip.name}': the recorded tractive effort is {rest / 1e3:.2g} kN while the"
+            " dynamic brake acts",
+            place="topic /train/controls",
+            remedy="correct its zero (offset in the profile), or map traction without braking",
         )
 
 
@@ -660,12 +685,12 @@ def _braking(
     """Where the braking effort is not known well enough.
 
     The dynamic brake is measured like traction and stays in; the friction brake masks. If either
-    is not recorded, any demand for braking masks; without that, a deceleration (the track's part
+    is not recorded, or the dynamic brake is 0 throughout, any demand for braking masks; without that, a deceleration (the track's part
     taken off) that only a brake can cause.
     """
     threshold = PNEUMATIC * GRAVITY * train.mass
     mask = np.nan_to_num(pneumatic) > threshold
-    unknown = ~np.isfinite(dynamic) | ~np.isfinite(pneumatic)
+    unknown = ~np.isfinite(dynamic) | ~np.isfinite(pneumatic) | ~np.any(dynamic > 0.0)
     asked = (np.nan_to_num(demand) > threshold) | (np.nan_to_num(lever) < -0.02)
     unrecorded = ~np.isfinite(demand) & ~np.isfinite(lever)
     return np.asarray(mask | (unknown & np.where(unrecorded, acceleration < -BRAKED, asked)))
