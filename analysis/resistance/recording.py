@@ -685,8 +685,8 @@ def _braking(
     """Where the braking effort is not known well enough.
 
     The dynamic brake is measured like traction and stays in; the friction brake masks. If either
-    is not recorded, or the dynamic brake is 0 throughout, any demand for braking masks; without that, a deceleration (the track's part
-    taken off) that only a brake can cause.
+    is not recorded, or the dynamic brake is 0 throughout, any demand for braking masks; without
+    that, a deceleration (the track's part taken off) that only a brake can cause.
     """
     threshold = PNEUMATIC * GRAVITY * train.mass
     mask = np.nan_to_num(pneumatic) > threshold
