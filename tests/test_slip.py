@@ -398,6 +398,23 @@ def no_axle_speed(trip: Trip) -> Trip:
     return trip.with_topic(axles)
 
 
+def second_in_mph(trip: Trip) -> Trip:
+    axles = trip["/train/axles"].copy()
+    axles["wheel_speed_2"] *= 2.237
+    return trip.with_topic(axles)
+
+
+def test_efforts_of_axles_may_be_written_without_their_sign(trips):
+    """The total shows when the motors brake."""
+    each = trips[2]
+    axles = each.trip["/train/axles"].copy()
+    names = [name for name in axles if name.startswith("wheel_effort_")]
+    axles[names] = axles[names].abs()
+    found = slip(each.trip.with_topic(axles))
+    assert found.notes == ("the axle efforts have the wrong sign where the motors brake: turned",)
+    pd.testing.assert_frame_equal(found.events, each.found.events, rtol=0.02)
+
+
 @pytest.mark.parametrize("efforts", ["with the speeds", "between them"])
 def test_rows_without_any_wheel_speed_are_no_samples(trips, efforts):
     trip = trips[0].trip
@@ -456,6 +473,7 @@ def of_train(trip: Trip, train: Train) -> Trip:
         (lambda trip: without(trip, "/train/state"), "has no position"),
         (lambda t: of_train(t, flirt(axles=Axles(count=2))), "4 axles, train 'flirt' has 2"),
         (no_axle_speed, "has no axle speed"),
+        (second_in_mph, r"wheel_speed_2 is 2\.2. times the train's speed; check its unit"),
         (lambda trip: replace(trip, attachments={}), r"has no train\.json"),
         (lambda trip: trip.with_topic(trip["/train/axles"].iloc[:1]), "holds 1 sample;"),
         (lambda t: replace(t, metadata={**t.metadata, "load": "heavy"}), "load 'heavy'"),

@@ -53,6 +53,9 @@ KNOWN_DELAY = 0.05
 STATED_GAIN = 0.03
 """A gain of the efforts that differs from 1 by more than this is stated."""
 
+STRONG = 0.1
+"""Share of the largest total effort from which on its sign is that of the axles."""
+
 NO_EFFORT = 0.02
 """Axle efforts that sum up to less than this share of the total were not recorded."""
 
@@ -363,7 +366,21 @@ def _level(
                 f"the axle efforts sum up to {ratio.value:.2f} times the total effort:"
                 " divided by it"
             )
+    if total is not None:
+        own, turned = _as_total(own, total)
+        notes += turned
     return "axle", own, notes
+
+
+def _as_total(own: FloatArray, total: FloatArray) -> tuple[FloatArray, list[str]]:
+    """The efforts of the axles with the sign of the total: recorders may write their size alone."""
+    notes = []
+    for sign, words in ((1.0, "pull"), (-1.0, "brake")):
+        strong = sign * total > STRONG * np.max(np.abs(total))
+        if strong.any() and np.median(sign * _sum(own)[strong]) < 0.0:
+            own = np.where((sign * total > 0.0)[:, None], -own, own)
+            notes.append(f"the axle efforts have the wrong sign where the motors {words}: turned")
+    return own, notes
 
 
 def _sum(own: FloatArray) -> FloatArray:

@@ -44,7 +44,7 @@ from trainlog.railway.line import Line, in_km
 from trainlog.railway.train import Train, axle_loads
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans, runs_of
-from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL
+from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of
 from trainlog.units import GRAVITY, KMH, NANOSECONDS
 
@@ -90,6 +90,10 @@ NOISE_SPAN = 0.4
 
 ADHESION_NOISE_FLOOR = 0.002
 """Least noise of an observed adhesion that is assumed."""
+
+LARGEST_FACTOR = 1.3
+"""Measured over true wheel speed, or the inverse, that a wrong diameter may make; beyond it the
+unit is wrong."""
 
 COASTING_ADHESION = 0.02
 """Adhesion in use up to which a wheel is taken to roll without creep, to compare diameters."""
@@ -606,6 +610,13 @@ def _train_speed(
         use = rolling & np.isfinite(wheels[:, axle])
         if np.count_nonzero(use) >= CALIBRATION_SAMPLES:
             factor[axle] = np.median(wheels[use, axle] / first.speed[use])
+        if not 1.0 / LARGEST_FACTOR <= factor[axle] <= LARGEST_FACTOR:
+            raise LogError(
+                f"trip '{trip.name}': wheel_speed_{axles.numbers[axle] + 1} is {factor[axle]:.3g}"
+                " times the train's speed",
+                place=f"topic {TRAIN_AXLES.name}",
+                remedy="check its unit and sign in the profile",
+            )
     speed = train_speed(
         time, wheels / factor, adhesion, noise, gained, reference, reference_std, rate
     )
