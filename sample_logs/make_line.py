@@ -9,16 +9,26 @@ curvature. The train gets what the train file lacks: axles, brake and heaviest l
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from trainlog.arrays import ComplexArray, FloatArray
+from trainlog.errors import InputError
 from trainlog.formats.railway import write_line, write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
 from trainlog.formats.ttobench import read_track, read_train
-from trainlog.railway.geometry import Anchor, Placement, nearest_on, place, track_of
-from trainlog.railway.line import Line, Station
+from trainlog.railway.geometry import (
+    SEMI_MAJOR_AXIS,
+    from_plane,
+    nearest_on,
+    plane_curve,
+    thinned,
+    to_plane,
+    track_of,
+)
+from trainlog.railway.line import Geometry, Line, Station
 from trainlog.railway.train import Axles, Train
 
 # The published kilometres of the line St.Gallen-Winterthur (de.wikipedia.org, "Bahnstrecke
@@ -42,6 +52,103 @@ COORDINATES = {
     "Wil": (47.46250, 9.04090),
 }
 """Latitude and longitude [deg] of stations, by their names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """A point of the line whose coordinates are known.
+
+    Attributes
+    ----------
+    position : float [m]
+    latitude, longitude : float [deg]
+    """
+
+    position: float
+    latitude: float
+    longitude: float
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A plane curve laid on the earth.
+
+    Attributes
+    ----------
+    geometry : Geometry
+    heading : float [deg]
+        Of the line's start, clockwise from north.
+    scale : float
+        Factor by which the curve was stretched to fit; near 1 where curve and anchors agree.
+    residuals : (n,) array [m]
+        Distance between each anchor and its point of the line.
+    """
+
+    geometry: Geometry
+    heading: float
+    scale: float
+    residuals: FloatArray
+
+
+def place(line: Line, anchors: tuple[Anchor, ...], tolerance: float = 0.5) -> Placement:
+    """Lay the plane curve of a line on the earth by turning, shifting and scaling it.
+
+    The similarity is the least-squares fit to the anchors on a plane that touches the ellipsoid
+    at their mean.
+
+    Parameters
+    ----------
+    line : Line
+        With curvatures.
+    anchors : tuple of Anchor
+        At least two.
+    tolerance : float [m]
+        How far the geometry's straight pieces may lie from the curve.
+
+    Raises
+    ------
+    InputError
+        If the line has no curvatures, or there are fewer than two anchors.
+    """
+    if line.curvatures is None or len(anchors) < 2:
+        raise InputError(
+            f"line '{line.name}': placing it needs curvatures and two anchors",
+            remedy="give the line curvatures and two anchors with coordinates",
+        )
+    positions, points = plane_curve(line.curvatures, line.length)
+    latitudes = np.array([anchor.latitude for anchor in anchors])
+    longitudes = np.array([anchor.longitude for anchor in anchors])
+    origin = (float(latitudes.mean()), float(longitudes.mean()))
+    targets = to_plane(latitudes, longitudes, origin)
+    sources = np.interp([anchor.position for anchor in anchors], positions, points)
+    factor, shift = similarity(sources, targets)
+    scale, residuals = float(np.abs(factor)), np.abs(factor * sources + shift - targets)
+    quality = (
+        "reconstructed from the published curvature, fitted to the coordinates of"
+        f" {len(anchors)} points (up to {residuals.max():.0f} m off, scale {scale:.4f});"
+        " not surveyed"
+    )
+    latitude, longitude = from_plane(factor * points + shift, origin)
+    # A geometry is straight in latitude and longitude, so it is thinned there.
+    shrink = np.cos(np.radians(origin[0]))
+    flat = SEMI_MAJOR_AXIS * (np.radians(longitude) * shrink + 1j * np.radians(latitude))
+    kept = thinned(positions, flat, tolerance)
+    geometry = Geometry(positions[kept], latitude[kept], longitude[kept], quality)
+    heading = float(np.degrees(-np.angle(factor))) % 360.0
+    return Placement(geometry, heading, scale, residuals)
+
+
+def similarity(sources: ComplexArray, targets: ComplexArray) -> tuple[complex, complex]:
+    """The factor and shift for which ``factor * sources + shift`` is nearest to `targets`.
+
+    Examples
+    --------
+    >>> similarity(np.array([0.0, 1.0j]), np.array([1.0, 3.0 + 0.0j]))
+    (-2j, (1+0j))
+    """
+    centred = sources - sources.mean()
+    factor = np.vdot(centred, targets - targets.mean()) / np.vdot(centred, centred)
+    return complex(factor), complex(targets.mean() - factor * sources.mean())
 
 
 def sample_line(track: str | Path) -> tuple[Line, Placement]:

@@ -15,7 +15,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from trainlog.cli.commands import STATUSES
+from trainlog.cli.commands import INTERRUPTED
 from trainlog.formats.samples import copy_samples
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted_page", "unrenewed")
@@ -244,6 +244,15 @@ def test_quiet_prints_errors_only(folder, shell):
     assert (status, printed) == (1, "")
     assert complaint.count("\n") == 1
     assert "empty.mcap" in complaint
+
+
+STATUSES = {
+    0: "done",
+    1: "partly done, or a finding: some files could not be used, damage, a significant change",
+    2: "nothing done: the command, a file or an option is not valid; one line states the problem"
+    " and the remedy",
+    INTERRUPTED: "interrupted by Ctrl-C; one line states the finished part",
+}
 
 
 def test_exit_statuses_are_documented():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,10 @@ from simulated_line import level_line
 from trainlog.errors import InputError
 from trainlog.formats.ttobench import read_track
 from trainlog.railway import CurvatureProfile, Line
-from trainlog.railway.geometry import Anchor, from_plane, place, plane_curve, to_plane
+from trainlog.railway.geometry import from_plane, plane_curve, to_plane
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
+from make_line import Anchor, place
 
 TRACK = (
     Path(__file__).parents[2] / "shared" / "data" / "ttobench" / "tracks" / "CH_StGallen_Wil.json"

@@ -32,8 +32,9 @@ from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import stream_log, write_log
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
 from trainlog.replay.recording import MOST_WHOLE
-from trainlog.replay.samples import CURVES, Samples, clock_of, thinned
+from trainlog.replay.samples import CURVES, Samples, thinned
 from trainlog.replay.survey import OVERVIEW, extremes, thinned_trips
+from trainlog.resampling import time_distance_of
 from trainlog.trip import LINE_ATTACHMENT
 
 
@@ -121,7 +122,7 @@ def test_a_train_that_only_goes_on_is_where_it_said(position):
     forward = np.sort(position)
     time = START + np.arange(30) * 10**8
     trip = Trip({"/train/state": frame_of(topics.TRAIN_STATE, time, {"position": forward})})
-    clock = clock_of(trip)
+    clock = time_distance_of(trip)
     assert clock.position_at(time) == pytest.approx(forward, abs=1e-9)
 
 
@@ -152,7 +153,7 @@ def test_a_held_value_is_the_same_at_every_instant_after_thinning(values):
 
 def test_places_lie_on_the_line(trip, tiled):
     found = rows(tiled, "/trips/up/place/train")
-    latitude, longitude = LINE.geometry.at(clock_of(trip).position_at(found["time"]))
+    latitude, longitude = LINE.geometry.at(time_distance_of(trip).position_at(found["time"]))
     assert found["GeoPoints:positions"] == pytest.approx(
         np.column_stack((latitude, longitude)), abs=1e-8
     )
@@ -164,7 +165,7 @@ def test_places_lie_on_the_line(trip, tiled):
 def test_without_tiles_places_are_drawn_to_scale(trip, recording):
     """The line of the example runs east for 2 km; no geographic entity asks for a map."""
     found = rows(recording, "/trips/up/place/train")
-    driven = clock_of(trip).position_at(found["time"])
+    driven = time_distance_of(trip).position_at(found["time"])
     assert found["Points2D:positions"][:, 0] == pytest.approx(driven, abs=2.0)
     assert found["Points2D:positions"][:, 1] == pytest.approx(0.0, abs=0.5)
     chunks = RrdReader(recording).stream().to_chunks()
@@ -206,8 +207,8 @@ def test_topics_that_are_missing_or_empty_are_left_out(trip, tmp_path):
 def test_without_a_chainage_receivers_give_the_distance(trip, tmp_path):
     motion = trip["/gnss/motion"]
     covered = np.trapezoid(motion["speed"], (motion.index.asi8 - START) / 1e9)
-    assert clock_of(Trip({"/gnss/motion": motion})).position[-1] == pytest.approx(covered)
-    fixes = clock_of(Trip({"/gnss/fix": trip["/gnss/fix"]}))
+    assert time_distance_of(Trip({"/gnss/motion": motion})).position[-1] == pytest.approx(covered)
+    fixes = time_distance_of(Trip({"/gnss/fix": trip["/gnss/fix"]}))
     assert fixes.position[-1] == pytest.approx(LENGTH, rel=0.01)
     air = frame_of(topics.ENVIRONMENT, START + np.arange(5) * 10**9, {"gradient": np.arange(5.0)})
     write_replay([Trip({"/environment": air})], tmp_path / "air.rrd")
@@ -267,7 +268,7 @@ def test_a_trip_is_compared_with_what_is_planned_unless_it_followed_or_ran_backw
     entity = "/trips/up/speed/trajectory"
     assert [name for name in entities(path) if name.endswith("/speed/trajectory")] == [entity]
     middle = curve(path, entity, "Measurements:values")[:, 0]
-    position = clock_of(trip).position_at(rows(path, entity)["time"][1:])
+    position = time_distance_of(trip).position_at(rows(path, entity)["time"][1:])
     planned = [trajectory_of().speed_at(row, position) for row in (0, 1)]
     assert middle == pytest.approx(np.mean(planned, axis=0) * 3.6, abs=1e-3)
     assert middle[0] == 0.0
@@ -479,7 +480,7 @@ def test_thinning_keeps_the_least_and_the_greatest_of_each_piece(values, steps):
 def test_a_thinned_trip_is_where_it_was(tmp_path):
     trip = made_trip()
     ((known, _),) = thinned_trips([lambda: [trip]])
-    whole = clock_of(trip)
+    whole = time_distance_of(trip)
     assert known.clock.time.size < whole.time.size
     away = np.abs(known.clock.position_at(whole.time) - whole.position)
     assert away.max() < 10.0

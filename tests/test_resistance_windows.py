@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from analysis.resistance.noise import (
     build_windows,
     estimate_noise,
 )
-from analysis.resistance.recording import REASONS
+from analysis.resistance.recording import Reason
 from analysis.resistance.regression import LEAST_FORCE, Residuals, diagnosed, fit_windows
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_to_bytes
@@ -323,7 +324,7 @@ def test_refusals_say_why_in_a_word_and_show_where():
     for reason, bad in cases.items():
         caught = refused(TripRefusedError, "", fit_trip, bad)
         assert caught.reason == reason
-        assert reason in REASONS
+        assert reason in get_args(Reason)
         timeline = caught.timeline
         if reason == "not recorded":
             assert timeline is None

@@ -15,7 +15,10 @@ from trainlog.errors import InputError
 from trainlog.formats import samples
 from trainlog.formats.railway import line_to_bytes, read_line, read_train, train_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, folder, names, sample
-from trainlog.railway.geometry import plane_curve, similarity, to_plane
+from trainlog.railway.geometry import plane_curve, to_plane
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
+from make_line import similarity
 
 pytestmark = pytest.mark.usefixtures("remembered")
 

@@ -77,8 +77,6 @@ GONE = 0.005
 LABEL_SPACE = 0.022
 """Share of the width that a label beside a vertical line takes."""
 
-DAY = pd.Timedelta(days=1)
-
 
 def map_charts(
     track: TrackConditionMap,

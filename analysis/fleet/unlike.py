@@ -259,9 +259,6 @@ NORMAL_BEFORE = 6
 """The median of so many trips is as far off as a normal distribution states; of fewer it is judged
 by the trips' own distribution."""
 
-POWER = 0.9
-"""Share of faults of a stated least size that are seen."""
-
 NEAR = 1.5
 """Deviations of one trip, over the root of their number, below which a median is not looked at: it
 is that far off in one case of ten."""
@@ -870,7 +867,7 @@ def _step_likelihood(one: _Watched) -> tuple[FloatArray, IntArray]:
 
 
 def _least_change(series: Series, std: float, count: int, level: float) -> float:
-    """Smallest change that is seen within five trips, with the probability `POWER`."""
+    """Smallest change that is seen within five trips in nine cases of ten."""
     x = np.linspace(0.05, 60.0, 1200)
 
     def is_seen(place: int) -> bool:

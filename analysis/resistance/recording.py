@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -44,8 +44,6 @@ is known too badly."""
 EFFORT_DIPS = "effort dips"
 """Slip protection takes effort off and gives it back: all that shows where no wheel is recorded."""
 
-REASONS: tuple[Reason, ...] = get_args(Reason)
-
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
@@ -85,7 +83,7 @@ class TripRefusedError(NotIdentifiableError):
     Attributes
     ----------
     reason : str
-        One of `REASONS`.
+        One of `Reason`.
     timeline : Timeline or None
         What was masked; None if nothing could be made of the recording.
 

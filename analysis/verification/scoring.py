@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import pandas as pd
 
-from analysis.adhesion.condition_map import empty_map
+from analysis.adhesion.condition_map import empty_map, refusal_of
 from analysis.adhesion.evidence import Evidence, evidence_of_log, own_line
 from analysis.network.maps import LogOnEdges, NetworkMap
 from analysis.verification.forecasts import map_forecast, reach, rolling_forecast, stated_forecast
@@ -469,11 +469,6 @@ def line_of_logs(logs: Iterable[str | Path]) -> tuple[str | None, float]:
     return None, float("inf")
 
 
-def refusal(error: TrainlogError, path: Path) -> str:
-    """Why a log cannot be used, with its path."""
-    return str(type(error)(error.problem, file=path, remedy=error.remedy))
-
-
 def _trips(
     logs: Iterable[str | Path],
     track: TrackConditionMap | None,
@@ -495,7 +490,7 @@ def _trips(
             if layer is not None:
                 stated[digest] = read_log(path, topics=[]).metadata.get("weather", "")
         except TrainlogError as error:
-            refused.append(refusal(error, path))
+            refused.append(refusal_of(error, path))
     if track is None:
         raise InputError(
             "no log could be used" + (f": {refused[0]}" if refused else ""),
@@ -644,7 +639,7 @@ def score_network_on(
             if layer is not None:
                 stated[digest] = given.trip.metadata.get("weather", "")
         except TrainlogError as error:
-            refused.append(refusal(error, path))
+            refused.append(refusal_of(error, path))
             continue
         for edge in edges:
             track = maps.maps.get(edge.name)
@@ -654,7 +649,7 @@ def score_network_on(
             try:
                 piece = given.evidence_on(edge, track, layer, weather, digest)
             except TrainlogError as error:
-                refused.append(f"edge '{edge.name}': {refusal(error, path)}")
+                refused.append(f"edge '{edge.name}': {refusal_of(error, path)}")
             else:
                 pieces.setdefault(edge.name, []).append(piece)
     limits = [

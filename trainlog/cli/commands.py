@@ -31,16 +31,6 @@ from trainlog.errors import InputError
 INTERRUPTED = 130
 """Exit status after Ctrl-C; typer returns it, too."""
 
-STATUSES = {
-    0: "done",
-    1: "partly done, or a finding: some files could not be used, damage, a significant change",
-    2: "nothing done: the command, a file or an option is not valid; one line states the problem"
-    " and the remedy",
-    INTERRUPTED: "interrupted by Ctrl-C; one line states the finished part",
-}
-"""Exit statuses of all commands, with what they mean."""
-
-
 PANELS = {
     "Start here": {"demo": "demo", "docs": "settings", "settings": "settings"},
     "Record": {

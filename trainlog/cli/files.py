@@ -469,12 +469,6 @@ def _open(file: Path) -> None:
         console.print("no browser here: open the page where there is one")
 
 
-KINDS = (
-    "Ends in .mcap (a log), .mf4 (MDF 4), .parquet or .csv (folders with a file for each topic), of"
-    " a network .geojson; else a folder for rebuilt logs."
-)
-
-
 def convert(
     sources: Logs,
     /,

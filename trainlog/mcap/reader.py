@@ -14,10 +14,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import pandas as pd
 from mcap.records import Attachment, Metadata
 
 from trainlog.display import few
@@ -63,9 +62,6 @@ from trainlog.spans import (
 )
 from trainlog.topics import RECORDED, SCHEMA_VERSION, TOPICS, Topic, column_field
 from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip, nanoseconds
-
-_Frames = dict[str, pd.DataFrame]
-_T = TypeVar("_T")
 
 
 def read_log(

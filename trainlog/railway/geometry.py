@@ -12,51 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import ComplexArray, FloatArray, IntArray, numbered
-from trainlog.errors import InputError
-from trainlog.railway.line import CurvatureProfile, Geometry, Line
+from trainlog.railway.line import CurvatureProfile, Geometry
 
 STEP = 25.0
 """Largest distance between computed points [m]."""
 
-_SEMI_MAJOR_AXIS = 6_378_137.0
+SEMI_MAJOR_AXIS = 6_378_137.0
+"""Of the ellipsoid WGS 84 [m]."""
+
 _FLATTENING = 1.0 / 298.257_223_563
 _ECCENTRICITY_SQUARED = _FLATTENING * (2.0 - _FLATTENING)
-
-
-@dataclass(frozen=True, slots=True)
-class Anchor:
-    """A point of the line whose coordinates are known.
-
-    Attributes
-    ----------
-    position : float [m]
-    latitude, longitude : float [deg]
-    """
-
-    position: float
-    latitude: float
-    longitude: float
-
-
-@dataclass(frozen=True)
-class Placement:
-    """A plane curve laid on the earth.
-
-    Attributes
-    ----------
-    geometry : Geometry
-    heading : float [deg]
-        Of the line's start, clockwise from north.
-    scale : float
-        Factor by which the curve was stretched to fit; near 1 where curve and anchors agree.
-    residuals : (n,) array [m]
-        Distance between each anchor and its point of the line.
-    """
-
-    geometry: Geometry
-    heading: float
-    scale: float
-    residuals: FloatArray
 
 
 def plane_curve(
@@ -95,67 +60,6 @@ def plane_curve(
     chords = 0.5 * span * ((1j * np.exp(-1j * heading)) @ weights)
     positions = np.append(starts[element] + within * span, length)
     return positions, np.concatenate(([0.0], np.cumsum(chords)))
-
-
-def place(line: Line, anchors: tuple[Anchor, ...], tolerance: float = 0.5) -> Placement:
-    """Lay the plane curve of a line on the earth by turning, shifting and scaling it.
-
-    The similarity is the least-squares fit to the anchors on a plane that touches the ellipsoid
-    at their mean.
-
-    Parameters
-    ----------
-    line : Line
-        With curvatures.
-    anchors : tuple of Anchor
-        At least two.
-    tolerance : float [m]
-        How far the geometry's straight pieces may lie from the curve.
-
-    Raises
-    ------
-    InputError
-        If the line has no curvatures, or there are fewer than two anchors.
-    """
-    if line.curvatures is None or len(anchors) < 2:
-        raise InputError(
-            f"line '{line.name}': placing it needs curvatures and two anchors",
-            remedy="give the line curvatures and two anchors with coordinates",
-        )
-    positions, points = plane_curve(line.curvatures, line.length)
-    latitudes = np.array([anchor.latitude for anchor in anchors])
-    longitudes = np.array([anchor.longitude for anchor in anchors])
-    origin = (float(latitudes.mean()), float(longitudes.mean()))
-    targets = to_plane(latitudes, longitudes, origin)
-    sources = np.interp([anchor.position for anchor in anchors], positions, points)
-    factor, shift = similarity(sources, targets)
-    scale, residuals = float(np.abs(factor)), np.abs(factor * sources + shift - targets)
-    quality = (
-        "reconstructed from the published curvature, fitted to the coordinates of"
-        f" {len(anchors)} points (up to {residuals.max():.0f} m off, scale {scale:.4f});"
-        " not surveyed"
-    )
-    latitude, longitude = from_plane(factor * points + shift, origin)
-    # A geometry is straight in latitude and longitude, so it is thinned there.
-    shrink = np.cos(np.radians(origin[0]))
-    flat = _SEMI_MAJOR_AXIS * (np.radians(longitude) * shrink + 1j * np.radians(latitude))
-    kept = thinned(positions, flat, tolerance)
-    geometry = Geometry(positions[kept], latitude[kept], longitude[kept], quality)
-    heading = float(np.degrees(-np.angle(factor))) % 360.0
-    return Placement(geometry, heading, scale, residuals)
-
-
-def similarity(sources: ComplexArray, targets: ComplexArray) -> tuple[complex, complex]:
-    """The factor and shift for which ``factor * sources + shift`` is nearest to `targets`.
-
-    Examples
-    --------
-    >>> similarity(np.array([0.0, 1.0j]), np.array([1.0, 3.0 + 0.0j]))
-    (-2j, (1+0j))
-    """
-    centred = sources - sources.mean()
-    factor = np.vdot(centred, targets - targets.mean()) / np.vdot(centred, centred)
-    return complex(factor), complex(targets.mean() - factor * sources.mean())
 
 
 def thinned(positions: FloatArray, points: ComplexArray, tolerance: float) -> IntArray:
@@ -217,7 +121,7 @@ def from_plane(points: ComplexArray, origin: tuple[float, float]) -> tuple[Float
 def _cartesian(latitude: ArrayLike, longitude: ArrayLike) -> FloatArray:
     """Earth-centred coordinates [m] on the ellipsoid, (3, ...)."""
     phi, lam = np.radians(latitude), np.radians(longitude)
-    normal = _SEMI_MAJOR_AXIS / np.sqrt(1.0 - _ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
+    normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - _ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
     return np.array(
         (
             normal * np.cos(phi) * np.cos(lam),
@@ -231,14 +135,14 @@ def _geodetic(cartesian: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
     """Latitude, longitude [deg] and height [m], by Bowring's formula."""
     x, y, z = cartesian
     distance = np.hypot(x, y)
-    minor = _SEMI_MAJOR_AXIS * (1.0 - _FLATTENING)
+    minor = SEMI_MAJOR_AXIS * (1.0 - _FLATTENING)
     second = _ECCENTRICITY_SQUARED / (1.0 - _ECCENTRICITY_SQUARED)
-    reduced = np.arctan2(z * _SEMI_MAJOR_AXIS, distance * minor)
+    reduced = np.arctan2(z * SEMI_MAJOR_AXIS, distance * minor)
     phi = np.arctan2(
         z + second * minor * np.sin(reduced) ** 3,
-        distance - _ECCENTRICITY_SQUARED * _SEMI_MAJOR_AXIS * np.cos(reduced) ** 3,
+        distance - _ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS * np.cos(reduced) ** 3,
     )
-    normal = _SEMI_MAJOR_AXIS / np.sqrt(1.0 - _ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
+    normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - _ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
     height = distance / np.cos(phi) - normal
     return np.degrees(phi), np.degrees(np.arctan2(y, x)), height
 

@@ -28,7 +28,6 @@ from trainlog.resampling import (
     TimeDistance,
     interpolated,
     time_distance,
-    time_distance_of,
 )
 from trainlog.topics import (
     ESTIMATED_ADHESION,
@@ -89,17 +88,9 @@ class Clock(TimeDistance):
         return Instants(self.start, time, self.position_at(time))
 
 
-def clock_of(trip: Trip) -> Clock:
-    """The trip's clock; see `trainlog.resampling.time_distance_of`."""
-    return _clock(time_distance_of(trip))
-
-
 def clock_from(start: int, known: Mapping[tuple[str, ...], tuple[Any, ...]]) -> Clock:
     """The clock of a trip that began at `start`; see `trainlog.resampling.time_distance`."""
-    return _clock(time_distance(start, known))
-
-
-def _clock(curve: TimeDistance) -> Clock:
+    curve = time_distance(start, known)
     return Clock(curve.start, curve.time, curve.position)
 
 

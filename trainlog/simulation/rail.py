@@ -29,6 +29,7 @@ from trainlog.errors import InputError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Conditions, Weather
+from trainlog.simulation.sensors import correlated
 from trainlog.spans import utc
 from trainlog.units import DAY, NANOSECONDS
 
@@ -244,12 +245,7 @@ def bin_centres(count: int) -> FloatArray:
 
 def smooth_variation(count: int, generator: np.random.Generator) -> FloatArray:
     """Ornstein-Uhlenbeck process of unit variance over `count` bins."""
-    from scipy.signal import lfilter
-
-    keep = np.exp(-BIN_LENGTH / CORRELATION_LENGTH)
-    white = generator.standard_normal(count)
-    white[1:] *= np.sqrt(1.0 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], white))
+    return correlated(count, BIN_LENGTH, CORRELATION_LENGTH, generator)
 
 
 def spot(centres: FloatArray, start: float, length: float, depth: float) -> FloatArray:

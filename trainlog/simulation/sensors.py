@@ -192,7 +192,7 @@ def train_state(
 def correlated(
     count: int, period: float, memory: float, generator: np.random.Generator
 ) -> FloatArray:
-    """Ornstein-Uhlenbeck noise of unit variance at `count` instants `period` [s] apart."""
+    """Ornstein-Uhlenbeck noise of unit variance at `count` instants or places `period` apart."""
     from scipy.signal import lfilter
 
     keep = np.exp(-period / memory)

@@ -75,9 +75,6 @@ wash to the next."""
 READINGS = 90
 """Days from one reading of a train's wheel diameters to the next."""
 
-RETURNED = 0.006
-"""Diameter that a reprofiling takes off [m]."""
-
 
 @dataclass(frozen=True, slots=True)
 class Fault:
