@@ -254,6 +254,8 @@ class TestCommand:
             place = tmp_path / ("maps" if network else "new.map")
             place.mkdir() if network else None
             assert shell("map", "update", log, "--map", place)[0] == 2, "there is no map"
+            said = shell("map", "update", log, "--map", place, "-q")[2]
+            assert said.startswith(f"trainlog: {place}: is not made: a map needs the speed of a")
             assert "1 without axle speeds" in works("map", "update", logs, "--map", place)
         # A topic that the log has, but that was not read, is another matter.
         missing = NotRecordedError("no such topic")

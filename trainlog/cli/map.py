@@ -132,6 +132,8 @@ def map_update(
     show(result)
     unusable = result.of("refused", "not recorded", "refused before")
     if len(unusable) == len(result.logs) and (result.refused or not result.made):
+        if output.quiet and not result.refused:
+            print_error(f"{map_}: is not made: {'; '.join(result.notes)}")
         raise typer.Exit(2)
     if result.refused or result.elsewhere:
         raise typer.Exit(1)
