@@ -376,6 +376,17 @@ def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_fir
     assert catalogue.pending(STOPS)["path"].tolist() == [str(intact)]
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_recording_with_its_line_counts_before_the_same_without(tmp_path, seed):
+    """As when a file is ingested again with --line: which comes first does not matter."""
+    bare = _file(seed, 0, 9, line=None, messages=1001)
+    with open_catalogue(tmp_path) as catalogue:
+        catalogue.register([bare])
+        catalogue.register([_file(seed + 9, 0, 9)])
+        assert catalogue.query()["line"].notna().all()
+        assert len(catalogue) == 1
+
+
 def test_unknown_labels_and_values_of_passports_are_named(where, logs):
     catalogue = where()
     catalogue.add(logs)
@@ -435,15 +446,16 @@ def test_what_counts_is_what_one_look_at_all_recordings_says(data):
         source = data.draw(st.sampled_from(("", "", "a", "b")))
         moved = data.draw(st.sampled_from((0, 0, 1000))) if source else 0
         quality = data.draw(st.sampled_from(("whole", "unclosed", "damaged")))
-        messages = data.draw(st.integers(1000, 1001))
+        messages, line = data.draw(st.integers(1000, 1001)), data.draw(st.sampled_from(("X", None)))
         recordings.append(
             _file(number, first, minutes, source=source, moved=moved, quality=quality,
-                  messages=messages)
+                  messages=messages, line=line)
         )  # fmt: skip
     known = []
     for each in recordings:
         worse = ("whole", "unclosed", "damaged").index(each.entry.values["quality"])
-        order = (False, -each.entry.values["messages"], worse, each.sha256)
+        values = each.entry.values
+        order = (False, values["line"] is None, -values["messages"], worse, each.sha256)
         known.append(Known(each.entry.values["name"], each.entry.identity, order))
 
     def expected_of(known: list[Known]) -> dict[str, tuple[str, str | None, float | None]]:

@@ -520,8 +520,8 @@ def parts(values: Sequence[Any]) -> Iterable[Sequence[Any]]:
 _ASKED = [
     trips.c[name]
     for name in (
-        "id", "name", "sha256", "start", "end", "samples", "messages", "quality", "source",
-        "blocks", "standing", "same_as", "share",
+        "id", "name", "sha256", "train", "line", "start", "end", "samples", "messages", "quality",
+        "source", "blocks", "standing", "same_as", "share",
     )
 ]  # fmt: skip
 
@@ -535,9 +535,9 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
     """Decide which recording of each drive counts, of all drives that these trips are of.
 
     The rule is that of `trainlog.identity.same_drives`: the fullest. Of recordings that are equally
-    full one whose file is present counts, then that of the most messages, then one that is not
-    damaged. What stood before under the name of another log is an older version and does not count,
-    whatever that log holds.
+    full one whose file is present counts, then one with line and train, then that of the most
+    messages, then one that is not damaged. What stood before under the name of another log is an
+    older version and does not count, whatever that log holds.
     """
     if not touched:
         return
@@ -550,7 +550,12 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
     rows = [drives[number] for number in sorted(drives) if number not in older]
     known = []
     for row in rows:
-        worse = (row["id"] not in present, -row["messages"], _QUALITIES.index(row["quality"]))
+        worse = (
+            row["id"] not in present,
+            sum(row[name] is None for name in ("line", "train")),
+            -row["messages"],
+            _QUALITIES.index(row["quality"]),
+        )
         known.append(Known(row["name"], _identity(row), (*worse, row["sha256"])))
     new: dict[int, tuple[str, int | None, float | None]] = dict.fromkeys(
         drives, ("counts", None, None)
