@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from analysis.trajectory.rollout import brake_below
 from trainlog.arrays import FloatArray
 from trainlog.railway import EffortCurve
 from trainlog.railway.motion import (
@@ -16,9 +18,12 @@ from trainlog.railway.motion import (
     Brakes,
     Motion,
     Traction,
+    advance,
     brake_backwards,
     braking_curve,
+    landing,
     pull_forwards,
+    traverse,
 )
 
 LENGTH, CELLS = 4_000.0, 800
@@ -122,3 +127,37 @@ def test_the_braking_curve_of_one_deceleration_meets_the_limits():
     expected = np.minimum(30.0, np.sqrt(10.0**2 + 2.0 * 0.5 * (2_000.0 - POSITIONS[before])))
     np.testing.assert_allclose(curve[before], expected)
     np.testing.assert_allclose(curve[~before], 10.0)
+
+
+@settings(max_examples=20)
+@given(st.integers(1, 9), st.integers(0, 2**32 - 1))
+def test_trains_side_by_side_move_as_each_alone(q, seed):
+    """Those too that come to a stand in a cell, or begin with none."""
+    same = partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-12)
+    random, n = np.random.default_rng(seed), 12
+    many = Motion(
+        random.uniform(0.5, 1.5, q),
+        random.uniform(-0.3, 0.6, (q, n, SUBSTEPS + 1)),
+        random.uniform(0.0, 0.01, q),
+        random.uniform(0.0, 1e-4, (q, n)),
+        random.uniform(0.5, 300.0, n),
+    )
+    z = random.uniform(0.0, 300.0, (q, n + 1)) * random.integers(0, 2, (q, n + 1))
+    effort, highest = random.uniform(-0.2, 1.0, (q, n)), random.uniform(20.0, 90.0, (q, n + 1))
+    reached, seconds = traverse(z, effort, many)
+    limit = random.uniform(0.2, 1.0, (3, q, n))
+    curves = brake_backwards(highest, 0.0, effort[0], Brakes(*limit, 20.0), many)
+    driven, braking = brake_below(curves, effort, 50.0, many)
+    for a in range(q):
+        one = Motion(many.gain[[a]], many.drag0[[a]], many.drag1[[a]], many.drag2[[a]], many.step)
+        for k in range(n):
+            cell = one.drag0[0, k], one.drag1[0], one.drag2[0, k], one.step[k]
+            same((reached[a, k], seconds[a, k]), advance(z[a, k], effort[a, k], *cell))
+            if braking[a, k] > 0.0:
+                met = landing(driven[a, k], driven[a, k + 1], *cell) / one.gain[0]
+                same(braking[a, k], effort[a, k] - met)
+        brakes = Brakes(*limit[:, [a]], 20.0)
+        same(curves[[a]], brake_backwards(highest[[a]], 0.0, effort[0], brakes, one))
+        alone = brake_below(curves[[a]], effort[[a]], 50.0, one)
+        same(driven[[a]], alone[0])
+        same(braking[[a]], alone[1])

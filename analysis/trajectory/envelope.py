@@ -171,7 +171,7 @@ def _part_of(run: TrajectoryProblem, rows: tuple[int, ...]) -> tuple[TrajectoryP
 
 def _fastest_on(problem: DiscreteProblem, cruising: float = np.inf) -> Envelope:
     run = problem.run
-    traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
+    traction, motion = Traction.of(problem.traction, problem.power), motion_of(problem)
     if problem.curves is not None:
         # As published, not as plans keep to it: no trajectory is faster.
         traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
@@ -253,7 +253,7 @@ def floor_of(
     """
     part, _ = _part_of(run, rows)
     problem = discretise(part, fastest.positions).select(range(len(rows)))
-    traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
+    traction, motion = Traction.of(problem.traction, problem.power), motion_of(problem)
     if problem.curves is not None:
         traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
     speeds, elapsed = fastest.speeds[list(rows)], fastest.elapsed[list(rows)]
@@ -366,12 +366,13 @@ def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None)
             highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
             ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
     brakes = _brakes_of(replace(problem, braking=problem.usable_braking))
-    motion = _motion_of(problem)
+    motion = motion_of(problem)
     curve: FloatArray = brake_backwards(ceiling, problem.final, traction, brakes, motion)
     return curve
 
 
-def _motion_of(problem: DiscreteProblem) -> Motion:
+def motion_of(problem: DiscreteProblem) -> Motion:
+    """What resists the configurations of a problem."""
     return Motion(problem.gain, problem.drag0, problem.drag1, problem.drag2, problem.step)
 
 

@@ -14,9 +14,19 @@ import numpy as np
 from numba import njit
 
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, taper_along
-from analysis.trajectory.envelope import braking_curves
+from analysis.trajectory.envelope import braking_curves, motion_of
 from trainlog.arrays import FloatArray
-from trainlog.railway.motion import advance, effort_at, landing, speed_of, traverse
+from trainlog.railway.motion import (
+    Motion,
+    advance,
+    advance_all,
+    cell_of,
+    effort_at,
+    landing,
+    landing_all,
+    speed_of,
+    traverse,
+)
 from trainlog.railway.resistance import NO_CURVE
 
 _TRIALS = 6
@@ -194,9 +204,7 @@ def cell_times(problem: DiscreteProblem, plan: Plan) -> FloatArray:
 def integrate_cells(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Each cell by itself: ``z`` at its end, and the time in it [s]; (q, n)."""
     effort = problem.gain[:, None] * (plan.traction - plan.braking)
-    reached, times = traverse(
-        plan.z, effort, problem.drag0, problem.drag1, problem.drag2, problem.step
-    )
+    reached, times = traverse(plan.z, effort, motion_of(problem))
     return reached, times
 
 
@@ -325,10 +333,7 @@ def _brake_below(
     problem: DiscreteProblem, curves: FloatArray, effort: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """``z`` under given efforts, (q, n), and what the brake adds to stay below the `curves`."""
-    z, braking = brake_below(
-        curves, effort, problem.initial, problem.gain, problem.drag0, problem.drag1, problem.drag2,
-        problem.step,
-    )  # fmt: skip
+    z, braking = brake_below(curves, effort, problem.initial, motion_of(problem))
     return z, braking
 
 
@@ -367,7 +372,7 @@ def _curve_arrays(problem: DiscreteProblem) -> tuple[FloatArray, FloatArray]:
     return np.tile(speeds, (problem.shape[0], 1)), efforts
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _most_traction(
     z: float, begin: float, highest: float, limits: tuple[float, float, float], speeds: FloatArray,
     efforts: FloatArray, gain: float, drag0: FloatArray, drag1: float, drag2: float, step: float,
@@ -400,7 +405,7 @@ def _most_traction(
     return low
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def cruise(
     curves: FloatArray, cruising_speed: float, common: bool, initial: float,
     traction: FloatArray, gain: FloatArray, power: FloatArray, speeds: FloatArray,
@@ -457,25 +462,27 @@ def cruise(
     return z, effort, brake
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def brake_below(
-    curves: FloatArray, effort: FloatArray, initial: float, gain: FloatArray,
-    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    curves: FloatArray, effort: FloatArray, initial: float, motion: Motion
+) -> tuple[FloatArray, FloatArray]:
     """Given efforts, and what a brake adds not to come above the `curves`.
 
     Returns ``z`` at the nodes, and that braking; (q, n + 1) and (q, n) arrays.
     """
-    q, n = drag2.shape
+    gain, (q, n) = motion.gain, motion.drag2.shape
     z, brake = np.empty((q, n + 1)), np.zeros((q, n))
-    for a in range(q):
-        z[a, 0] = initial
-        for k in range(n):
-            cell = (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            reached, _t = advance(z[a, k], gain[a] * effort[a, k], *cell)
-            if reached > curves[a, k + 1]:
-                met = landing(z[a, k], curves[a, k + 1], *cell) / gain[a]
-                brake[a, k] = max(effort[a, k] - met, 0.0)
-                reached = curves[a, k + 1]
-            z[a, k + 1] = max(reached, 0.0)
+    y, reached, other = np.full(q, initial), np.empty(q), np.empty(q)
+    z[:, 0] = initial
+    for k in range(n):
+        cell, given, highest = cell_of(motion, k), effort[:, k].copy(), curves[:, k + 1].copy()
+        advance_all(y, gain * given, cell, reached, other)
+        rows = np.flatnonzero(reached > highest)
+        if rows.size:
+            landing_all(y, highest, cell, rows, other)
+            for a in rows:
+                brake[a, k] = max(given[a] - other[a] / gain[a], 0.0)
+                reached[a] = highest[a]
+        y[:] = np.maximum(reached, 0.0)
+        z[:, k + 1] = y
     return z, brake

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from trainlog.arrays import FloatArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.train import Train
@@ -60,6 +60,11 @@ class Motion(NamedTuple):
     drag1: FloatArray
     drag2: FloatArray
     step: FloatArray
+
+
+Cell = tuple[FloatArray, FloatArray, FloatArray, float]
+"""What resists q trains in one cell: ``drag0`` as (SUBSTEPS + 1, q) array, ``drag1`` and ``drag2``
+as (q,) arrays, and its length."""
 
 
 class Traction(NamedTuple):
@@ -127,99 +132,151 @@ def effort_at(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
     return efforts[low] + share * (efforts[high] - efforts[low])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def speed_of(z: float) -> float:
     """Speed [m/s] of ``z = v²/2``; 0 below 0, where a train has stopped."""
-    return float(np.sqrt(2.0 * z)) if z > 0.0 else 0.0
+    # Without a branch that keeps the processor from doing several at once.
+    return float(np.sqrt(2.0 * max(z, 0.0)))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slope(z: float, net: float, drag1: float, drag2: float) -> float:
     return float(net - drag1 * speed_of(z) - 2.0 * drag2 * z)
 
 
-@njit(cache=True)
-def _stepped(
-    z: float, first: float, last: float, drag1: float, drag2: float, h: float
-) -> tuple[float, float]:
-    """``z`` after `h` [m], the net force changing from `first` to `last`, and its first slope."""
+@njit(cache=True, error_model="numpy")
+def _after(z: float, first: float, last: float, drag1: float, drag2: float, h: float) -> float:
+    """``z`` after `h` [m], the net force changing from `first` to `last`."""
     mean = 0.5 * (first + last)
     k1 = _slope(z, first, drag1, drag2)
     k2 = _slope(z + 0.5 * h * k1, mean, drag1, drag2)
     k3 = _slope(z + 0.5 * h * k2, mean, drag1, drag2)
     k4 = _slope(z + h * k3, last, drag1, drag2)
-    return z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), k1
+    return z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _seconds(
+    z: float, after: float, first: float, last: float, drag: tuple[float, float], h: float
+) -> float:
+    """Time of these `h` metres; infinite where the train stands."""
+    bend = _slope(z, first, *drag) - _slope(after, last, *drag)
+    middle = 0.5 * (z + after) + 0.125 * h * bend
+    v, v_middle, v_after = speed_of(z), speed_of(middle), speed_of(after)
+    whole = 2.0 * h / (v + v_after)
+    halves = h / (v + v_middle) + h / (v_middle + v_after) if middle > 0.0 else whole
+    return (4.0 * halves - whole) / 3.0 if v + v_after > 0.0 else np.inf
+
+
+@njit(cache=True, error_model="numpy")
 def advance(
     z: float, effort: float, drag0: FloatArray, drag1: float, drag2: float, step: float
 ) -> tuple[float, float]:
     """``z`` at the end of a cell and the time spent in it [s]; infinite if the train stops."""
-    h = step / SUBSTEPS
-    time = 0.0
+    h, drag, time = step / SUBSTEPS, (drag1, drag2), 0.0
     for j in range(SUBSTEPS):
         first, last = effort - drag0[j], effort - drag0[j + 1]
-        following, k1 = _stepped(z, first, last, drag1, drag2, h)
-        middle = 0.5 * (z + following) + 0.125 * h * (k1 - _slope(following, last, drag1, drag2))
-        v, v_middle, v_following = speed_of(z), speed_of(middle), speed_of(following)
-        if v + v_following <= 0.0:
-            return following, np.inf
-        whole = 2.0 * h / (v + v_following)
-        halves = h / (v + v_middle) + h / (v_middle + v_following) if v_middle > 0.0 else whole
-        time += (4.0 * halves - whole) / 3.0
-        z = following
+        after = _after(z, first, last, *drag, h)
+        time += _seconds(z, after, first, last, drag, h)
+        z = after
+        if time == np.inf:
+            break
     return z, time
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def cell_of(motion: Motion, k: int) -> Cell:
+    """A cell as all trains meet it, each value beside that of the next train."""
+    return motion.drag0[:, k].T.copy(), motion.drag1, motion.drag2[:, k].copy(), motion.step[k]
+
+
+@njit(cache=True, error_model="numpy")
+def advance_all(
+    z: FloatArray, effort: FloatArray, cell: Cell, end: FloatArray, time: FloatArray
+) -> None:
+    """`advance` of all trains, side by side: the processor takes several at once.
+
+    Parameters
+    ----------
+    z, effort : (q,) array
+    cell : Cell
+    end, time : (q,) array
+        For the result.
+    """
+    drag0, drag1, drag2, step = cell
+    h = step / SUBSTEPS
+    end[:], time[:] = z, 0.0
+    for j in range(SUBSTEPS):
+        begun, ended = drag0[j], drag0[j + 1]
+        for a in range(end.size):
+            first, last, drag = effort[a] - begun[a], effort[a] - ended[a], (drag1[a], drag2[a])
+            after, so_far = _after(end[a], first, last, *drag, h), time[a]
+            time[a] = so_far + _seconds(end[a], after, first, last, drag, h)
+            end[a] = after if so_far < np.inf else end[a]
+
+
+@njit(cache=True, error_model="numpy")
+def _about(z: float, target: float, both: float, drag1: float, drag2: float, step: float) -> float:
+    """The effort that leads from one ``z`` to the other, by the means of a cell."""
+    mean = 0.5 * (speed_of(z) + speed_of(target))
+    return (target - z) / step + 0.5 * both + drag1 * mean + drag2 * (z + target)
+
+
+@njit(cache=True, error_model="numpy")
 def landing(
     z: float, target: float, drag0: FloatArray, drag1: float, drag2: float, step: float
 ) -> float:
     """The effort that brings the train from ``z`` to ``target`` over a cell."""
-    mean = 0.5 * (speed_of(z) + speed_of(target))
-    effort = (
-        (target - z) / step + 0.5 * (drag0[0] + drag0[-1]) + drag1 * mean + drag2 * (z + target)
-    )
+    effort = _about(z, target, drag0[0] + drag0[-1], drag1, drag2, step)
     for _ in range(4):
         reached, _ = advance(z, effort, drag0, drag1, drag2, step)
         effort += (target - reached) / step
     return float(effort)
 
 
-@njit(cache=True)
-def traverse(
-    z: FloatArray,
-    effort: FloatArray,
-    drag0: FloatArray,
-    drag1: FloatArray,
-    drag2: FloatArray,
-    step: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+@njit(cache=True, error_model="numpy")
+def landing_all(
+    z: FloatArray, target: FloatArray, cell: Cell, rows: IntArray, effort: FloatArray
+) -> None:
+    """`landing` of the trains of some rows, side by side, into `effort`."""
+    drag0, drag1, drag2, step = cell
+    some = drag0[:, rows], drag1[rows], drag2[rows], step
+    begin, ends = z[rows], target[rows]
+    found, reached, time = np.empty(rows.size), np.empty(rows.size), np.empty(rows.size)
+    for a in range(rows.size):
+        both = some[0][0, a] + some[0][-1, a]
+        found[a] = _about(begin[a], ends[a], both, some[1][a], some[2][a], step)
+    for _ in range(4):
+        advance_all(begin, found, some, reached, time)
+        for a in range(rows.size):
+            found[a] += (ends[a] - reached[a]) / step
+    effort[rows] = found
+
+
+@njit(cache=True, error_model="numpy")
+def traverse(z: FloatArray, effort: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray]:
     """Each cell on its own, from its first node: where it ends and how long it takes.
 
     Parameters
     ----------
     z : (q, n + 1) array
-    effort, drag2 : (q, n) array
-    drag0 : (q, n, SUBSTEPS + 1) array
-    drag1 : (q,) array
-    step : (n,) array
+    effort : (q, n) array
+        Times the gain.
+    motion : Motion
 
     Returns
     -------
     end, time : (q, n) array
     """
-    end, time = np.empty_like(effort), np.empty_like(effort)
-    for a in range(effort.shape[0]):
-        for k in range(effort.shape[1]):
-            end[a, k], time[a, k] = advance(
-                z[a, k], effort[a, k], drag0[a, k], drag1[a], drag2[a, k], step[k]
-            )
+    q, n = effort.shape
+    end, time, reached, seconds = np.empty((q, n)), np.empty((q, n)), np.empty(q), np.empty(q)
+    for k in range(n):
+        advance_all(z[:, k], effort[:, k].copy(), cell_of(motion, k), reached, seconds)
+        end[:, k], time[:, k] = reached, seconds
     return end, time
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def brake_backwards(
     ceiling: FloatArray, final: float, traction: FloatArray, brakes: Brakes, motion: Motion
 ) -> FloatArray:
@@ -241,48 +298,43 @@ def brake_backwards(
     -------
     (q, n + 1) array [m²/s²]
     """
-    gain, drag0, drag1, drag2, step = motion
-    q, n = drag2.shape
-    curve = np.empty((q, n + 1))
-    for a in range(q):
-        curve[a, n] = min(final, ceiling[a, n])
-        for k in range(n - 1, -1, -1):
-            z, effort = curve[a, k + 1], -1.0
-            for _ in range(6):
-                by_power = brakes.dynamic_power / max(speed_of(z), 1e-6)
+    gain, drag1 = motion.gain, motion.drag1
+    q, n = motion.drag2.shape
+    curve, z, effort = np.empty((q, n + 1)), np.empty(q), np.empty(q)
+    curve[:, n] = y = np.minimum(final, ceiling[:, n])
+    for k in range(n - 1, -1, -1):
+        resists, _, square, length = cell_of(motion, k)
+        h = length / SUBSTEPS
+        z[:], effort[:] = y, -1.0
+        for _ in range(6):
+            same = True
+            for a in range(q):
+                by_power = brakes.dynamic_power / max(speed_of(z[a]), 1e-6)
                 if brakes.speeds.size > 1:
-                    for each in (z, curve[a, k + 1]):
+                    for each in (z[a], y[a]):
                         by_power = min(
                             by_power, effort_at(speed_of(each), brakes.speeds, brakes.efforts)
                         )
-                limit = min(
-                    brakes.limit[a, k],
-                    brakes.friction[a, k] + min(brakes.dynamic[a, k], by_power),
-                )
-                if limit == effort:
-                    break
-                # Motion backwards along the line: the same equation with the sign of ds turned.
-                effort = limit
-                net = gain[a] * (effort - traction[k])
-                z = _back(curve[a, k + 1], net, drag0[a, k], drag1[a], drag2[a, k], step[k])
-            curve[a, k] = max(min(z, ceiling[a, k]), 0.0)
+                dynamic = min(brakes.dynamic[a, k], by_power)
+                limit = min(brakes.limit[a, k], brakes.friction[a, k] + dynamic)
+                same &= limit == effort[a]
+                effort[a] = limit
+            if same:
+                break
+            z[:] = y
+            # Motion backwards along the line: the same equation with the sign of ds turned.
+            for j in range(SUBSTEPS, 0, -1):
+                near, far = resists[j], resists[j - 1]
+                for a in range(q):
+                    net = gain[a] * (effort[a] - traction[k])
+                    first, last = net + near[a], net + far[a]
+                    z[a] = _after(z[a], first, last, -drag1[a], -square[a], h)
+        for a in range(q):
+            curve[a, k] = y[a] = max(min(z[a], ceiling[a, k]), 0.0)
     return curve
 
 
-@njit(cache=True)
-def _back(
-    z: float, effort: float, drag0: FloatArray, drag1: float, drag2: float, step: float
-) -> float:
-    """``z`` one cell earlier, where braking effort and resistance slow the train down."""
-    h = step / SUBSTEPS
-    for j in range(SUBSTEPS, 0, -1):
-        # Backwards along the line what resists helps.
-        near, far = effort + drag0[j], effort + drag0[j - 1]
-        z, _ = _stepped(z, near, far, -drag1, -drag2, h)
-    return z
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def pull_forwards(
     ceiling: FloatArray, traction: Traction, drag0: FloatArray, drag1: float, drag2: FloatArray,
     step: FloatArray, least: float,
