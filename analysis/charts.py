@@ -543,10 +543,10 @@ def figure_of(charts: Chart | Sequence[Chart]) -> Figure:
     'km/h'
     """
     rows = rows_of([charts] if isinstance(charts, Chart) else charts)
-    rows = [[_wrapped(chart, chart.width / _widths(row)) for chart in row] for row in rows]
-    heights = [max(_height(chart) for chart in row) for row in rows]
     alone = len(rows) == 1 and len(rows[0]) == 1
     share = max(rows[0][0].width, LEAST_WIDTH / WIDTH) if alone else 1.0
+    rows = [[_wrapped(chart, share * chart.width / _widths(row)) for chart in row] for row in rows]
+    heights = [max(_height(chart) for chart in row) for row in rows]
     figure = new_figure(WIDTH * share, sum(heights))
     parts: list[Any] = [figure]
     if not alone:
@@ -559,7 +559,7 @@ def figure_of(charts: Chart | Sequence[Chart]) -> Figure:
         known = set[str]()
         for chart, place in zip(row, inner, strict=True):
             place.set_facecolor("none" if place is not figure else "white")
-            _draw_chart(place, chart, chart.width / _widths(row), known)
+            _draw_chart(place, chart, share * chart.width / _widths(row), known)
             if chart.title:
                 # Titles of one height: the charts of a row stand on one level.
                 words = chart.title + "\n" * (lines - chart.title.count("\n"))
@@ -714,9 +714,20 @@ def _draw_cells(axes: Axes, cells: Cells) -> None:
     if cells.words is not None:
         x, y = (0.5 * (each[1:] + each[:-1]) for each in map(np.asarray, (cells.x, cells.y)))
         for row, column in np.ndindex(colours.shape):
-            light = shown[row, column, :3] @ (0.3, 0.59, 0.11)
             axes.text(x[column], y[row], str(cells.words[row, column]), ha="center", va="center",
-                      fontsize=8, color="white" if light < 0.5 else ON_PALE)  # fmt: skip
+                      fontsize=8, color=ink_on(str(colours[row, column])))  # fmt: skip
+
+
+def ink_on(colour: str) -> str:
+    """The colour of words on a cell of a colour, #rrggbb.
+
+    Examples
+    --------
+    >>> ink_on("#67001f"), ink_on("#f7f7f7") == ON_PALE
+    ('white', True)
+    """
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "white" if 0.3 * red + 0.59 * green + 0.11 * blue < 127.5 else ON_PALE
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:

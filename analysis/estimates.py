@@ -146,7 +146,8 @@ def _resistance(view: TripView, result: Trip) -> Trip:
 
 def _state(view: TripView, result: Trip) -> Trip:
     """Smoothed motion from the wheels' speed and the recorded chainage."""
-    if "/estimates/state" in view.trip and "/train/state" not in view.trip:
+    estimated = "/train/state" not in view.trip or view.located is not view.trip
+    if "/estimates/state" in view.trip and estimated:
         return result
     state = view.trip["/train/state"]
     if len(state) < 2:

@@ -16,6 +16,7 @@ import pandas as pd
 from analysis.reports.summary import content_of
 from analysis.trajectory.advice import JourneyAdvice, journey_advice, limits_of
 from analysis.trajectory.instructions import Phase, limits_between
+from analysis.view import with_chainage
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.csv_tables import read_forecast
@@ -312,7 +313,7 @@ def reports_of(
     """
     if TRAIN_STATE.name not in trip:
         raise LogError(f"has no {TRAIN_STATE.name}", remedy="give a log of a train's motion")
-    state = trip[TRAIN_STATE.name][["position", "speed"]].dropna()
+    state = with_chainage(trip)[TRAIN_STATE.name][["position", "speed"]].dropna()
     along = _along(journey, trip.metadata.get("line"), own)
     state = state.assign(position=along(state.position.to_numpy())).dropna()
     if len(state) < 2:

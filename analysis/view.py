@@ -32,6 +32,7 @@ from trainlog.mcap.reader import identity_of_log, rows_of_log
 from trainlog.mcap.records import Source
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
+from trainlog.resampling import interpolated
 from trainlog.spans import ALWAYS, runs_of
 from trainlog.topics import (
     ENVIRONMENT,
@@ -174,9 +175,36 @@ class TripView:
         return identity_of(self.trip) if whole else identity_of_log(cast("Path", self.path))
 
     @cached_property
+    def located(self) -> Trip:
+        """The trip, as `with_chainage` has it."""
+        return with_chainage(self.trip)
+
+    @cached_property
     def unfrozen(self) -> tuple[Trip, list[Finding]]:
         """The trip without values that its recorder repeated while the train moved, and these."""
         return without_frozen(self.trip)
+
+
+def with_chainage(trip: Trip) -> Trip:
+    """A trip whose recorded speeds have the estimated chainage, where none is recorded.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap")
+    >>> with_chainage(trip) is trip
+    True
+    """
+    state = trip.topics.get(TRAIN_STATE.name)
+    estimated = trip.topics.get(ESTIMATED_STATE.name)
+    if state is None or estimated is None or state["position"].notna().any():
+        return trip
+    if not estimated["position"].notna().any():
+        return trip
+    position = interpolated(estimated, "position", pd.DatetimeIndex(state.index))
+    filled = state.assign(position=position)
+    filled.attrs = state.attrs
+    return trip.with_topic(filled)
 
 
 Given = Trip | TripView | str | Path

@@ -306,7 +306,7 @@ def test_a_trip_is_compared_with_its_advice():
     found = compare(trip, plan)
     (direction,) = found.directions
     table = next(each for each in found.tables() if each.name == "trips")
-    assert [row[0] for row in table.rows] == ["driven-x1.15", "trajectory", "advice, to the letter"]
+    assert [row[0] for row in table.rows] == ["driven-x1.15", "trajectory", "advice obeyed"]
     letter = direction.obeyed.sums["traction"][-1]
     planned = plan.certificate["wheel_energy"][plan.latest]
     assert letter == pytest.approx(planned, rel=0.1)
@@ -319,6 +319,6 @@ def test_a_trip_is_compared_with_its_advice():
     # Where a plan gives no advice the rest is compared.
     nameless = compare(trip, replace(plan, certificate={}))
     assert nameless.directions[0].obeyed is None
-    (note,) = [each for each in nameless.notes if "to the letter" in each]
-    assert note.startswith("left out: advice, to the letter: ")
+    (note,) = [each for each in nameless.notes if "advice obeyed" in each]
+    assert note.startswith("left out: advice obeyed: ")
     assert nameless.facts()["left_out"] == (note.removeprefix("left out: "),)

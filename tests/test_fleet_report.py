@@ -204,10 +204,12 @@ def test_trips_whose_dates_contradict_each_other_are_named():
         == [["b", "dated while the train was on another trip"]] * 2
     )
     wrong.loc[2, ["start", "end"]] += 30 * day
-    facts = FleetFacts(wrong, "no curve", {}, pd.DataFrame())
+    files = pd.DataFrame({"path": ["a.mcap", "b.mcap"], "what": ["refused", "copy"], "reason": ""})
+    facts = FleetFacts(wrong, "no curve", {}, pd.DataFrame(), files)
     (table,) = attention_parts(facts)
     assert isinstance(table, WordTable)
     rows = {row["what"]: row for row in table.data}
+    assert "1 file refused" in rows
     later = rows["dated after its log was registered"]
     assert (later["train"], later["trips"], later["since"]) == ("a", 1, "2026-10-31 07:00")
     simulated = wrong.assign(labels=[{"clock": "UTC, simulated"}] * 12)

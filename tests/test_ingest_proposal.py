@@ -797,6 +797,11 @@ def test_the_command_proposes_and_then_ingests(tmp_path, shell, works):
     assert not list(output.glob("*.mcap"))
     works(*given, "--profile", proposed)
     # Of a folder, one proposal for all files of a layout.
+    status, said, _ = shell("ingest", tmp_path / "in", "-o", tmp_path / "asked")
+    said = " ".join(said.split())
+    assert status == 1
+    assert said.count(f"then: trainlog ingest {tmp_path / 'in'} --profile") == 1
+    assert f"as for {tmp_path / 'in' / 'run-1.csv'}" in said
     words = ("ingest", tmp_path / "in", "-o", tmp_path / "all", "--accept", "--json")
     assert json.loads(works(*words))["counts"]["refused"] == 0
     assert sorted(each.name for each in (tmp_path / "all").iterdir()) == [

@@ -14,7 +14,7 @@ import pytest
 from refusals import refused
 from report_folder import SCRIPT, hostile_trip, planned
 
-from analysis.charts import Chart, Curve, Panel, rows_to_draw
+from analysis.charts import Chart, Curve, Panel, figure_of, rows_to_draw
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.reports import build, page as pages
@@ -114,8 +114,8 @@ def test_a_report_begins_with_five_answers_and_states_what_the_command_line_stat
     assert "<h2>Summary</h2>" in first
     questions = re.findall(r'<th scope="row"[^>]*>([^<]*)</th>', first)
     assert questions == [
-        "what was driven", "is the recording good", "where is it slippery", "what did it cost",
-        "what to do",
+        "trips", "recording", "slippery places", "energy",
+        "next steps",
     ]  # fmt: skip
     assert "29.6 km in 23:07 min, 3 stops on the way" in first
     assert "good: whole, without gaps, nothing doubtful" in first
@@ -168,6 +168,22 @@ def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path):
     write_parameters(heavier, tmp_path / "set.json")
     write_report(tmp_path / "set.json", tmp_path / "doubt.html")
     assert "gives another set than set.json holds" in (tmp_path / "doubt.html").read_text("utf-8")
+
+
+@pytest.mark.usefixtures("unpainted_page")
+def test_a_fit_is_shown_with_refused_trips_and_names_its_file(tmp_path):
+    trip = read_log(sample("stopping.mcap"))
+    idle = trip["/train/controls"].assign(tractive_effort=0.0)
+    idle.attrs = trip["/train/controls"].attrs
+    given = [read_log(sample("nonstop.mcap")), trip.with_topic(idle)]
+    fits = fit(given)
+    assert list(fits.refused) == [trip.name]
+    write_parameters(fits.parameters, tmp_path / "my set.json")
+    write_summaries(fits.summaries, tmp_path / "my set.parquet")
+    write_report(tmp_path / "my set.json", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text("utf-8")
+    assert "1 of 2 trips determine the curve; refused: not recorded: 1" in page
+    assert "trainlog plan &#x27;my set.json&#x27; --line LINE" in page
 
 
 @pytest.mark.usefixtures("unpainted_page")
@@ -246,6 +262,16 @@ def test_a_page_that_would_be_too_large_stands_still(tmp_path, monkeypatch):
     monkeypatch.setattr("analysis.reports.page.LARGEST", 5_000)
     refused(InputError, "the report would have", page.write, tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text("utf-8") == text
+
+
+def test_the_legend_of_a_narrow_chart_alone_is_inside_it():
+    names = [f"maximum adhesion {number}" for number in range(4)]
+    panel = Panel("adhesion", [Curve(name, [0.0, 1.0], [0.0, 1.0]) for name in names])
+    figure = figure_of(Chart("km", [panel], width=0.2))
+    figure.canvas.draw()
+    legend = figure.axes[0].get_legend().get_window_extent()
+    assert figure.bbox.x0 <= legend.x0
+    assert legend.x1 <= figure.bbox.x1
 
 
 def test_thinning_keeps_every_peak_and_both_ends():
@@ -335,13 +361,11 @@ def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_
     page = write_report(tmp_path, tmp_path.parent / "page.html")
     (answers,) = page.sections[0].parts
     said = dict(answers.rows)
-    assert said["what was driven"].startswith(
-        "recorded: 1 trip, 0.3 h; 1 recording more of these drives"
-    )
-    assert said["is the recording good"] == "2 good"
-    assert "trajectory: " in said["what did it cost"]
-    assert "kWh a trip of traction at the wheel rims" in said["what did it cost"]
-    assert said["where is it slippery"].startswith("slip protection acted on 2 of 2 trips")
+    assert said["trips"].startswith("recorded: 1 trip, 0.3 h; 1 recording more of these drives")
+    assert said["recording"] == "2 good"
+    assert "trajectory: " in said["energy"]
+    assert "kWh a trip of traction at the wheel rims" in said["energy"]
+    assert said["slippery places"].startswith("slip protection acted on 2 of 2 trips")
     files, made_of = page.sections[-1].parts[:2]
     assert [row[0] for row in files.rows] == ["plan.json", "trips/a.mcap", "trips/b.mcap"]
     assert ["trips/a.mcap", "simulate"] in [list(row[:2]) for row in made_of.rows]

@@ -266,6 +266,21 @@ def test_csv_and_frame_hold_the_rows_in_si_units():
     refused(KeyError, "no table 'days'; it has runs", found.to_csv, name="days")
 
 
+def test_trips_of_one_doubt_share_a_sentence(fitted):
+    first = replace(fitted.trips[0], notes=("no wheel is recorded",))
+    both = replace(fitted, trips=(first, replace(first, trip="other")))
+    assert f"{first.trip}, other: no wheel is recorded" in both.notes
+
+
+def test_names_are_broken_before_numbers():
+    table = new_table("", Column("train"), Column("at 80 km/h"), Column("note"))
+    table.add_cells("one more train", "9.47 ± 0.33", "not compared with any other")
+    console = Console(width=38, file=io.StringIO())
+    with console.capture() as captured:
+        console.print(table)
+    assert "9.47 ± 0.33" in captured.get()
+
+
 def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_names_them():
     (table,) = runs().tables()
     for width, shown, left_out in (

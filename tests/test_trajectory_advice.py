@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
@@ -21,6 +22,8 @@ from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, StepProfile, Trajectory
+from trainlog.topics import ESTIMATED_STATE
+from trainlog.trip import frame_of
 from trainlog.units import KMH
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
@@ -47,6 +50,18 @@ def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly):
         assert before.end == point.position
         assert before.words() != point.words()
         assert before.until == point.speed
+
+
+def test_advice_goes_with_the_chainage_of_satellites(sampled):
+    trip = read_log(sample("nonstop.mcap"))
+    state = trip["/train/state"]
+    known = {"position": state["position"].to_numpy()}
+    found = frame_of(ESTIMATED_STATE, pd.DatetimeIndex(state.index), known)
+    without = state.assign(position=np.nan)
+    without.attrs = state.attrs
+    located = with_advice(trip.with_topic(without).with_topic(found), sampled)
+    recorded = with_advice(trip, sampled)["/reference"]
+    pd.testing.assert_frame_equal(located["/reference"], recorded)
 
 
 def _with_phases(letters: str, speeds: Sequence[float]) -> Trajectory:

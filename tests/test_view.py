@@ -11,14 +11,17 @@ from fleet_trips import later
 
 import analysis.adhesion.slip as slip_module
 import analysis.resistance.coasting_detection as motion_module
-from analysis import adhesion_map, coast_down, fit, geometry_of, view as module
-from analysis.estimates import estimate_log
+from analysis import adhesion_map, coast_down, fit, fit_trip, geometry_of, view as module
+from analysis.estimates import estimate_log, with_estimates
+from analysis.reports.answers import verdict
+from analysis.resistance.recording import TripRefusedError
 from tests.refusals import refused
 from trainlog.errors import LogError
 from trainlog.formats.samples import folder
 from trainlog.mcap import LogWriter, read_log, write_log
 from trainlog.mcap.reader import rows_of_log
-from trainlog.topics import GNSS_MOTION, TRAIN_STATE
+from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION, TRAIN_STATE
+from trainlog.trip import frame_of
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
@@ -47,6 +50,26 @@ def test_infinite_numbers_are_refused_by_every_analysis(nonstop, call):
         frame.iloc[100:105, frame.columns.get_loc("speed")] = np.inf
         said = f"{name}, column speed: trip 'trip-01' holds 5 infinite numbers; give NaN"
         refused(LogError, said, call, [trip.with_topic(frame)])
+
+
+def test_the_chainage_of_satellites_serves_where_none_is_recorded(nonstop):
+    trip = read_log(nonstop)
+    state = trip["/train/state"]
+    position = state["position"].to_numpy()
+    known = {"position": position, "position_std": np.full(len(position), 2.0)}
+    found = frame_of(ESTIMATED_STATE, pd.DatetimeIndex(state.index), known)
+    without = state.assign(position=np.nan)
+    without.attrs = state.attrs
+    located = trip.with_topic(without).with_topic(found)
+    assert fit_trip(located).resistance(25.0) == pytest.approx(fit_trip(trip).resistance(25.0))
+    kept, refusals = with_estimates(located)
+    pd.testing.assert_frame_equal(kept["/estimates/state"], found)
+    assert kept["/train/state"]["position"].isna().all(), "what is not recorded stays so"
+    assert not any("running resistance" in each for each in refusals)
+    assert "position" not in str(verdict(located))
+    said = "the fit needs it: map its column, or ingest fixes with a line"
+    with pytest.raises(TripRefusedError, match=said):
+        fit_trip(trip.with_topic(without))
 
 
 def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back):

@@ -408,9 +408,10 @@ class WordTable:
     def _laid_out(self, console: Console, width: int) -> RenderResult:
         """Give every column the least it needs, and a like part of what else it asks for.
 
-        Headings are broken between their words first, then the rows but for the names in the first
-        column, then those. Where that is not enough long names are cut in their middles, and
-        columns are left out; inside words only a page is broken that is narrower than a name.
+        Headings are broken between their words first, then long cells but for the names in the
+        first column, then those, then short cells, which are mostly numbers. Where that is not
+        enough long names are cut in their middles, and columns are left out; inside words only a
+        page is broken that is narrower than a name.
         """
         from rich.box import SIMPLE_HEAD
         from rich.table import Table
@@ -489,7 +490,7 @@ class WordTable:
             max([word, *(length for length in each if length <= SHORT)])
             for word, each in zip(words, lines, strict=True)
         ]
-        leasts = (whole, [*whole[:1], *short[1:]], [*whole[:1], *words[1:]], short, words)
+        leasts = (whole, [*whole[:1], *short[1:]], short, [*whole[:1], *words[1:]], words)
         least = next((each for each in leasts if sum(each) <= space), None)
         if least is None or sum(wishes) <= space:
             return [None] * len(heads)

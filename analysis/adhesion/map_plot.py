@@ -139,7 +139,8 @@ def map_charts(
         panels,
         caption="Colours: maximum adhesion to count on, the lower end of the 95 % band; where"
         " several bins share a place that can be seen, the lowest. Grey: nothing was observed, the"
-        " map has no estimate. Numbers: the lowest places.",
+        " map has no estimate. Numbers: the lowest places. Spots: the last day on which they were"
+        " met, and the probability that they are still there.",
         span=(start / 1e3, end / 1e3),
         line=line,
         title=f"{track.line}: maximum adhesion to count on, {track.bin_length:.0f} m bins{when}",
@@ -356,7 +357,7 @@ def difference_charts(found: MapDifference, *, line: Line | None = None) -> list
             [_changed(found, name, reach) for name in names],
             span=(0.0, reach),
             line=line,
-            title="\n".join([compared, *textwrap.wrap(found.sentence, 140)]),
+            title=f"{compared}\n{found.sentence}",
         )
     ]
 
@@ -386,7 +387,7 @@ def _changed(found: MapDifference, name: str, reach: float) -> Panel:
     labels = labels_apart(middle, texts, sections["difference"].abs().to_numpy(), reach)
     highest = max(0.4, 0.1 * float(np.ceil(10.0 * rows[["before_high", "after_high"]].max().max())))
     return Panel(
-        "maximum adhesion", curves, 1.2, f"{name}: {len(rows)} bins in both",
+        "maximum adhesion", curves, 1.2, f"{name}: {counted(len(rows), 'bin')} in both",
         limits=(0.0, highest * (1.3 if labels else 1.0)), spans=every, labels=labels,
     )  # fmt: skip
 

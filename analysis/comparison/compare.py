@@ -263,7 +263,7 @@ def _energies(
     }
 
 
-TO_THE_LETTER = "advice, to the letter"
+TO_THE_LETTER = "advice obeyed"
 """Name of the drive of who follows a plan's advice without reaction and error."""
 
 ADVISED_BAND = 3.0 / KMH
@@ -907,8 +907,8 @@ class ComparedDirection:
                 "lost", of=lambda each: "" if each.lost is None else f"{each.lost.total:+.1f} s"
             ),
             Column("most of it", of=self._causes),
-            Column("wheels", ENERGY, each=True, of=lambda each: _energy(each, "traction")),
-            Column("line", ENERGY, each=True, of=lambda each: _energy(each, "line")),
+            Column("wheels", ENERGY, of=lambda each: _energy(each, "traction")),
+            Column("line", ENERGY, of=lambda each: _energy(each, "line")),
             Column(
                 "wheels at reference's\nload and time", ENERGY, of=lambda each: each.energy or ""
             ),

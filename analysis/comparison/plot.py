@@ -22,6 +22,7 @@ from analysis.charts import (
 from analysis.comparison import CAUSES
 from analysis.comparison.calculated import Calculation
 from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
+from trainlog.display import counted
 from trainlog.units import JOULES_PER_KWH, KMH
 
 TRIP_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
@@ -74,7 +75,7 @@ def comparison_charts(found: ComparedDirection) -> list[Chart]:
         "km in the direction of travel", panels,
         places=list(zip(edges, found.sections.ends, strict=True)),
         span=(edges[0], edges[-1]), line=found.line,
-        title=f"{found.line.name}, {found.direction}: {len(found.trips)} trips against"
+        title=f"{found.line.name}, {found.direction}: {counted(len(found.trips), 'trip')} against"
         f" {reference}{more}",
     )  # fmt: skip
     return [along, _causes(shown)]

@@ -45,7 +45,7 @@ def checked(trip: TripView) -> Mapping[str, Any]:
     (0, '', '')
     """
     doubts: list[str] = []
-    recorded = trip.trip
+    recorded = trip.located
     row: dict[str, Any] = {"trip": trip.name, "damage": trip.damage, "duration": recorded.duration}
     row |= _gaps(recorded) | _repairs(recorded) | _frozen(trip)
     row["missing"] = ", ".join(

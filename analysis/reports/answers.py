@@ -170,11 +170,11 @@ def summary_section(
 ) -> Section:
     """The first page of a report; questions without an answer are left out."""
     answers = {
-        "what was driven": driven,
-        "is the recording good": recording,
-        "where is it slippery": slippery,
-        "what did it cost": cost,
-        "what to do": steps,
+        "trips": driven,
+        "recording": recording,
+        "slippery places": slippery,
+        "energy": cost,
+        "next steps": steps,
     }
     rows = {
         question: "\n".join(filter(None, [said] if isinstance(said, str) else said))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,6 +27,7 @@ from analysis.fleet.update import form_of_reason
 from analysis.network.maps import NetworkMap, map_files, maps_in, network_table
 from analysis.reports.answers import SPEED_OFF, doubts, map_words, summary_section, verdict_counts
 from analysis.reports.page import Page, Part, Section, Still, Warned
+from trainlog.catalogue.querying import problems_table
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import csv_bytes, made_folder, write_bytes
@@ -114,7 +115,9 @@ class _Fleet:
         except TrainlogError as error:
             trains = str(error)
         outcomes = {name: self.outcomes(name) for name in ANALYSES}
-        return FleetFacts(self.trips, trains, outcomes, self.results("checks"))
+        # Files without a trip satisfy no condition.
+        files = pd.DataFrame() if self.options.where else self.catalogue.uncounted()
+        return FleetFacts(self.trips, trains, outcomes, self.results("checks"), files)
 
     @cached_property
     def maps(self) -> KnownMaps:
@@ -171,7 +174,7 @@ def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
         )
     parts: Mapping[str, Callable[[_Fleet], Sequence[Part]]] = {
         "Summary": _summary,
-        "What asks for attention": lambda fleet: attention_parts(fleet.facts),
+        "Needs attention": lambda fleet: attention_parts(fleet.facts),
         "The fleet in numbers": _numbers,
         "Trips": _trips,
         "Running resistance": lambda fleet: resistance_parts(fleet.trains),
@@ -474,7 +477,9 @@ def _refused(fleet: _Fleet) -> list[Part]:
             trains = rows["train"].nunique()
             reason = first["reason"].removeprefix(f"trip '{first['name']}': ")
             table.add_cells(name, str(state), len(rows), trains, reason, first["name"])
-    return [table] if table.rows else ["Every analysis has a result of every trip."]
+    shown: list[Part] = [table] if table.rows else ["Every analysis has a result of every trip."]
+    files = problems_table(fleet.catalogue)
+    return [*shown, files] if files.rows and not fleet.options.where else shown
 
 
 def _quality(fleet: _Fleet) -> list[Part]:
@@ -574,12 +579,15 @@ class FleetFacts:
         What became of each analysis of each trip.
     checks : DataFrame
         Results of the checks of the recordings.
+    files : DataFrame
+        Files that do not count: `Catalogue.uncounted`.
     """
 
     trips: pd.DataFrame
     trains: FleetTrains | str
     outcomes: Mapping[str, pd.DataFrame]
     checks: pd.DataFrame
+    files: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 def attention_rows(facts: FleetFacts) -> list[Row]:
@@ -588,6 +596,7 @@ def attention_rows(facts: FleetFacts) -> list[Row]:
         *_findings(facts),
         *_steps(facts),
         *_results(facts),
+        *_files(facts),
         *_recordings(facts),
         *_dates(facts),
     ]
@@ -601,9 +610,9 @@ def attention_parts(facts: FleetFacts) -> list[Part]:
     warned: list[Part] = [Warned(few)] if few else []
     if not rows:
         words = (
-            "every analysis has results of every train, no train has a finding or a step, no log is"
+            "every analysis has results of every train, no train has a finding or a step, no file"
         )
-        return [f"Nothing: {words} damaged.", *warned]
+        return [f"Nothing: {words} is refused or damaged.", *warned]
     table = new_table("", *ATTENTION, name="attention").add_rows(rows, MOST_ROWS)
     return [table, *warned]
 
@@ -677,6 +686,17 @@ def _results(facts: FleetFacts) -> Iterator[Row]:
                 _named(lacking["train"]), f"{name}: no trip gives a result", "", len(lacking),
                 NO_RESULT.get(name, "see the reason below"),
             )  # fmt: skip
+
+
+def _files(facts: FleetFacts) -> Iterator[Row]:
+    """Files that are no trip: refused by the catalogue, or vanished since."""
+    for what, todo in (
+        ("refused", "read the reason under 'Refused and failed', and copy or ingest them again"),
+        ("vanished", "restore them, or 'trainlog fleet remove' their trips"),
+    ):
+        count = int((facts.files["what"] == what).sum()) if len(facts.files) else 0
+        if count:
+            yield "not stated", f"{counted(count, 'file')} {what}", "", None, todo
 
 
 def _recordings(facts: FleetFacts) -> Iterator[Row]:

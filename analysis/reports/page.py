@@ -43,6 +43,7 @@ from analysis.charts import (
     Curve,
     Panel,
     draw_charts,
+    ink_on,
     legend_of,
     rows_of,
 )
@@ -296,7 +297,8 @@ def _add_cells(plot: Any, cells: Cells) -> None:
         words = np.asarray(cells.words)[rows, columns].tolist()
         middle = (0.5 * (x[columns] + x[columns + 1]), 0.5 * (y[rows] + y[rows + 1]))
         plot.text(*middle, text=words, text_align="center", text_baseline="middle",
-                  text_font_size="8pt", text_color="#1a1a1a")  # fmt: skip
+                  text_font_size="8pt",
+                  text_color=[ink_on(each) for each in data["colour"]])  # fmt: skip
 
 
 def _fill(

@@ -103,14 +103,14 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
     residuals: list[Part] = [*residual_charts(fits.trips)]
     residuals = residuals or ["Residuals are shown where the logs are given."]
     return [
-        _fit_summary(fits),
+        _fit_summary(fits, path),
         Section("Running resistance", [fits]),
         Section("Trips of the fit", [each, *residuals], folded=True),
         Section("Observed set", found.shown(), folded=True),
     ]
 
 
-def _fit_summary(fits: Fits) -> Section:
+def _fit_summary(fits: Fits, path: Path) -> Section:
     """The first page of a fit."""
     common = fits.common
     at = 80.0 / KMH
@@ -126,7 +126,10 @@ def _fit_summary(fits: Fits) -> Section:
         "",
         f"running resistance at 80 km/h: {drag:.2f} kN (95 %: {low:.2f} to {high:.2f}), which is"
         f" {drag / 3.6:.2f} kWh per km at the wheel rims",
-        ["plan with the observed set: trainlog plan parameters.json --line LINE --train TRAIN"],
+        [
+            f"plan with the observed set: trainlog plan {shlex.quote(path.name)} --line LINE"
+            " --train TRAIN -o trajectory.json"
+        ],
     )
 
 
@@ -155,7 +158,9 @@ def _same(one: ParameterSet, other: ParameterSet) -> bool:
 
 
 def _drag(row: Mapping[str, Any]) -> Band:
-    """The running resistance of a trip at 80 km/h."""
+    """The running resistance of a trip at 80 km/h; a refused trip may have none."""
+    if not np.isfinite([row[name] for name in TERMS]).all():
+        return Band(np.nan, np.nan)
     covariance = covariances_of(pd.DataFrame([row]))[0, :-1, :-1]
     drag = RunningResistance.of(row[name] for name in TERMS)
     return Band(float(drag(STATED_AT)), float(curve_std(covariance, STATED_AT)))
@@ -200,7 +205,8 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
             map_words(bins_table(track, course)),
             "",
             [
-                f"plan with it: trainlog plan --map {shlex.quote(path.name)} --set risk=0.05",
+                f"plan with it: trainlog plan --map {shlex.quote(path.name)} --set risk=0.05"
+                " --line LINE --train TRAIN -o trajectory.json",
                 "count in more trips where nothing was observed: trainlog map update LOGS --map"
                 f" {shlex.quote(path.name)}",
             ],

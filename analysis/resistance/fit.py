@@ -54,7 +54,10 @@ from trainlog.topics import ESTIMATED_RESISTANCE
 from trainlog.trip import Trip, frame_of
 from trainlog.units import KMH
 
-TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/environment")
+TOPICS = (
+    "/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/environment",
+    "/estimates/state",
+)  # fmt: skip
 """What is read of each log."""
 
 LOWEST_SPEED = 10.0
@@ -399,7 +402,7 @@ def fit_trip(
     """
     check_speeds(speeds)
     view = view_of(trip, TOPICS)
-    check_recorded(view.trip)
+    check_recorded(view.located)
     name, line, train, scale = view.name, view.line, view.train, scale_of(view)
     known = effort_passport(view)
     corrected = with_calibrated_efforts(sound(view), known)
@@ -722,13 +725,13 @@ def _check_curve(
     share = np.where(curve > 0.0, std / np.maximum(curve, 1e-9), np.inf)
     worst = int(np.argmax(share))
     if share[worst] > largest_std:
-        known = f"{100.0 * min(share[worst], 1.0):.0f} %"
+        known = f"{100.0 * min(share[worst], 1.0):.3g} %"
         known += " or more" if share[worst] > 1.0 else ""
         raise TripRefusedError(
             "excitation",
             f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the running resistance is uncertain"
             f" by {known} (standard deviation; at most {100.0 * largest_std:.0f} % is accepted)",
-            remedy=_slip_words(timeline),
+            remedy=_slip_words(timeline) or "give a trip that stays near this speed for longer",
             timeline=timeline,
         )
 

@@ -155,9 +155,11 @@ class Fits(Presented):
             for fit in self.trips
             if fit.tunnels is not None
         ]
+        of: dict[str, list[str]] = {}
         for fit in self.trips:
-            doubts = (*diagnosed(fit.residuals).doubts, *fit.notes)
-            words += [f"{fit.trip}: {doubt}" for doubt in doubts]
+            for doubt in (*diagnosed(fit.residuals).doubts, *fit.notes):
+                of.setdefault(doubt, []).append(fit.trip)
+        words += [f"{', '.join(trips)}: {doubt}" for doubt, trips in of.items()]
         words += [f"refused, {error.reason}: {error}" for error in self.refused.values()]
         words += [f"counted once: {sentence}" for sentence in self.same]
         words += _doubts(self.drives)

@@ -59,6 +59,7 @@ from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY, KMH
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
+READ = (*TOPICS, "/environment", "/estimates/state")
 """What is read of a log."""
 
 GAIN_STD = 0.06
@@ -195,14 +196,14 @@ def passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
     >>> bool(abs(found.axle_effort_ratio.value - 1.0) < 0.01)
     True
     """
-    view = view_of(trip, (*TOPICS, "/environment"))
+    view = view_of(trip, READ)
     stored = passport_of(view.trip)
     return estimated_passport(view, fleet) if stored is None else stored
 
 
 def estimated_passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
     """The passport that a trip's samples and metadata give, whatever is stored; see `passport`."""
-    view, others = view_of(trip, (*TOPICS, "/environment")), tuple(fleet)
+    view, others = view_of(trip, READ), tuple(fleet)
     return _estimated(view, others) if others else view.once(_estimated)
 
 
@@ -289,7 +290,7 @@ def _prior(trip: Trip, train: Train | None, fleet: tuple[Passport, ...]) -> _Pri
     elif train is not None:
         largest = largest_load(train)
         loads, weight = np.linspace(0.0, largest, steps.size), np.ones(steps.size)
-        reason = "no load recorded: any up to the largest is taken for as probable"
+        reason = "no load recorded; uniform up to the maximum"
         if len(weighed) > 2:
             known = np.array([each.load.value for each in weighed])
             away = (loads - known.mean()) / max(known.std(), 0.05 * largest)
@@ -357,7 +358,7 @@ def _delay_and_ratio(
         ):
             if attachment not in view.trip.attachments:
                 raise NotIdentifiableError(f"the trip has no {what}")
-        check_recorded(view.trip)
+        check_recorded(view.located)
         return _Motion(view, noise).quantities()
     except NotIdentifiableError as error:
         reason = str(error).removeprefix(f"trip '{view.name}': ")

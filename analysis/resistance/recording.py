@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from analysis.view import TripView
+from analysis.view import TripView, with_chainage
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
 from trainlog.errors import LogError, NotIdentifiableError
@@ -430,7 +430,7 @@ def sound(view: TripView) -> Trip:
 
 
 def _without_repeated(view: TripView) -> Trip:
-    found, _ = view.unfrozen
+    found = with_chainage(view.unfrozen[0])
     before, after = view.trip["/train/controls"], found["/train/controls"]
     if after is before:
         return found
@@ -478,18 +478,22 @@ def check_recorded(trip: Trip) -> None:
         If no speed, no position or no tractive effort but 0 is recorded, or the line's gradients
         are not known.
     """
-    for topic, column in (
-        ("/train/state", "speed"),
-        ("/train/state", "position"),
-        ("/train/controls", "tractive_effort"),
-    ):
+    for topic, column, remedy in (
+        ("/train/state", "speed", "map its column"),
+        (
+            "/train/state", "position",
+            "map its column, or ingest fixes with a line that has coordinates (--line), or with"
+            " --set start_position=stations",
+        ),
+        ("/train/controls", "tractive_effort", "map its column, or use trainlog fit coasting"),
+    ):  # fmt: skip
         if topic in trip and trip[topic][column].notna().sum() > 1:
             continue
         raise TripRefusedError(
             "not recorded",
             f"trip '{trip.name}': no {column.replace('_', ' ')} recorded",
             place=f"topic {topic}",
-            remedy="running resistance needs speed, chainage and tractive effort",
+            remedy=f"the fit needs it: {remedy}",
         )
     if not (trip["/train/controls"]["tractive_effort"].fillna(0.0) != 0.0).any():
         raise TripRefusedError(
@@ -534,7 +538,7 @@ def scale_of(view: TripView) -> SpeedScale:
 
 
 def _scale(view: TripView) -> SpeedScale:
-    state = view.trip["/train/state"]
+    state = view.located["/train/state"]
     speed, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
     return speed_scale(view.trip, seconds(state), speed, position)
 

@@ -20,6 +20,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from analysis.trajectory.instructions import Instruction, instructions
+from analysis.view import with_chainage
 from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
@@ -464,7 +465,8 @@ def with_advice(trip: Trip, trajectory: Trajectory) -> Trip:
             remedy="give the trip of a driver, without a reference",
         )
     chosen = trajectory.latest
-    state = trip[TRAIN_STATE.name]
+    recorded = TRAIN_STATE.name in trip
+    state = with_chainage(trip)[TRAIN_STATE.name] if recorded else trip.located()
     position = state["position"].to_numpy(dtype=np.float64)
     first, last = trajectory.positions[[0, -1]]
     inside = np.isfinite(position) & (position >= first) & (position <= last)

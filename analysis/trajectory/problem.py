@@ -635,7 +635,7 @@ def adhesion_words(run: TrajectoryProblem, trajectory: Trajectory) -> list[str]:
     if track is None or usable is None:
         pulling, braking = (each.max(initial=0.0) for each in _asked(run, trajectory))
         return [
-            "adhesion: not limited, for want of a map; asks for up to"
+            "adhesion: no limit, no map given (--map); the plan uses up to"
             f" {pulling:.3f} in traction, {braking:.3f} in braking"
         ]
     when = expected_when(run.time)

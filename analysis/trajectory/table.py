@@ -112,8 +112,12 @@ class PlannedRun(Presented):
             found += [f"Assumed of the {what}: {assumed}."] if assumed else []
         if any(not each.protected_length for each in self.sections):
             length = self.problem.train.length
-            whole = f" of {length:.0f} m, plan with protect=train" if length else ", state it"
-            found.append(f"Speed limits hold for the train's front; for its whole length{whole}.")
+            state = "" if length else "state the length in the train file and "
+            of = f" of {length:.0f} m" if length else ""
+            found.append(
+                f"Speed limits apply to the train's front; for its whole length{of},"
+                f" {state}plan with --set protect=train."
+            )
         permitted = float(self.problem.permitted_speed(np.array([self.problem.end]))[0])
         if self.problem.final_speed > permitted:
             found.append(
@@ -282,10 +286,10 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
         Column("arrives", DURATION, each=True),
         Column("energy", ENERGY, each=True),
         Column("gap", replace(SHARE, digits=3), each=True),
-        Column("a second is worth", SECOND_WORTH, each=True, key="worth_of_a_second"),
+        Column("saved per extra second", SECOND_WORTH, each=True, key="worth_of_a_second"),
         name="sections",
-        caption=f"{costliest} takes most in all, {kwh(certificate['costliest_energy'])}"
-        + ("; energies are its own" if mixed else ""),
+        caption=f"highest energy of a configuration: {kwh(certificate['costliest_energy'])},"
+        f" {costliest}" + ("; the energies listed are its own" if mixed else ""),
     )
     row = first.index_of(costliest)
     for each, departs, arrives in zip(plan.sections, plan.departures, plan.arrivals, strict=True):
@@ -314,4 +318,4 @@ def _adhesion(trajectory: Trajectory) -> str:
     if share:
         return f"{share:.1%} of the adhesion counted on at most"
     by_map = trajectory.provenance.get("settings", {}).get("adhesion")
-    return "planned by a map that limits it nowhere" if by_map else "not limited, for want of a map"
+    return "planned by a map that limits it nowhere" if by_map else "no limit, no map given"

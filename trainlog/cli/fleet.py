@@ -143,6 +143,8 @@ def fleet_show(
     whole = problems and not shown.rows and not current().as_json
     console.print("every file counts, and no log is damaged" if whole else shown)
     words = ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)
+    if not problems and (counts.get("refused") or counts.get("vanished")):
+        words += "; 'trainlog fleet show --problems' lists these files"
     console.print(words or "no trips")
     show(found, also=["problems"] if problems else [])
 

@@ -121,7 +121,7 @@ def ingest(
     pairs_given = [(option, str(each)) for option, each in options.items() if each is not None]
     pairs_given += [("--set", fact) for fact in set_ or []]
     given = [*(word for pair in pairs_given for word in pair), *["--reverse"] * reverse]
-    proposals = Proposals(output, the_train, format, the_line, accept, as_json, given)
+    proposals = Proposals(output, the_train, format, the_line, accept, as_json, given, recordings)
     try:
         result = ingest_all(
             recordings,
@@ -201,6 +201,8 @@ class Proposals:
         Nothing is shown, nobody is asked.
     given : list of str
         What the user gave besides files, profile and folder.
+    recordings : list of Path
+        Files and folders that the user gave.
     made : list of (Proposal, Path, bool)
         Each with its file, and whether the user agreed.
     """
@@ -212,6 +214,7 @@ class Proposals:
     accept: bool
     quiet: bool
     given: list[str] = field(default_factory=list)
+    recordings: list[Path] = field(default_factory=list)
     made: list[tuple[Proposal, Path, bool]] = field(default_factory=list)
 
     @property
@@ -268,11 +271,15 @@ class Proposals:
     def _used(self, file: Path, path: Path, agreed: bool) -> Path:
         if agreed:
             return path
-        words = ["ingest", str(file), "--profile", str(path), "-o", str(self.output), *self.given]
+        first = next(proposal.path for proposal, made, _ in self.made if made == path)
+        files = self.recordings if len(self.made) == 1 else [file]
+        words = ["ingest", *map(str, files or [file]), "--profile", str(path)]
+        words += ["-o", str(self.output), *self.given]
+        remedy = f"check it, then: trainlog {shlex.join(words)}"
         raise InputError(
             f"no profile fits; one is proposed in {path}",
             file=file,
-            remedy=f"check it, then: trainlog {shlex.join(words)}",
+            remedy=remedy if first == file else f"as for {first}",
         )
 
 

@@ -125,8 +125,8 @@ def plan(
         Reserve over the least time, without --running-time; default: 7%. If several are given,
         7,3,12, the first is planned, and the energies of all are shown.
     stops : A,B,C|FILE
-        Stations with stops, or a journey file with stops and passing points; one trajectory per
-        section.
+        Stations with stops, the first and last station included, or a journey file with stops and
+        passing points; one trajectory per section.
     km : KM:KM
         Only between these kilometres, the operator's if the line has them, else in the direction of
         travel: 3.2:7.5, 3.2:, :7.5.

@@ -920,15 +920,15 @@ class ParameterSet(Declared):
         >>> noted = [{"accepted": True, "max_power": POWER_OF_FILE}]
         >>> found = ParameterSet(train.name, (Configuration.of(train),), details=noted)
         >>> found.assumed_power  # doctest: +ELLIPSIS
-        "no trip shows its power: the train file's 2600 kW is taken; a recorded lever or effort..."
+        'no trip shows its full power; 2600 kW from the train file (a recorded lever or...'
         """
         sources = {each.get("max_power") for each in self.details if each.get("accepted")}
         if sources != {POWER_OF_FILE}:
             return ""
         powers = span([each.max_power for each in self.configurations], 1e-3)
         return (
-            f"no trip shows its power: the train file's {powers} kW is taken; a recorded lever or"
-            " effort demand would show it where all of it is asked for"
+            f"no trip shows its full power; {powers} kW from the train file (a recorded lever or"
+            " effort demand shows it)"
         )
 
     def check_train(self, train: str) -> None:
