@@ -230,5 +230,5 @@ def test_what_of_a_plan_is_less_than_it_seems_is_stated(protect, tmp_path, works
     fast = ["--set", "final-speed=500"] if protect == "front" else []
     shown = works(*words, *fast, "-o", tmp_path / "plan.json", "--json")
     notes = json.loads(shown)["notes"]
-    for begins in ("Speed limits hold for the train's front", "The final speed of 500 km/h is"):
+    for begins in ("Speed limits apply to the train's front", "The final speed of 500 km/h is"):
         assert any(note.startswith(begins) for note in notes) == (protect == "front")

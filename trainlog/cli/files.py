@@ -188,8 +188,9 @@ def new_line(
 ) -> None:
     """Create a line: a commented template, or from a table, logs or a route.
 
-    From logs: centre line with curvature and its accuracy; fixes do not determine limits, gradients
-    and stations. From a route: the shortest one through the places.
+    From logs: centre line with curvature, and gradients if altitudes of three trips or more
+    determine them, with their accuracy; fixes do not determine limits and stations. From a route:
+    the shortest one through the places.
 
     Example: trainlog new line -o my.line.toml
 
