@@ -14,7 +14,7 @@ from refusals import refused
 from trajectory_cases import FLIRT, hilly_line, level_line, observed, optimised, slippery
 
 from analysis.trajectory.advice import with_advice
-from analysis.trajectory.instructions import Phase, _Plan, instructions
+from analysis.trajectory.instructions import LETTERS, Phase, _Plan, instructions
 from analysis.trajectory.optimiser import energy_against_time
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
@@ -96,7 +96,7 @@ def test_at_one_speed_the_advice_is_to_hold_it():
     ]
     # A dip between two equal speeds is coasting all the same.
     dip = instructions(_with_phases("TPCCPB", [0, 100, 100, 80, 100, 100, 0]), FREE)
-    assert [each.phase.letter for each in dip] == list("TPCPB")
+    assert [LETTERS[each.phase] for each in dip] == list("TPCPB")
     assert dip[2].course == pytest.approx(np.array([100.0, 80.0, 100.0]) / 3.6)
 
 

@@ -7,13 +7,12 @@ counted on, and the detail of the lowest places: of a line of 30 km slip shows a
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from analysis.adhesion.condition_table import bins_table, day_name, last_evidence, lowest_apart
 from analysis.charts import (
@@ -80,7 +79,6 @@ LABEL_SPACE = 0.022
 
 def map_charts(
     track: TrackConditionMap,
-    truth: Mapping[str, ArrayLike] | None = None,
     *,
     line: Line | None = None,
     at: pd.Timestamp | None = None,
@@ -94,8 +92,6 @@ def map_charts(
     Parameters
     ----------
     track : TrackConditionMap
-    truth : mapping of str to (bins,) array, optional
-        True maximum adhesion per bin, by layer, to compare with in the details.
     line : Line, optional
         Gives the stations and the operator's kilometres.
     at : Timestamp, optional
@@ -146,8 +142,7 @@ def map_charts(
         title=f"{track.line}: maximum adhesion to count on, {track.bin_length:.0f} m bins{when}",
     )
     details = [
-        detail(track, number, place, bins, truth or {}, line)
-        for number, place in enumerate(places, start=1)
+        detail(track, number, place, bins, line) for number, place in enumerate(places, start=1)
     ]
     return [strips, *details]
 
@@ -288,7 +283,6 @@ def detail(
     number: int,
     place: float,
     bins: pd.DataFrame,
-    truth: Mapping[str, ArrayLike],
     line: Line | None,
     edge: str = "",
 ) -> Chart:
@@ -304,9 +298,6 @@ def detail(
             Curve(f"{name}, used without slip", km, rows["used_without_slip"], colour,
                   "step", width=0.9, opacity=0.8)
         )  # fmt: skip
-        if name in truth:
-            values = np.asarray(truth[name])[rows["bin"].to_numpy()]
-            curves.append(Curve(f"{name}, truth", km, values, INK, "step", width=0.8))
         seen = rows[rows["observed"]]
         middle = 0.5e-3 * (seen["start_m"] + seen["end_m"]).to_numpy(np.float64)
         low, high = (seen[f"expected_{each}"].to_numpy(np.float64) for each in ("low", "high"))

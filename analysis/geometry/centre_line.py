@@ -215,7 +215,9 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     again = {each.number for each in same}
     passes = _passes([trip for number, trip in enumerate(trips) if number not in again])
     origin = _origin(passes)
-    passes = [replace(p, points=_plane(p.fixes, origin)) for p in passes]
+    passes = [
+        replace(p, points=to_plane(p.fixes.latitude, p.fixes.longitude, origin)) for p in passes
+    ]
     rough = rough_line([_thinned(p) for p in passes])
     along = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(rough)))))
     curve, _ = fitted_curve(along, rough, np.full(rough.size, _std(passes)))
@@ -331,10 +333,6 @@ def _origin(passes: list[_Pass]) -> tuple[float, float]:
 
 def _std(passes: list[_Pass]) -> float:
     return float(np.median(np.concatenate([p.fixes.std for p in passes])))
-
-
-def _plane(fixes: Fixes, origin: tuple[float, float]) -> ComplexArray:
-    return to_plane(fixes.latitude, fixes.longitude, origin)
 
 
 def _thinned(one: _Pass) -> ComplexArray:

@@ -178,7 +178,7 @@ def network_map_charts(
             drawn = {edge: own[edge] for edge in seen[:MOST_STRIPS]}
             charts.append(_strips(drawn, low, places, title))
     details = [
-        detail(tracks[edge], number, place, bins[bins["line"] == edge], {}, None, edge)
+        detail(tracks[edge], number, place, bins[bins["line"] == edge], None, edge)
         for number, (edge, place) in enumerate(places, start=1)
     ]
     return [*charts, *details]

@@ -266,7 +266,8 @@ def choose(features: FloatArray, cover: float, most: int | None = None) -> Chose
         return Chosen(np.zeros(1, dtype=np.int64), np.array([count]), count / (count + 1))
     seen, judges = np.random.default_rng(0).standard_normal((2, DIRECTIONS, size))
     limit = count if most is None else most
-    candidates = _evenly(count, CANDIDATES)
+    spread = np.linspace(0, count - 1, min(count, CANDIDATES))
+    candidates = np.unique(np.round(spread).astype(np.int64))
     for share in 1.0 - (1.0 - cover) * np.linspace(1.0, 0.0, AIMS):
         found = _few(points[candidates], seen, float(share), limit)
         rows = candidates[found]
@@ -295,11 +296,6 @@ def _few(points: FloatArray, directions: FloatArray, share: float, most: int) ->
         fewer = bisect_right(range(1, rank), most, key=lambda each: reaching(each).size)
         found = reaching(max(fewer, 1))[:most]
     return np.sort(found)
-
-
-def _evenly(count: int, most: int) -> IntArray:
-    """At most `most` of `count` rows, evenly spaced."""
-    return np.unique(np.round(np.linspace(0, count - 1, min(count, most))).astype(np.int64))
 
 
 def _greedy(reach: BoolArray) -> IntArray:

@@ -496,6 +496,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
     inertia = np.array([c.inertia for c in run.configurations])
     reference = float(inertia.max())
     gain = reference / inertia
+    weights = np.array(run.weights or np.ones(len(run.configurations)))
 
     track, bulge = _track(run, positions)
     coefficients = np.array([each.resistance.parabola for each in run.configurations])
@@ -540,7 +541,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         passed=passed.astype(np.int64),
         earliest=_bounds([point.earliest for point in run.windows], -np.inf),
         latest=_bounds([point.latest for point in run.windows], np.inf),
-        weights=_probabilities(run),
+        weights=weights / weights.sum(),
         curves=Curves.of(
             None if own is None else own.over(reference), power / train.max_traction_power, fastest
         ),
@@ -551,11 +552,6 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
             brake=True,
         ),
     )
-
-
-def _probabilities(run: TrajectoryProblem) -> FloatArray:
-    weights = np.array(run.weights or np.ones(len(run.configurations)))
-    return np.asarray(weights / weights.sum())
 
 
 def _bounds(values: Sequence[float | None], without: float) -> FloatArray:

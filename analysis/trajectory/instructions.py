@@ -35,11 +35,6 @@ class Phase(IntEnum):
     MAXIMUM_BRAKING = 4
 
     @property
-    def letter(self) -> str:
-        """The phase as one letter, as a trajectory's certificate lists it."""
-        return LETTERS[self]
-
-    @property
     def label(self) -> str:
         """The phase in words."""
         return self.name.replace("_", " ").lower()

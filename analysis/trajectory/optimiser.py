@@ -472,7 +472,7 @@ def _running_time(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> 
 
 def _time_together(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> float:
     """Time in which all keep one common traction [s]; infinite if one would stand on the way."""
-    discrete = _discretised(problem, fastest, cells)
+    discrete = discretise(problem, _mesh(problem, problem.breakpoints, fastest, cells))
     together = least_time_together(discrete, fastest.at(discrete.positions))
     return together if together <= MOST_TIME * float(fastest.times.max()) else np.inf
 
@@ -530,10 +530,6 @@ def _mesh(run: TrajectoryProblem, through: FloatArray, fastest: Envelope, cells:
     weight = REGAINING_WEIGHT if run.at_line else BRAKING_WEIGHT
     graded = graded_mesh(through, fastest.positions, speeds, cells, weight)
     return fastest.split_on_climbs(graded)
-
-
-def _discretised(run: TrajectoryProblem, fastest: Envelope, cells: int) -> DiscreteProblem:
-    return discretise(run, _mesh(run, run.breakpoints, fastest, cells))
 
 
 @dataclass(frozen=True, eq=False)

@@ -501,7 +501,10 @@ def write_trips(frame: pd.DataFrame, path: str | Path) -> None:
     for name in shown:
         column = columns.get(str(name))
         if column is not None and column.kind == "json":
-            texts = [None if each is None else _text(each) for each in shown[name]]
+            texts = [
+                None if each is None else json.dumps(each, sort_keys=True, ensure_ascii=False)
+                for each in shown[name]
+            ]
             shown[name] = pd.Series(texts, index=shown.index, dtype=object)
     units = {name: columns[name].unit for name in shown if name in columns}
     with atomic_write(path) as temporary:
@@ -518,7 +521,3 @@ def write_trips(frame: pd.DataFrame, path: str | Path) -> None:
             for field in table.schema
         ]
         pq.write_table(table.cast(pa.schema(fields)), temporary, compression="zstd")
-
-
-def _text(value: object) -> str:
-    return json.dumps(value, sort_keys=True, ensure_ascii=False)
