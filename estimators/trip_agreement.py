@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from scipy.special import ndtr
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
@@ -156,15 +157,8 @@ def median_by(group: IntArray, values: FloatArray, size: int) -> FloatArray:
     >>> median_by(np.array([0, 0, 0, 2]), np.array([1.0, 5.0, 2.0, 4.0]), 3)
     array([ 2., nan,  4.])
     """
-    order = np.lexsort((values, group))
-    count = np.bincount(group, minlength=size)
-    first = np.cumsum(count) - count
-    found = np.full(size, np.nan)
-    some = count > 0
-    low, high = first + (count - 1) // 2, first + count // 2
-    ranked = values[order]
-    found[some] = 0.5 * (ranked[low[some]] + ranked[high[some]])
-    return found
+    found = pd.Series(values).groupby(group).median()
+    return np.asarray(found.reindex(np.arange(size)), dtype=np.float64)
 
 
 def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray, error: float) -> FloatArray:

@@ -130,13 +130,19 @@ def test_energy_is_accounted_for(count, nonlinearity, slack, demands):
     assert residual(plant, state, before) <= 1e-9
 
 
+def momentum(plant: ConsistPlant, state: ConsistState) -> float:
+    """Of all vehicles with their rotating parts [kg m/s]."""
+    inertia = [each.inertia for each in plant.consist.vehicles]
+    return float(np.dot(inertia, state.speeds))
+
+
 def test_momentum_is_kept_without_outer_forces():
     plant = ConsistPlant(train(8, resistance=FRICTIONLESS), step=0.002)
     state = plant.at(0.0, 20.0)
     state.values[8:16] += np.array([0.5, -0.3, 0.2, 0.0, -0.4, 0.3, 0.1, -0.2])
-    before = plant.momentum(state)
+    before = momentum(plant, state)
     plant.advance(state, 0.0, 0.0, 50_000)
-    assert plant.momentum(state) == pytest.approx(before, rel=1e-12)
+    assert momentum(plant, state) == pytest.approx(before, rel=1e-12)
     # The damping has brought the vehicles to a common speed.
     assert np.ptp(state.speeds) < 1e-6
 
@@ -158,9 +164,9 @@ def test_the_track_acts_under_each_vehicle():
     edge = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (1_000.0, 0.02)))
     plant = ConsistPlant(train(8, resistance=FRICTIONLESS), edge, step=0.001)
     state = plant.at(1_099.95, 10.0)  # four of eight are beyond km 1.0 on average
-    before = plant.momentum(state)
+    before = momentum(plant, state)
     plant.advance(state, 0.0, 0.0, 10)
-    pull = (before - plant.momentum(state)) / 0.01
+    pull = (before - momentum(plant, state)) / 0.01
     assert pull == pytest.approx(4 * GRAVITY * WAGON.mass * 0.02 / np.hypot(1.0, 0.02), rel=1e-6)
 
 
@@ -176,9 +182,9 @@ def test_curves_and_tunnels_resist_as_equation_6_says():
     plant = ConsistPlant(train(1, resistance=FRICTIONLESS), bent, step=0.001)
     for position, expected in ((500.0, 0.6 / radius), (1_200.0, 0.6 / radius + 1.3e-7 * length)):
         state = plant.at(position, 10.0)
-        before = plant.momentum(state)
+        before = momentum(plant, state)
         plant.advance(state, 0.0, 0.0, 10)
-        force = (before - plant.momentum(state)) / 0.01
+        force = (before - momentum(plant, state)) / 0.01
         assert force == pytest.approx(GRAVITY * WAGON.mass * expected, rel=1e-9)
 
 

@@ -895,10 +895,4 @@ def _power_at(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared, train: Tr
 
 def _moving_average(values: np.ndarray, width: int) -> np.ndarray:
     """Centred mean over `width` samples; NaN where it would reach beyond the data."""
-    out = np.full(values.size, np.nan)
-    if values.size < width:
-        return out
-    sums = np.convolve(values, np.ones(width) / width, mode="valid")
-    first = width // 2
-    out[first : first + sums.size] = sums
-    return out
+    return pd.Series(values).rolling(width, center=True).mean().to_numpy()

@@ -562,10 +562,6 @@ class ConsistPlant:
         )
         return stored + 0.5 * float(self._vehicles[:, INERTIA] @ state.speeds**2)
 
-    def momentum(self, state: ConsistState) -> float:
-        """Of all vehicles with their rotating parts [kg m/s]."""
-        return float(self._vehicles[:, INERTIA] @ state.speeds)
-
     def _shared(self, efforts: ArrayLike, column: int, what: str) -> FloatArray:
         most = self._vehicles[:, column]
         each = np.asarray(efforts, dtype=np.float64)
