@@ -548,6 +548,18 @@ def test_a_distance_that_falls_ends_at_0_of_a_line_that_is_known(tmp_path):
         assert ("offset" in field(proposal, "/train/state.position")["alternative"]) is opened
 
 
+@pytest.mark.parametrize("word", ["65535", "65535.000", "6553.50", "-32768.0", "327.670"])
+def test_a_number_for_no_value_is_known_with_any_zeros_behind_it(tmp_path, word):
+    run = drive()
+    speed = [f"{value:.3f}" for value in 3.6 * run.v]
+    speed[100:600:100] = [word] * 5
+    path = written(tmp_path, {"t [s]": run.t, "s [m]": run.s, "v [km/h]": speed})
+    proposal = propose_profile(path)
+    assert field(proposal, "/train/state.speed")["unit"] == "km/h"
+    trip = ingest(path, proposal.profile)
+    assert trip["/train/state"].speed.isna().sum() == 5
+
+
 def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path):
     run = drive()
     stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
