@@ -242,6 +242,25 @@ def test_two_fixes_that_no_train_lies_between_are_refused(tmp_path):
     refused(InputError, "1 of 2 fixes were set aside", ingest, path, given, line=line)
 
 
+@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("known", ["v", "s"])
+def test_rows_of_two_trains_in_one_file_are_refused(tmp_path, every, known):
+    """Also where one of the trains is recorded twice as often."""
+    second = np.arange(1_200.0)
+    tables = []
+    for delay, step, offset in ((0.0, 1, 0.0), (300.0, every, 0.5)):
+        speed = 20.0 + 15.0 * np.sin((second - delay) / 60.0)
+        table = pd.DataFrame({"t": second + offset, "v": speed, "s": np.cumsum(speed) + 9 * delay})
+        tables.append(table.iloc[::step])
+    both = pd.concat(tables).sort_values("t")
+    both["t"] = pd.to_datetime(1_700_000_000.0 + both["t"], unit="s", utc=True)
+    both[["t", known]].to_csv(tmp_path / "run.csv", index=False)
+    name = POSITION if known == "s" else "/train/state.speed"
+    said = f"run.csv, row .*: {name} leaps to and fro in .* of the rows, as of two trains; give a"
+    columns = {name: COLUMNS[name]}
+    refused(InputError, said, ingest, tmp_path / "run.csv", profile=plain_profile(columns=columns))
+
+
 def test_what_no_train_does_is_stated(tmp_path):
     second = np.arange(900.0)
     for way, speed, said in (

@@ -137,6 +137,9 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
 FACTOR = 2.0
 """Ratio of two columns beyond which they cannot be of the units that the profile gives."""
 
+TO_AND_FRO = 0.2
+"""Share of the rows that leap away and back from which on they are those of two trains."""
+
 LEVER = "/train/controls.lever"
 
 
@@ -156,7 +159,27 @@ def refuse_inconsistent(table: Table, limits: Limits) -> Result:
                 remedy="check the units of the two columns in the profile (km/h, m/s, km, m)",
             )
     _refuse_sign(table)
+    _refuse_two_trains(table, limits)
     return table, []
+
+
+def _refuse_two_trains(table: Table, limits: Limits) -> None:
+    """Refuse rows between which the train leaps to and fro: those of two trains."""
+    for name in (POSITION, SPEED):
+        if name not in table.signals:
+            continue
+        known, bounds = np.flatnonzero(np.isfinite(table.signals[name])), limits.of(name)
+        values, step = table.signals[name][known], np.diff(seconds_of(table)[known])
+        move = np.diff(values)
+        leaps = np.sign(move) * (np.abs(move) > bounds.tolerance + bounds.rate * step)
+        back = leaps[1:] * leaps[:-1] < 0.0
+        if np.count_nonzero(back) > TO_AND_FRO * values.size > 0.0:
+            row = table.rows[known[1 + int(np.argmax(back))]]
+            raise InputError(
+                f"{name} leaps to and fro in {np.mean(back):.0%} of the rows, as of two trains",
+                place=f"row {row}",
+                remedy="give a file of each train",
+            )
 
 
 def ratios(table: Table, limits: Limits) -> Iterator[tuple[str, float, str]]:
