@@ -20,13 +20,7 @@ from typing import Any
 import pyarrow as pa
 from killed import Passed, Watched
 
-from trainlog.catalogue import (
-    Computation,
-    ResultOutcome,
-    open_catalogue,
-    registration,
-    results,
-)
+from trainlog.catalogue import Computation, ResultOutcome, open_catalogue, registration, results
 from trainlog.catalogue.database import Database
 
 LENGTH = Computation("length", "1")

@@ -17,12 +17,7 @@ from test_formats_roundtrip import simple_line, simple_train
 from trainlog.errors import InputError
 from trainlog.formats.declared import read_thing, thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import read_bytes
-from trainlog.formats.railway import (
-    read_line,
-    read_train,
-    train_from_bytes,
-    train_to_bytes,
-)
+from trainlog.formats.railway import read_line, read_train, train_from_bytes, train_to_bytes
 from trainlog.formats.samples import sample
 from trainlog.railway import (
     BrakingCurves,

@@ -43,14 +43,7 @@ from trainlog.formats.railway import (
     write_train,
 )
 from trainlog.formats.samples import sample
-from trainlog.railway import (
-    Line,
-    ParameterSet,
-    RunningResistance,
-    StepProfile,
-    Train,
-    Trajectory,
-)
+from trainlog.railway import Line, ParameterSet, RunningResistance, StepProfile, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.network import Edge, Network, Node
 from trainlog.railway.train import Consist

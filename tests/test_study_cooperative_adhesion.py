@@ -11,12 +11,7 @@ from refusals import refused
 from test_study_tables import check, on_page, tables
 
 from analysis.control import cooperative
-from analysis.control.cooperative import (
-    CooperativeController,
-    Tuning,
-    adhesion_at,
-    within,
-)
+from analysis.control.cooperative import CooperativeController, Tuning, adhesion_at, within
 from analysis.control.traction import MAXIMA, RailEstimator
 from analysis.studies import zhao_2025 as study
 from analysis.studies.report import as_markdown

@@ -7,25 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from trajectory_cases import (
-    FLIRT,
-    KMH,
-    level_line,
-    slippery,
-    steps,
-)
+from trajectory_cases import FLIRT, KMH, level_line, slippery, steps
 
 from analysis.trajectory.audit import Audit, _in_table, _table, audit
 from analysis.trajectory.discretisation import inside
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.railway import (
-    Configuration,
-    EffortCurve,
-    Line,
-    RunningResistance,
-    TimingPoint,
-    Train,
-)
+from trainlog.railway import Configuration, EffortCurve, Line, RunningResistance, TimingPoint, Train
 from trainlog.units import GRAVITY
 
 pytestmark = pytest.mark.usefixtures("unrenewed")

@@ -155,17 +155,7 @@ def draw_study(
     path: Path,
 ) -> None:
     """Draw error over number of trips, with the bound, and the coverage."""
-    from analysis.charts import (
-        BLUE,
-        GREEN,
-        GREY,
-        INK,
-        ORANGE,
-        RED,
-        dress,
-        new_figure,
-        write_figure,
-    )
+    from analysis.charts import BLUE, GREEN, GREY, INK, ORANGE, RED, dress, new_figure, write_figure
 
     figure = new_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))

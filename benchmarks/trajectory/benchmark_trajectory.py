@@ -24,14 +24,7 @@ from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.referee import IpoptResult, refereed
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
-from trainlog.railway import (
-    Configuration,
-    Line,
-    Station,
-    StepProfile,
-    Train,
-    Trajectory,
-)
+from trainlog.railway import Configuration, Line, Station, StepProfile, Train, Trajectory
 from trainlog.units import JOULES_PER_KWH, KMH
 
 LONGEST_FOR_IPOPT = 5

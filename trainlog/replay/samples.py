@@ -23,12 +23,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.resampling import (
-    Nanoseconds,
-    TimeDistance,
-    interpolated,
-    time_distance,
-)
+from trainlog.resampling import Nanoseconds, TimeDistance, interpolated, time_distance
 from trainlog.topics import (
     ESTIMATED_ADHESION,
     ESTIMATED_STATE,
