@@ -614,6 +614,9 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
     last: Axes = places[-1]
     last.set_xlabel(chart.x, color=INK)
     last.set_xlim(*chart.ends)
+    if not chart.x and all(panel.bare for panel in chart.panels):
+        last.xaxis.set_visible(False)
+        last.spines["bottom"].set_visible(False)
     if ticks := chart.ticks or chart.kilometres():
         close = sum(len(name) for _, name in ticks) > 90 * chart.width
         last.set_xticks(*zip(*ticks, strict=True), rotation=40 if close else 0,

@@ -43,6 +43,12 @@ TRAIN = Train(
 )
 
 
+def test_the_axles_of_a_train_are_not_shown_as_its_length():
+    rows = dict(line.split(maxsplit=1) for line in str(TRAIN).splitlines()[1:])
+    assert rows["axles"] == "4 powered axles"
+    assert "length" not in rows
+
+
 def test_profiles_take_lists_and_refuse_what_is_no_number():
     made = StepProfile([0.0, 400.0], [20.0, 30.0])
     assert made == LINE.speed_limits

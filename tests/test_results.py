@@ -266,6 +266,11 @@ def test_csv_and_frame_hold_the_rows_in_si_units():
     refused(KeyError, "no table 'days'; it has runs", found.to_csv, name="days")
 
 
+def test_a_fit_states_the_band_that_its_picture_has(fitted):
+    low, high = fitted.common.band(80.0 / 3.6)
+    assert f"wider: {low / 1e3:.4g} to {high / 1e3:.4g} kN at 80 km/h" in fitted.notes[0]
+
+
 def test_trips_of_one_doubt_share_a_sentence(fitted):
     first = replace(fitted.trips[0], notes=("no wheel is recorded",))
     both = replace(fitted, trips=(first, replace(first, trip="other")))

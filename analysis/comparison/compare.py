@@ -55,7 +55,6 @@ from trainlog.presentation import (
     Quantity,
     Said,
     WordTable,
-    kwh,
     new_table,
 )
 from trainlog.railway import Line, ParameterSet, Train, Trajectory
@@ -798,7 +797,7 @@ def _energy(each: ComparedTrip, column: str) -> Said:
     if value is None or missing is None:
         return Said(None, "")
     part = "" if math.isfinite(each.sum(column)) else f", {missing:.1%} missing"
-    return Said(value, f"{kwh(value)}{part}")
+    return Said(value, f"{ENERGY.words(value, unit=False)}{part}")
 
 
 def _excess(each: ComparedTrip) -> Said:

@@ -197,7 +197,7 @@ def findings_charts(found: FleetTrains) -> list[Chart]:
             " alarm in a month. A fault smaller than the limits of the table would not be seen."
         )
         title = f"No finding in {found.unlike.train_months:.1f} months of trains"
-        nothing = Label(0.5, title, 0.5, size=9.0)
+        nothing = Label(0.5, "nothing to draw", 0.5, size=9.0)
         panel = Panel("", [], 0.4, labels=[nothing], bare=True)
         return [Chart("", [panel], title=f"{title}\n{words.strip()}")]
     return [_finding(found, each, number) for number, each in enumerate(findings)]

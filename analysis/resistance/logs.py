@@ -136,10 +136,12 @@ class Fits(Presented):
     def notes(self) -> list[str]:
         """What the table rests on, in sentences."""
         low, high = self.common.speed_range
+        ends = " to ".join(f"{each / 1e3:.4g}" for each in self.common.band(STATED_AT))
         words = [
-            "± is the 95 % band; a power is given where a trip reached it. Supported from"
-            f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
-            " correlated: trust the curve.",
+            "± is 1.96 standard deviations of the value beside it. The 95 % band of the whole curve"
+            f" (all trips together) is wider: {ends} kN at {STATED_AT * KMH:.0f} km/h. Supported"
+            f" from {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
+            " correlated: trust the curve. A power is given where a trip reached it.",
         ]
         windless = sum(not fit.wind_recorded for fit in self.trips)
         if windless:

@@ -81,7 +81,13 @@ def compare_trips(
     for path in logs:
         if not path.exists():
             raise InputError("does not exist", file=path, remedy="check the path")
-    planned = reference is not None and not (reference.suffix == ".mcap" or reference.is_dir())
+    if reference is not None and reference.is_dir():
+        raise InputError(
+            "is a folder; the reference is one trip or one trajectory",
+            file=reference,
+            remedy="give a log, or the trajectory of one section, such as section-1.json",
+        )
+    planned = reference is not None and reference.suffix != ".mcap"
     found = analysis.compare(
         logs_in(logs),
         trainlog.read_trajectory(reference) if planned and reference else reference,

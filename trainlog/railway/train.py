@@ -510,7 +510,7 @@ class Train(Declared):
     ] = ()
     axles: Annotated[
         Axles,
-        Part(stated="required", usual=Axles(4, 68_000.0, 0.43, 1_500.0), shown="length"),
+        Part(stated="required", usual=Axles(4, 68_000.0, 0.43, 1_500.0), shown="axles"),
     ] = Axles()
     brake: Annotated[Brake, Part(stated="required", usual=Brake(0.6, 0.5))] = Brake()
     braking_curves: BrakingCurves | None = None
