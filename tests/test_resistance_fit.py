@@ -216,6 +216,29 @@ def test_a_dynamic_brake_of_0_throughout_is_taken_for_one_that_is_not_recorded(s
             assert silent.resistance(speed) == pytest.approx(unknown.resistance(speed))
 
 
+@pytest.mark.parametrize(
+    ("topic", "column", "every"),
+    [
+        ("/train/state", "position", 10),
+        ("/train/state", "speed", 2),
+        ("/train/controls", "tractive_effort", 2),
+        ("/train/controls", "tractive_effort", 10),
+    ],
+)
+def test_columns_of_one_table_may_be_recorded_more_seldom_than_others(
+    simulated, fitted, topic, column, every
+):
+    values = simulated[0][topic][column].to_numpy(np.float64, copy=True)
+    values[np.arange(values.size) % every > 0] = np.nan
+    fit = fit_trip(changed(simulated[0], topic, **{column: values}))
+    assert in_band(fit, truth(simulated[0])[0])
+    assert fit.resistance(20.0) == pytest.approx(fitted[0].resistance(20.0), rel=0.02)
+    # A gap that is too long for any column stays one.
+    values[3000:3600] = np.nan
+    left = prepare(view_of(changed(simulated[0], topic, **{column: values}))).masked["gap"]
+    assert left == pytest.approx(60.0, abs=3.0)
+
+
 def test_slip_is_masked_where_no_axle_speeds_are_recorded():
     """Wheels of another adhesion than any estimator knows slip; the effort alone shows it."""
     line = read_line(sample("CH_StGallen_Wil.line.json"))

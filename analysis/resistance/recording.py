@@ -325,7 +325,9 @@ def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
     """
     trip = sound(view) if corrected is None else corrected
     of, train, controls = view.once(_course), view.train, trip["/train/controls"]
-    columns = interpolated_columns(controls, CONTROLS, of.index)
+    there = seconds(controls, of.index[0])
+    filled = {name: _bridged(there, controls[name].to_numpy(np.float64)) for name in CONTROLS}
+    columns = interpolated_columns(controls.assign(**filled), CONTROLS, of.index)
     traction, dynamic, pneumatic, demand, lever = columns
     gap = _gaps(of.time, [trip["/train/state"], controls], of.index[0]) | ~np.isfinite(traction)
     braked = _braking(dynamic, pneumatic, demand, lever, of.acceleration + of.track, train)
@@ -353,6 +355,11 @@ def _course(view: TripView) -> Prepared:
     index, time = pd.DatetimeIndex(state.index), increasing_seconds(state, trip.name)
     scale = scale_of(view)
     measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
+    position = _bridged(time, position)
+    known = np.flatnonzero(np.isfinite(measured))
+    if known.size > 1 and np.median(np.diff(known)) <= 2.0:
+        # Of more that are filled in the noise would seem less than it is.
+        measured = _bridged(time, measured)
     smooth, acceleration = _smoothed(time, measured / scale.factor)
     wheels = _wheel_speeds(trip, index) / scale.factor
     speed, place = np.nan_to_num(measured / scale.factor), np.nan_to_num(position)
@@ -758,6 +765,19 @@ def _longest_gap(time: FloatArray) -> float:
     """Longest time between samples at these times that is no gap [s]."""
     step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
     return max(LONGEST_GAP, min(1.2 * step, LONGEST_STEP))
+
+
+def _bridged(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Values with those filled in that are missing for no longer than `_longest_gap`."""
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size in (0, values.size):
+        return values
+    row, there = np.arange(values.size), time[known]
+    after = np.searchsorted(known, row)
+    within = (after > 0) & (after < known.size)
+    gap = np.diff(there, prepend=-np.inf)[np.minimum(after, known.size - 1)]
+    missing = within & np.isnan(values) & (gap <= _longest_gap(there))
+    return np.where(missing, np.interp(time, there, values[known]), values)
 
 
 def widened(time: FloatArray, mask: BoolArray) -> BoolArray:
