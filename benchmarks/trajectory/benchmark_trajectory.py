@@ -150,7 +150,10 @@ def cases(long: bool) -> list[Case]:
         Case(line, flirt, 500, 1000, {}),
     ]
     if long:
-        found += [Case(line, flirt, 12, 500, {"objective": "line"})]
+        found += [
+            Case(line, flirt, 12, 500, {"objective": "line"}),
+            Case(line, flirt, 1000, 1000, {}),
+        ]
         found += [Case(LEVEL, VIRM6, 1, cells, timetable) for cells in (200, 2000, 4000)]
     return found
 
