@@ -217,8 +217,12 @@ class TestWhatRecordersLack:
         )
         assert "never met" not in shown
         assert "of slip measured the maximum, 5 others did not" in shown
+        assert shown.count("effort neither fell nor was cut") == 1
         assert "on 2 trips slips may have gone unseen" in shown
         assert "trip-1 and 1 more: the axles are sampled every" in shown
+        wet, dry = (replace(piece(n), layer=layer, details={"unmeasured": n}) for n, layer in
+                    ((1, "wet"), (2, "dry")))  # fmt: skip
+        assert self.shown(wet, dry).count("effort neither fell nor was cut") == 1
 
 
 WAY = level_line(4_500.0)

@@ -716,8 +716,8 @@ class Spot:
 
 
 UNMEASURED = (
-    "in them the axle's effort neither fell nor was cut, or it is not known, or is known of the"
-    " whole train only and another axle had slipped just before"
+    "Onsets that did not measure the maximum: the axle's effort neither fell nor was cut, is not"
+    " known, or is known of the whole train only and another axle had slipped just before."
 )
 """Why slip events do not show the maximum."""
 
@@ -764,7 +764,6 @@ class LayerSummary:
         if self.unmeasured:
             measured = counted(self.events, "onset")
             words += f"; {measured} of slip measured the maximum, {self.unmeasured} others did not"
-            words += f" ({UNMEASURED})"
         if self.incomplete:
             words += f"; on {counted(self.incomplete, 'trip')} slips may have gone unseen"
         return words + "."
@@ -828,6 +827,7 @@ def map_words(track: TrackConditionMap) -> list[str]:
     ]
     if len({each.elsewhere for each in every}) <= 1:
         words = [each.elsewhere for each in every[:1]]
+    words += [UNMEASURED] * any(each.unmeasured for each in every)
     for each in every:
         for note, trips in each.notes.items():
             if note.startswith(SET_ASIDE):
