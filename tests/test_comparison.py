@@ -353,6 +353,18 @@ def trip(name: str = "t", effort: float = 50_000.0, stop: bool = False, **metada
     )
 
 
+def test_efforts_with_single_samples_missing_everywhere_are_stated():
+    controls = stopping()["/train/controls"].copy()
+    controls.iloc[::5, controls.columns.get_loc("tractive_effort")] = np.nan
+    found = compare(stopping().with_topic(controls))
+    trip = found.trip("trip-03")
+    assert trip.facts["traction"] is None
+    missing = float(np.ptp(trip.trip.sums["unknown_traction"]))
+    assert 200.0 < missing < 0.5 * trip.trip.duration
+    said = f"trip-03: no effort for {missing:.0f} s in all sections together: the energy of none is"
+    assert said in found._repr_html_()
+
+
 def test_work_is_effort_times_distance():
     cost = trip_cost(trip())
     assert cost.distance == pytest.approx(12_000.0)

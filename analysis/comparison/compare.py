@@ -978,6 +978,13 @@ class ComparedDirection:
                 "Excess speed is over the limit under the whole train; plans keep the limit at the"
                 " train's front unless made with --set protect=train."
             )
+        for each in self.trips:
+            missing = each.trip.sums.get("unknown_traction", np.zeros(1))
+            if np.ptp(missing) > UNKNOWN_TIME and each.recorded_energy("traction")[0] is None:
+                every.append(
+                    f"{each.name}: no effort for {np.ptp(missing):.0f} s in all sections together:"
+                    " the energy of none is known"
+                )
         unknown = [each.name for each in self.trips if "traction" not in each.trip.sums]
         if unknown:
             names = ", ".join(unknown)
