@@ -97,6 +97,21 @@ def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell():
     assert early.total == pytest.approx(-30.0, abs=0.11)
 
 
+def test_a_stop_at_which_the_reference_ends_is_no_stop_more():
+    first, last = (pd.Timestamp(f"2024-10-07T08:{each}Z") for each in ("06:57", "10:50"))
+
+    def part(frame: pd.DataFrame) -> pd.DataFrame:
+        """Gossau SG to Flawil, 5 % slower."""
+        frame = frame[(frame.index >= first) & (frame.index <= last)]
+        slow = frame.set_axis(first + 1.05 * (frame.index - first), axis=0)
+        return slow.assign(speed=slow["speed"] / 1.05) if "speed" in slow else slow
+
+    slower = altered(stopping(), part, trip="slower")
+    lost = compare([stopping()], slower).trip("trip-03").lost
+    assert lost.total < -5.0
+    assert "stop" not in lost.by_cause()
+
+
 def test_losses_add_up_to_the_difference_and_to_the_sections():
     found = compare([stopping(), nonstop()])
     trip = found.trip("trip-03")

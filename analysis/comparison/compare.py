@@ -621,7 +621,7 @@ def _stands_near(cells: _Cells, stand: Stand) -> bool:
     return any(
         abs(each.position - stand.position) <= STATION_REACH
         or (stand.station and each.station == stand.station)
-        for each in cells.halts
+        for each in cells.trip.stands
     )
 
 
