@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -19,6 +20,7 @@ from trainlog.catalogue import (
     catalogue as module,
     open_catalogue,
 )
+from trainlog.cli.fleet import fleet_query
 from trainlog.errors import InputError
 
 TRIPS = 60
@@ -103,11 +105,26 @@ def test_tables_of_the_database_are_those_of_the_trips_that_count(catalogue):
     assert known[known["table"] == "top speed"]["column"].tolist() == ["key", "value"]
 
 
+def test_the_statement_in_the_help_runs(tmp_path):
+    """Results have a column ``train``, as the trips do."""
+    (statement,) = re.findall(r'fleet query "(select [^"]+)"', str(fleet_query.__doc__))
+    with open_catalogue(tmp_path / "catalogue") as catalogue:
+        catalogue.register(ENTRIES)
+        todo = catalogue.pending(Computation("resistance", "1"))
+        table = pa.table({"key": list(todo["key"]), "train": ["a"] * TRIPS, "r0": [2e3] * TRIPS})
+        done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
+        catalogue.record(Computation("resistance", "1"), done, table)
+        assert (catalogue.sql(statement).iloc[:, 1] == 2e3).all()
+
+
 REFUSED = {
     "select trian from trips": r"no column 'trian'; did you mean 'train'\?; trips has key, name",
     "select t.trian from trips t": r"no column 'trian'; did you mean 'train'\?; trips has key",
     "select * from trip": r"no table 'trip'; did you mean 'trips'\?; tables of .*: trips, files",
     'select * from "top spead"': "did you mean 'top speed'",
+    "select train from trips join files using (key) join trips t using (key)": (
+        r"train.*\)\; name the table before the column"
+    ),
     "delete from trips": "is not one statement that reads",
     "copy trips to 'trips.csv'": "is not one statement that reads",
     "select 1; drop table trips": "is not one statement that reads",

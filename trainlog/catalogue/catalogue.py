@@ -128,7 +128,7 @@ class Catalogue(Files, Trips, Computed):
         Parameters
         ----------
         statement : str
-            ``"select train, avg(r0) from resistance join trips using (key) group by train"``
+            ``"select weather, avg(r0) from resistance join trips using (key) group by weather"``
         seconds, memory : float [s], [byte]
             That it may take.
 
@@ -440,6 +440,8 @@ def _refused(
             problem = f"there is no {what} '{missing[1]}'"
             problem += f"; did you mean '{close[0]}'?" if close else ""
             known = known if what == "column" else tables
+    if problem.startswith("Ambiguous reference"):
+        known = "name the table before the column"
     return InputError(problem, place=_shown(statement), remedy=known or f"write one as: {_EXAMPLE}")
 
 

@@ -178,8 +178,8 @@ def fleet_query(
 
     Example: trainlog fleet query "weather = 'wet' and duration > '20 min'" -o wet.csv
 
-    Example: trainlog fleet query "select train, avg(r0) from resistance join trips using (key)
-    group by train"
+    Example: trainlog fleet query "select weather, avg(r0) from resistance join trips using (key)
+    group by weather"
 
     Parameters
     ----------
