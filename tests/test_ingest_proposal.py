@@ -537,6 +537,29 @@ def test_a_train_that_fits_imperial_units_alone_leaves_all_of_them_open(tmp_path
     assert field(proposal, "/train/controls.tractive_effort")["alternative"] == "lbf"
 
 
+@pytest.mark.parametrize("name", ["Zeit", "Zeit (local)", "time (local)"])
+@pytest.mark.parametrize(("first", "zone"), [("01:55", "Europe/Berlin"), ("02:10", "UTC")])
+def test_a_trip_in_the_night_in_which_the_clocks_change_is_read(tmp_path, name, first, zone):
+    """Without a step back nothing shows which of two hours it is: the zone stays open."""
+    run = drive(count=4500 if zone != "UTC" else 600)
+    begin = pd.Timestamp(f"2024-10-27 {first}").tz_localize("Europe/Berlin", ambiguous=True)
+    local = (begin + pd.to_timedelta(run.t, unit="s")).dt.tz_localize(None)
+    columns = {name: local.astype(str), "Geschwindigkeit [km/h]": 3.6 * run.v, "Weg [m]": run.s}
+    proposal = propose_profile(written(tmp_path, columns))
+    assert proposal.profile.time.timezone == (zone if "local" in name else "UTC")
+    assert any(each.startswith("time zone: ") for each in proposal.open)
+
+
+def test_pounds_are_not_proposed_beside_metres_per_second(tmp_path):
+    run = drive()
+    columns = {"t [s]": run.t, "speed": run.v, "distance": run.s / 1609.344, "TE": 0.1 * run.F}
+    proposal = propose_profile(written(tmp_path, columns))
+    assert field(proposal, "/train/state.speed")["unit"] == "m/s"
+    effort = field(proposal, "/train/controls.tractive_effort")
+    assert effort["unit"] == "daN"
+    assert "lbf" in effort["alternative"]
+
+
 def test_a_distance_that_falls_ends_at_0_of_a_line_that_is_known(tmp_path):
     run, line = drive(), read_line(sample(DEFAULT_LINE))
     columns = {"km": (line.length - 4e3 - run.s) / 1e3, "v [m/s]": run.v}

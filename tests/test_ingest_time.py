@@ -315,6 +315,13 @@ def test_hours_that_come_twice_or_never_are_refused(local):
     assert read([local], timezone="+01:00")
 
 
+def test_one_step_back_shows_when_the_clocks_change_in_autumn():
+    local = ["01:59:00", "02:10:00", "02:59:59", "02:00:00", "02:05:00", "02:40:00", "03:01:00"]
+    found = read([f"2024-10-27 {each}" for each in local], timezone="Europe/Zurich")
+    start = pd.Timestamp("2024-10-26T23:59:00Z").value
+    assert [(t - start) // 10**9 for t in found] == [0, 660, 3659, 3660, 3960, 6060, 7320]
+
+
 @pytest.mark.parametrize(
     ("column", "options"),
     [

@@ -387,7 +387,8 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
     Raises
     ------
     InputError
-        If a local time does not exist or comes twice, or no time at all is plausible.
+        If a local time does not exist, or comes twice and no single step back shows which it is;
+        if no time at all is plausible.
     """
     columns = [table[name] for name in options.names]
     undated = np.zeros(table.num_rows, dtype=np.bool_)
@@ -587,6 +588,13 @@ def _localised(time: IntArray, timezone: str, file: Path) -> IntArray:
     local = pd.DatetimeIndex(np.where(known, time, 0))
     aware = local.tz_localize(timezone, ambiguous="NaT", nonexistent="NaT")
     lost = np.asarray(aware.isna()) & known
+    # A single step back at a time that comes twice shows when the clocks change.
+    rows = np.flatnonzero(known)
+    back = rows[1:][(np.diff(time[rows]) < -DAY // 48) & (lost[rows[1:]] | lost[rows[:-1]])]
+    if back.size == 1:
+        summer = np.arange(time.size) < back[0]
+        aware = local.tz_localize(timezone, ambiguous=summer, nonexistent="NaT")
+        lost = np.asarray(aware.isna()) & known
     if lost.any():
         raise InputError(
             f"local time {local[int(np.argmax(lost))]} comes twice or never in {timezone}"

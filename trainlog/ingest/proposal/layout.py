@@ -547,7 +547,15 @@ def _clock(layout: Layout, options: TimeOptions, readings: tuple[Reading, ...]) 
     try:
         time = read_time(layout.table, options, layout.options.decimal, layout.path)
     except (InputError, ValueError, OverflowError, pa.ArrowException):
-        return None
+        if "/" not in options.timezone:
+            return None
+        why = f"in {options.timezone} a time comes twice or never"
+        other = (
+            'the offset that the recorder kept, such as timezone = "+01:00": correct the profile'
+        )
+        zoned = Reading("time zone", "UTC", why, other)
+        readings = tuple(zoned if r.what == "time zone" else r for r in readings)
+        return _clock(layout, replace(options, timezone="UTC"), readings)
     known = time[time != NO_TIME]
     filled = len(layout.table) - max(layout.table[name].null_count for name in options.names)
     if known.size < max(2.0, MOST * filled):

@@ -290,7 +290,14 @@ def units_of(
     if by_distance:
         tried = [{**units, "speed": f"{units['length']}/s"} for units in tried]
     answers = sorted(map(judged, tried), key=lambda each: each.cost)
-    best = answers[0]
+    # Pounds that nothing states go with a speed, or a distance alone, in imperial units.
+    pace = "length" if by_distance else "speed"
+    metric = {u for u in UNITS["force"] if u not in IMPERIAL} | {(stated or {}).get("force")}
+    best = next(
+        each
+        for each in answers
+        if each.units.get("force", "N") in metric or each.units[pace] in IMPERIAL
+    )
     for kind, taken in best.units.items():
         close = [each.units[kind] for each in answers if each.cost <= best.cost + AMBIGUOUS]
         best.others[kind] = [unit for unit in dict.fromkeys(close) if unit != taken]
