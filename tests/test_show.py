@@ -147,6 +147,14 @@ def test_a_damaged_log_is_shown_and_ends_with_1(share, tmp_path, shell):
         assert states == {str(whole): True} | ({str(cut): False} if readable else {})
         assert complaint.count(str(cut)) == (0 if readable else 1)
     assert shell("show", whole, whole)[0] == 0
+    for words in (cut, tmp_path / "logs"):
+        status, shown, complaint = shell("show", words, "-q")
+        assert (status, shown, complaint.count("\n")) == (
+            2 if words == cut and not readable else 1,
+            "",
+            1,
+        )
+        assert str(cut) in complaint
 
 
 @pytest.mark.parametrize("name", ["nonstop.mcap", "CH_StGallen_Wil.line.json"])

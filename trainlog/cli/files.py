@@ -437,6 +437,9 @@ def _show(file: Path, every: bool) -> bool:
     from analysis.contents import contents_of
 
     found = contents_of(file)
+    if found.damaged and current().quiet:
+        remedy = "trainlog convert rebuilds it"
+        print_problems(LogError(found.described().account.sentence, file=file, remedy=remedy))
     if found.kind == "log" and state({}):
         current().content.setdefault("logs", []).append(found.described().data())
         for part in found.repairs(every=every):
@@ -454,6 +457,9 @@ def _show_folder(folder: Path) -> bool:
 
     columns = Column("file", of="name"), Column("kind"), Column("contents", of="summary")
     rows = folder_contents(folder)
+    for row in rows:
+        if row.damaged and current().quiet:
+            print_problems(LogError(row.summary, file=folder / row.name))
     console.print(new_table(str(folder), *columns, name="file").add_rows(rows))
     return any(row.damaged for row in rows)
 
