@@ -466,6 +466,12 @@ def of_train(trip: Trip, train: Train) -> Trip:
     return replace(trip, attachments={**trip.attachments, **stated})
 
 
+def turned(trip: Trip) -> Trip:
+    axles = trip["/train/axles"]
+    names = [name for name in axles if name.startswith("wheel_speed_")]
+    return trip.with_topic(axles.assign(**{name: -axles[name] for name in names}))
+
+
 @pytest.mark.parametrize(
     ("spoilt", "words"),
     [
@@ -474,6 +480,7 @@ def of_train(trip: Trip, train: Train) -> Trip:
         (lambda t: of_train(t, flirt(axles=Axles(count=2))), "4 axles, train 'flirt' has 2"),
         (no_axle_speed, "has no axle speed"),
         (second_in_mph, r"wheel_speed_2 is 2\.2. times the train's speed; check its unit"),
+        (turned, r"wheel_speed_1 is -1(\.0\d+)? times the train's speed; check its unit and sign"),
         (lambda trip: replace(trip, attachments={}), r"has no train\.json"),
         (lambda trip: trip.with_topic(trip["/train/axles"].iloc[:1]), "holds 1 sample;"),
         (lambda t: replace(t, metadata={**t.metadata, "load": "heavy"}), "load 'heavy'"),

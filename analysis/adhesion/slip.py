@@ -594,7 +594,7 @@ def _train_speed(
     total = axles.total_effort[:, None]
     gained = impulse(time, whole, total, other, train.axles.rotating_mass) / mass
     reference, reference_std = known
-    standing = np.median(whole, axis=1) <= STANDSTILL
+    standing = np.abs(np.median(whole, axis=1)) <= STANDSTILL
     reference[standing], reference_std[standing] = 0.0, STANDSTILL
     factor = np.ones(wheels.shape[1])
     nowhere = np.full_like(wheels, np.nan)
@@ -603,13 +603,13 @@ def _train_speed(
     first = train_speed(time, rolls, adhesion, noise, gained, reference, reference_std, rate)
     rolling = (
         (np.abs(adhesion).max(axis=1) < COASTING_ADHESION)
-        & (first.speed > CALIBRATION_SPEED)
+        & (np.abs(first.speed) > CALIBRATION_SPEED)
         & (first.std < 0.2)
     )
     for axle in range(factor.size):
         use = rolling & np.isfinite(wheels[:, axle])
         if np.count_nonzero(use) >= CALIBRATION_SAMPLES:
-            factor[axle] = np.median(wheels[use, axle] / first.speed[use])
+            factor[axle] = np.median(wheels[use, axle] / np.abs(first.speed[use]))
         if not 1.0 / LARGEST_FACTOR <= factor[axle] <= LARGEST_FACTOR:
             raise LogError(
                 f"trip '{trip.name}': wheel_speed_{axles.numbers[axle] + 1} is {factor[axle]:.3g}"
