@@ -368,9 +368,33 @@ def trip(name: str = "t", effort: float = 50_000.0, stop: bool = False, **metada
     )
 
 
-def test_efforts_with_single_samples_missing_everywhere_are_stated():
+@pytest.mark.parametrize("every", [5, 10])
+def test_efforts_of_which_single_samples_are_missing_are_bridged(every):
     controls = stopping()["/train/controls"].copy()
-    controls.iloc[::5, controls.columns.get_loc("tractive_effort")] = np.nan
+    lost = np.arange(len(controls)) % every == 0
+    lost = lost if every == 5 else ~lost
+    controls.loc[lost, "tractive_effort"] = np.nan
+    whole, found = (driven_trip(each) for each in (stopping(), stopping().with_topic(controls)))
+    assert found.work("traction") == pytest.approx(whole.work("traction"), rel=1e-3)
+    assert not found.notes
+
+
+@pytest.mark.parametrize("topic", ["/train/state", "/train/controls"])
+def test_the_energy_of_a_trip_that_is_recorded_seldom_has_a_stated_band(topic):
+    frame, whole = stopping()[topic], driven_trip(stopping()).work("traction")
+    for seconds in (1, 3, 5, 10):
+        found = driven_trip(stopping().with_topic(frame.iloc[:: 10 * seconds]))
+        said = f"speed or efforts every {seconds} s: energy within ± "
+        bands = [float(n.removeprefix(said)[:-1]) / 100.0 for n in found.notes if said in n]
+        assert len(bands) == (seconds > 1)
+        assert found.work("traction") == pytest.approx(whole, rel=max([0.001, *bands]))
+    assert bands[0] < 0.2
+
+
+def test_efforts_that_are_missing_everywhere_for_some_seconds_are_stated():
+    controls = stopping()["/train/controls"].copy()
+    lost = np.arange(len(controls)) % 150 < 30
+    controls.loc[lost, "tractive_effort"] = np.nan
     found = compare(stopping().with_topic(controls))
     trip = found.trip("trip-03")
     assert trip.facts["traction"] is None

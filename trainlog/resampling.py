@@ -119,6 +119,30 @@ def interpolated_columns(
     return all_found
 
 
+def filled(seconds: FloatArray, values: FloatArray, max_gap: float) -> FloatArray:
+    """Values with those on the line between neighbours that are missing for no longer than a time.
+
+    Parameters
+    ----------
+    seconds, values : (n,) array
+    max_gap : float [s]
+        Between two known values.
+
+    Examples
+    --------
+    >>> filled(np.arange(6.0), np.array([np.nan, 1.0, np.nan, 3.0, np.nan, np.nan]), 2.0).tolist()
+    [nan, 1.0, 2.0, 3.0, nan, nan]
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size in (0, values.size):
+        return values
+    there, after = seconds[known], np.searchsorted(known, np.arange(values.size))
+    within = (after > 0) & (after < known.size)
+    gap = np.diff(there, prepend=-np.inf)[np.minimum(after, known.size - 1)]
+    missing = within & np.isnan(values) & (gap <= max_gap)
+    return np.where(missing, np.interp(seconds, there, values[known]), values)
+
+
 def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
     """A trip with all its topics on one clock.
 

@@ -48,6 +48,7 @@ from trainlog.resampling import (
     GAP_DISTANCE,
     LONGEST_GAP,
     POSITION_SOURCES,
+    filled,
     forward_chainage,
     joined,
     planned_time_distance,
@@ -356,6 +357,7 @@ class Samples:
     values: dict[str, FloatArray]
     sums: dict[str, FloatArray]
     gaps: tuple[Gap, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def chainage(self, recorded: FloatArray, line: Line) -> tuple[FloatArray, list[str]]:
         """Non-decreasing chainage, and what had to be moved for it."""
@@ -479,6 +481,11 @@ class Samples:
 
 def samples_of(trip: Trip) -> Samples:
     """Speed, position and what else is recorded, on the clock of the position."""
+    if TRAIN_CONTROLS.name in trip:
+        controls = trip[TRAIN_CONTROLS.name]
+        columns, time = [each for each in EFFORTS if each in controls], seconds(controls)
+        known = {each: filled(time, controls[each].to_numpy(), SHORT_GAP) for each in columns}
+        trip = trip.with_topic(controls.assign(**known))
     present = [
         f"{topic}.{name}"
         for topic, names in COLUMNS.items()
@@ -521,7 +528,9 @@ def _thinned(trip: Trip, state: str, frame: pd.DataFrame) -> Samples:
     kept = np.flatnonzero(np.isfinite(frame["position"].to_numpy()))
     # The first sample of each tick.
     kept = kept[np.diff(np.floor(time[kept] / SAMPLING + 1e-6), prepend=-np.inf) > 0.0]
-    sums = {name: values[kept] for name, values in _integrals(frame, time).items()}
+    works = _integrals(frame, time)
+    notes = _seldom_notes(trip, state, frame, time, works)
+    sums = {name: values[kept] for name, values in works.items()}
     columns = {name: frame[name].to_numpy(dtype=np.float64)[kept] for name in frame.columns}
     time = time[kept]
     unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
@@ -534,7 +543,26 @@ def _thinned(trip: Trip, state: str, frame: pd.DataFrame) -> Samples:
         gaps += [Gap(*_sides(time, *each), "effort") for each in _long_gaps(time, known)]
     estimated = state != TRAIN_STATE.name
     start = int(origin.as_unit("ns").value)
-    return Samples(trip.name, start, estimated, time, columns, sums, tuple(gaps))
+    return Samples(trip.name, start, estimated, time, columns, sums, tuple(gaps), notes)
+
+
+def _seldom_notes(
+    trip: Trip, state: str, frame: pd.DataFrame, time: FloatArray, works: dict[str, FloatArray]
+) -> tuple[str, ...]:
+    """How well the energy is known where speed or efforts are recorded seldom."""
+    topics = [each for each in (state, TRAIN_CONTROLS.name) if len(trip.topics.get(each, ())) > 1]
+    step = max((float(np.median(np.diff(seconds(trip[each])))) for each in topics), default=0.0)
+    whole = works["traction"][-1] if "traction" in works else 0.0
+    if step <= SHORT_GAP or not whole:
+        return ()
+    every = min(round(step * (time.size - 1) / np.ptp(time)), time.size // 3)
+    if not every:
+        return ()
+    # With half and a third of the samples the energy differs by more than with all it is wrong.
+    fewer = [slice(first * every, None, n * every) for n in (2, 3) for first in range(n)]
+    found = [_integrals(frame.iloc[part], time[part])["traction"][-1] for part in fewer]
+    off = float(np.max(np.abs(np.array(found) / whole - 1.0)))
+    return (f"speed or efforts every {step:.3g} s: energy within ± {max(off, 0.01):.0%}",)
 
 
 def _short(name: str) -> str:
@@ -916,7 +944,7 @@ def _reduced(trip: Trip, line: Line, train: Train | None) -> DrivenTrip:
             if column in table.values and np.isfinite(table.values[column]).any()
         },
         gain=gain,
-        notes=(*spikes, *notes, *more),
+        notes=(*table.notes, *spikes, *notes, *more),
     )
 
 

@@ -17,7 +17,7 @@ from trainlog.ingest.recording import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import basis, published_tunnel_coefficient
 from trainlog.railway.train import Train
-from trainlog.resampling import interpolated, interpolated_columns
+from trainlog.resampling import filled, interpolated, interpolated_columns
 from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY
@@ -326,8 +326,8 @@ def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
     trip = sound(view) if corrected is None else corrected
     of, train, controls = view.once(_course), view.train, trip["/train/controls"]
     there = seconds(controls, of.index[0])
-    filled = {name: _bridged(there, controls[name].to_numpy(np.float64)) for name in CONTROLS}
-    columns = interpolated_columns(controls.assign(**filled), CONTROLS, of.index)
+    known = {name: _bridged(there, controls[name].to_numpy(np.float64)) for name in CONTROLS}
+    columns = interpolated_columns(controls.assign(**known), CONTROLS, of.index)
     traction, dynamic, pneumatic, demand, lever = columns
     gap = _gaps(of.time, [trip["/train/state"], controls], of.index[0]) | ~np.isfinite(traction)
     braked = _braking(dynamic, pneumatic, demand, lever, of.acceleration + of.track, train)
@@ -769,15 +769,7 @@ def _longest_gap(time: FloatArray) -> float:
 
 def _bridged(time: FloatArray, values: FloatArray) -> FloatArray:
     """Values with those filled in that are missing for no longer than `_longest_gap`."""
-    known = np.flatnonzero(np.isfinite(values))
-    if known.size in (0, values.size):
-        return values
-    row, there = np.arange(values.size), time[known]
-    after = np.searchsorted(known, row)
-    within = (after > 0) & (after < known.size)
-    gap = np.diff(there, prepend=-np.inf)[np.minimum(after, known.size - 1)]
-    missing = within & np.isnan(values) & (gap <= _longest_gap(there))
-    return np.where(missing, np.interp(time, there, values[known]), values)
+    return filled(time, values, _longest_gap(time[np.isfinite(values)]))
 
 
 def widened(time: FloatArray, mask: BoolArray) -> BoolArray:
