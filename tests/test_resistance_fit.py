@@ -287,6 +287,19 @@ def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded():
     refused(TripRefusedError, r"masked \d+ s, which the speeds of all powered", fit_trip, fewer)
 
 
+@pytest.mark.parametrize(("number", "offset"), [(0, 2000.0), (1, 2000.0), (0, -2000.0)])
+def test_an_offset_of_efforts_while_pulling_is_stated_and_left_to_itself(
+    simulated, fitted, number, offset
+):
+    assert "while pulling" not in str(fitted[number].notes)
+    effort = simulated[number]["/train/controls"]["tractive_effort"]
+    spoilt = effort.where(effort <= 0.0, effort + offset)
+    fit = fit_trip(changed(simulated[number], "/train/controls", tractive_effort=spoilt))
+    too = "high" if offset > 0.0 else "low"
+    assert re.search(rf"efforts are [12]\.\d ± 0\.\d kN too {too} while pulling", str(fit.notes))
+    assert curve_error(fit, truth(simulated[number])[0]) < 0.06
+
+
 def test_a_brake_that_drags_through_half_of_a_trip_is_named_with_place_and_time():
     """A force that no term of the equation of motion knows."""
     whole = trip()

@@ -78,6 +78,9 @@ SLIP_NOISE = 30.0
 """The momentum of wheels that slip is known so many times worse than the impulse of the effort: the
 axles' share of the rotating mass is often assumed, and their speeds may be recorded late."""
 
+PULLING = 0.01
+"""Share of the largest effort from which on the motors pull."""
+
 MERGED = 10.0
 """Length of the windows that are looked at, in pictures and tables [s]."""
 
@@ -140,6 +143,13 @@ class Windows:
     def mean_speed(self) -> FloatArray:
         """Mean speed in each window [m/s]."""
         return np.asarray(self.x[:, 2] / self.x[:, 1])
+
+    @property
+    def pulled(self) -> FloatArray:
+        """Length of each window [s] in which the motors pull, else 0."""
+        force = (self.x[:, 0] + self.momentum + self.braking + self.tunnel) / self.duration
+        pulls = force > PULLING * np.max(force, initial=0.0)
+        return np.where(pulls & (self.braking <= 0.0), self.duration, 0.0)
 
     def select(self, kept: BoolArray) -> Windows:
         """Some of the windows."""

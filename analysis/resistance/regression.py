@@ -41,7 +41,7 @@ from analysis.resistance.noise import (
     estimate_noise,
     shares,
 )
-from estimators.regression import Cut, Free, RecursiveLeastSquares, regress
+from estimators.regression import Cut, Free, RecursiveLeastSquares, Regression, regress
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway.resistance import OVER_MASS_STD, TERMS
 
@@ -236,6 +236,9 @@ class WindowFit:
     tunnels : (float, float), optional
         Resistance that tunnels add over what is expected of it, and its standard deviation; None:
         the trip ran through none.
+    pulling : (float, float), optional [N]
+        By how much recorded efforts are too high while pulling, and its standard deviation; None:
+        pulling and coasting agree.
     """
 
     beta: FloatArray
@@ -254,6 +257,7 @@ class WindowFit:
     condition: float
     stretches: tuple[Stretch, ...] = ()
     tunnels: tuple[float, float] | None = None
+    pulling: tuple[float, float] | None = None
 
     def points(self, windows: Windows, unit: float = 1.0) -> WindowPoints:
         """The windows as points of the curve over the mass, times a unit.
@@ -265,6 +269,8 @@ class WindowFit:
         for part in (joined, windows.select(~self.kept)):
             impulse = part.x[:, 0] + self.delay * part.effort_change
             impulse = impulse + (self.brake_scale - 1.0) * part.braking
+            if self.pulling is not None:
+                impulse = impulse - self.pulling[0] * part.pulled
             value = (impulse / mass - part.y) / part.duration
             effort = self.noise.effort**2 * part.effort_square / mass**2
             std = np.sqrt(2.0 * self.noise.speed**2 + effort) / part.duration
@@ -323,6 +329,7 @@ def fit_windows(
     *,
     search: bool = False,
     stretches: tuple[Stretch, ...] = (),
+    pulling: bool = False,
 ) -> WindowFit:
     """Fit the windows: inverse mass, curve, delay, scale of the brake over mass, and more.
 
@@ -341,6 +348,9 @@ def fit_windows(
         its own; where it is not short beside the rest, r0 is between both, and its band holds both.
     stretches : tuple of Stretch
         That are known already.
+    pulling : bool
+        Whether efforts while pulling have an offset of their own; a search sets it where they
+        contradict the motion while coasting.
 
     Returns
     -------
@@ -354,6 +364,8 @@ def fit_windows(
     ]
     if windows.tunnel.any():
         free.append(Free("tunnel", -windows.tunnel, TUNNEL_STD / mass))
+    if pulling:
+        free.append(Free("pulling", -windows.pulled, OFFSET_STD))
     for number, each in enumerate(stretches):
         free.append(Free(str(number), -windows.duration * each.inside(windows), OFFSET_STD))
     white = White(windows, mass, free, windows.y, expected_noise or Expected())
@@ -364,8 +376,12 @@ def fit_windows(
     if more is not None:
         return fit_windows(
             windows, mass, mass_std, expected_noise, delay_std,
-            search=True, stretches=(*stretches, more),
+            search=True, stretches=(*stretches, more), pulling=pulling,
         )  # fmt: skip
+    if search and not pulling and _contradicted(white, found):
+        return fit_windows(
+            windows, mass, mass_std, expected_noise, delay_std, search=True, pulling=True
+        )
     _, ratio, _ = found.clustered(white.used.start // CLUSTER)
     factor = max(1.0, ratio)
     found, size = found.wider(np.sqrt(factor)), len(TERMS) + 1
@@ -400,7 +416,20 @@ def fit_windows(
         condition=condition_number(white.used.x),
         stretches=tuple(own_force),
         tunnels=tunnels,
+        pulling=found.over("pulling", "1/m") if pulling else None,
     )
+
+
+def _contradicted(white: White, found: Regression) -> bool:
+    """Whether windows in which the motors pull need another force than the others."""
+    rows, likelihood, pulled = found.rows[:, :-1], white.likelihood, white.used.pulled
+    own = likelihood.parts.whiten(white.noise, pulled[:, None])[:, 0]
+    scaled = rows / np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
+    own = own - scaled @ np.linalg.lstsq(scaled, own)[0]
+    if not (own @ found.residual) ** 2 > UNLIKE[0] ** 2 * float(own @ own):
+        return False
+    odds, force = _odds(likelihood, white.noise, -pulled, found.rows.shape[1])
+    return odds > UNLIKE[1] and abs(force) > LEAST_FORCE
 
 
 def _unlike(used: Windows, likelihood: Likelihood, noise: NoiseModel, count: int) -> Stretch | None:
@@ -427,6 +456,14 @@ def _unlike(used: Windows, likelihood: Likelihood, noise: NoiseModel, count: int
     share = float(used.duration[first:last].sum() / used.duration.sum())
     found = Stretch(float(used.start[first]), float(used.end[last - 1]), share)
     column = -used.duration * found.inside(used)
+    odds, force = _odds(likelihood, noise, column, count)
+    return found if odds > UNLIKE[1] and abs(force) > LEAST_FORCE else None
+
+
+def _odds(
+    likelihood: Likelihood, noise: NoiseModel, column: FloatArray, count: int
+) -> tuple[float, float]:
+    """Log odds of one parameter more, each with its own noise, and its estimate over the mass."""
     prior = np.vstack([likelihood.prior, np.zeros(count)])
     own = np.append(np.zeros(count - 1), 1.0 / OFFSET_STD)
     unlike = replace(
@@ -438,8 +475,7 @@ def _unlike(used: Windows, likelihood: Likelihood, noise: NoiseModel, count: int
     with_it = estimate_noise(unlike)
     odds -= unlike.deviance(unlike.place(with_it))
     square, _ = unlike.square(unlike.place(with_it))
-    force = float(np.linalg.solve(square[:-1, :-1], square[:-1, -1])[count - 1])
-    return found if odds > UNLIKE[1] and abs(force) > LEAST_FORCE else None
+    return odds, float(np.linalg.solve(square[:-1, :-1], square[:-1, -1])[count - 1])
 
 
 def _best_stretch(
