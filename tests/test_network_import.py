@@ -260,6 +260,15 @@ def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path):
     assert all(edge.start != edge.end for edge in network.edges)
 
 
+def test_what_a_network_does_not_hold_of_osrd_may_be_of_any_kind(tmp_path):
+    named = point("x", "a", 400.0) | {"extensions": {"identifier": True}}
+    found = read_small(tmp_path, routes=-5.5, signals=None, operational_points=[named])
+    assert found.left_out == ["routes of the interlocking: 1"]
+    assert [station.name for edge in found.networks[0].edges for station in edge.line.stations] == [
+        "x"
+    ]
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -292,6 +301,16 @@ def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path):
     assert network.route("Anfang", "Cham").length == pytest.approx(5_000.0)
     assert [leg.edge for leg in network.route("Cham", "loop@1.5").legs] == ["main/3+onward", "loop"]
     refused(InputError, "no route", network.route, "main/2@13.8", "loop@0.1")
+
+
+def test_kilometres_of_railml_that_do_not_fit_their_track_are_stated(tmp_path):
+    words = "tracks whose kilometres do not fit their length, as stated: 1"
+    assert words not in railml(RAILML_2, tmp_path).assumed
+    for stated, wrong in (("16200.0", "1000000.0"), ("12000.0", "-500.0")):
+        assert (
+            words
+            in railml(RAILML_2.replace(f'absPos="{stated}"', f'absPos="{wrong}"'), tmp_path).assumed
+        )
 
 
 def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_path):

@@ -305,7 +305,8 @@ class _OperationalPoint(Foreign):
 
     @property
     def name(self) -> str:
-        known = (self.extensions.get("identifier") or {}).get("name")
+        identifier = self.extensions.get("identifier")
+        known = identifier.get("name") if isinstance(identifier, dict) else None
         return known if known and isinstance(known, str) else self.id
 
 
@@ -392,12 +393,10 @@ def _networks(
     for stop in infra.buffer_stops:
         track = _track(tracks, stop.track, f"buffer_stops '{stop.id}'")
         graph.label(stop.track, track.length, stop.position, stop.id)
-    for key, what in NOT_HELD.items():
-        graph.account.left_out[what] += len(content.get(key) or [])
-    unknown = content.keys() - NOT_HELD.keys() - {each.name for each in fields(_Infrastructure)}
-    for key in sorted(unknown):
-        here = content[key]
-        graph.account.left_out[f"'{key}'"] += len(here) if isinstance(here, list | dict) else 1
+    held = {each.name for each in fields(_Infrastructure)}
+    for key in [*NOT_HELD, *sorted(content.keys() - NOT_HELD.keys() - held)]:
+        here, what = content.get(key) or [], NOT_HELD.get(key, f"'{key}'")
+        graph.account.left_out[what] += len(here) if isinstance(here, list | dict) else 1
     return graph.whole(tracks, limits)
 
 

@@ -246,6 +246,9 @@ class Account:
 LEVEL = "level where no gradients are stated"
 """What is assumed of track without gradients, unless it is known to be so."""
 
+UNLIKE_KILOMETRES = 0.2
+"""Share of the length of a track by which its kilometres may differ from it without a word."""
+
 
 @dataclass
 class TrackData:
@@ -299,6 +302,11 @@ class TrackData:
         tunnels = self._tunnels(account)
         if any(np.isnan(each.value) for each in self.tunnels):
             assumed.append("tunnel_cross_sections")
+        if (known := self.reference) is not None:
+            long = np.diff(known.positions, append=self.length)
+            off = np.abs(np.abs(known.end - known.start) - long)
+            if np.any(off > np.maximum(UNLIKE_KILOMETRES * long, AT_END)):
+                account.assumed["tracks whose kilometres do not fit their length, as stated"] += 1
         return Line(
             name=self.name,
             length=self.length,
