@@ -23,15 +23,30 @@ from trajectory_cases import (
     level_line,
     observed,
     optimised,
+    optimised_journey,
 )
 from trip_parts import without
 
 from analysis.comparison.compare import compare
 from analysis.control.advised import EXACT, AdvisedDriver, Attention, obeyed_trip
-from analysis.trajectory.advice import journey_advice, limits_of, write_journey_advice
+from analysis.trajectory.advice import (
+    journey_advice,
+    limits_of,
+    write_journey_advice,
+)
 from analysis.trajectory.instructions import Phase
-from trainlog import Configuration, Line, Train, Trajectory, read_line, sample, trajectory_scenarios
+from trainlog import (
+    Configuration,
+    Line,
+    Train,
+    Trajectory,
+    read_line,
+    sample,
+    trajectory_scenarios,
+)
 from trainlog.arrays import FloatArray
+from trainlog.errors import InputError
+from trainlog.railway.trajectory import Journey, TimingPoint
 from trainlog.simulation import drive
 from trainlog.units import JOULES_PER_KWH, KMH
 
@@ -322,3 +337,35 @@ def test_a_trip_is_compared_with_its_advice():
     (note,) = [each for each in nameless.notes if "advice obeyed" in each]
     assert note.startswith("left out: advice obeyed: ")
     assert nameless.facts()["left_out"] == (note.removeprefix("left out: "),)
+
+
+def test_a_trip_is_compared_with_the_plan_of_its_whole_journey():
+    """Times and work of the plan are those of its sections, and it stands between them."""
+    stops = [
+        TimingPoint(each.position, lowest_speed=0.0, highest_speed=0.0) for each in LINE.stations
+    ]
+    stops[0] = replace(stops[0], earliest=0.0, latest=0.0)
+    journey = Journey("stopping", LINE.name, tuple(stops))
+    loads = observed(FLIRT, 1.0, 1.1)
+    plan = optimised_journey(LINE, FLIRT, loads, journey, dwell=40.0, cells=100, reserve=0.1)
+    first, second = (obeyed_trip(each, LINE, FLIRT) for each in plan.sections)
+    for reference in (plan, plan.sections[::-1]):
+        found = compare([first, second], reference)
+        (direction,) = found.directions
+        whole = direction.reference
+        assert whole.duration == pytest.approx(plan.running_time, abs=0.1)
+        assert [(each.station, each.duration) for each in whole.stands] == [
+            ("A", 0.0), ("B", pytest.approx(40.0, abs=0.1)), ("C", 0.0)
+        ]  # fmt: skip
+        work = sum(each.certificate["wheel_energy"][each.latest] for each in plan.sections)
+        assert whole.sums["traction"][-1] == pytest.approx(work, rel=1e-6)
+        assert whole.running[-1] == pytest.approx(whole.duration - 40.0, abs=0.1)
+        assert direction.obeyed.covered[1] == pytest.approx(LINE.length, abs=5.0)
+        assert direction.obeyed.sums["traction"][-1] == pytest.approx(work, rel=0.1)
+        assert [each.within_advice > 0.6 for each in direction.trips] == [True, True]
+        # Each trip drove one section: it lost what the advice of that section loses.
+        for trip, section in zip(direction.trips, plan.sections, strict=True):
+            late = trip.trip.duration - section.times[section.latest, -1]
+            assert trip.lost.total == pytest.approx(late, abs=3.0)
+    with pytest.raises(InputError, match="no trajectory was given"):
+        compare(first, [])

@@ -161,6 +161,12 @@ def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(t
     assert front[1]["saved_by_a_second_W"] < -slope < front[0]["saved_by_a_second_W"]
     arrivals = [each["time_s"] for each in document["advice"] if each["event"] == "arrives"]
     assert arrivals[-1] == pytest.approx(front[1]["running_time_s"], abs=0.1)
+    # A trip is compared with the whole, which stands in Flawil for half a minute.
+    words = ("compare", sample("stopping.mcap"), "--reference", tmp_path / "b", "--json")
+    trips = {each["trip"]: each for each in json.loads(works(*words))["trips"]}
+    assert trips["trajectory"]["duration_s"] == pytest.approx(arrivals[-1], abs=0.1)
+    assert trips["advice obeyed"]["last_m"] == pytest.approx(20_086.0, abs=10.0)
+    assert trips["trip-03"]["lost_s"] > 30.0
 
 
 JOURNEY = ("--stops", "Uzwil,Flawil,Gossau SG", "--reverse", "--set", "dwell=30")

@@ -29,16 +29,23 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Union
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.comparison import CAUSES
-from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
+from analysis.comparison.driven import (
+    UNKNOWN_TIME,
+    DrivenTrip,
+    Stand,
+    driven_trip,
+    in_succession,
+    planned_trip,
+)
 from analysis.comparison.energy import ForceModel, normalised_energy
-from analysis.view import Given, each_given
+from analysis.view import Given, TripView, each_given
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, LogError, TrainlogError
@@ -60,6 +67,7 @@ from trainlog.presentation import (
 from trainlog.railway import Line, ParameterSet, Train, Trajectory
 from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
 from trainlog.spans import runs_of
+from trainlog.trip import Trip
 from trainlog.units import KMH, clock
 
 EXCESS = 1.0 / KMH
@@ -90,6 +98,13 @@ def with_units(table: pd.DataFrame) -> pd.DataFrame:
     found = table.rename(columns=named)
     found.attrs["units"] = {named[n]: Quantity(units[n], "").si_unit for n in named}
     return found
+
+
+if TYPE_CHECKING:
+    from analysis.trajectory.journey import JourneyPlan
+
+Plan = Union[Trajectory, Sequence[Trajectory], "JourneyPlan"]
+"""A trajectory, or those of a journey's sections."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -1070,7 +1085,7 @@ class Comparison(Presented):
 
 def compare(
     trips: Given | Iterable[Given],
-    reference: Given | Trajectory | None = None,
+    reference: Given | Plan | None = None,
     *,
     line: Line | None = None,
     model: ParameterSet | None = None,
@@ -1082,9 +1097,9 @@ def compare(
     ----------
     trips : Trip, path, or iterable of them
         Stopping or not, recorded or simulated, of any part of the line.
-    reference : Trip, path or Trajectory, optional
-        Default, for each direction: the fastest of the trips that cover nearly all that any of
-        them covers.
+    reference : Trip, path, Trajectory or JourneyPlan, optional
+        Or the trajectories of a journey's sections, from stop to stop. Default, for each direction:
+        the fastest of the trips that cover nearly all that any of them covers.
     line : Line, optional
         In its own direction; default: the line that the first trip carries.
     model : ParameterSet, optional
@@ -1125,13 +1140,16 @@ def compare(
         for each in driven
         if each.line.name != line.name
     ]
-    stated = None if reference is None else _reference(reference, line, of_line)
-    obeyed = None
-    if isinstance(reference, Trajectory):
+    stated = obeyed = None
+    if reference is not None and not isinstance(reference, Trip | TripView | str | Path):
+        plans, dwells = _sections(reference)
+        stated = in_succession([_planned(each, line, of_line) for each in plans], dwells)
         try:
-            obeyed = _obeyed(reference, line, of_line)
+            obeyed = in_succession([_obeyed(each, line, of_line) for each in plans], dwells)
         except TrainlogError as error:
             left_out.append(f"{TO_THE_LETTER}: {error}")
+    elif reference is not None:
+        stated = _comparable(reference, line)
     directions, alone = list[ComparedDirection](), list[str]()
     both = len({each.direction for each in of_line}) > 1
     for direction in ("forward", "reverse"):
@@ -1198,12 +1216,23 @@ def _comparable(given: Given, line: Line | None) -> DrivenTrip:
     return trip
 
 
-def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
-    if not isinstance(given, Trajectory):
-        return _comparable(given, line)
+def _sections(plan: Plan) -> tuple[Sequence[Trajectory], list[float]]:
+    """The sections of a plan in order, and how long it stands between them [s]."""
+    if isinstance(plan, Trajectory):
+        return [plan], []
+    # The solvers' extra is needed for plans alone.
+    from analysis.trajectory.advice import journey_advice
+
+    found = journey_advice(plan if isinstance(plan, Sequence) else plan.sections)
+    sections = found.sections
+    dwells = np.diff(found.departures) - [each.running_time for each in sections[:-1]]
+    return sections, dwells.tolist()
+
+
+def _planned(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
     train = _train_of(trips)
-    given.check(line.name, given.train if train is None else train.name)
-    return planned_trip(given, line, train)
+    plan.check(line.name, plan.train if train is None else train.name)
+    return planned_trip(plan, line, train)
 
 
 def _train_of(trips: Sequence[DrivenTrip]) -> Train | None:

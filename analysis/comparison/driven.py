@@ -16,10 +16,10 @@ known: neither is the work there, and a calculation starts anew behind it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -836,7 +836,8 @@ def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None)
         if trajectory.speeds[row, end] <= STANDSTILL
     ]
     tractive = trajectory.tractive_effort_at(curve.position)
-    work = cumulative_trapezoid(tractive, curve.position, initial=0.0)
+    each_cell = trajectory.tractive_effort * np.diff(trajectory.positions)
+    work = np.interp(curve.position, trajectory.positions, np.append(0.0, np.cumsum(each_cell)))
     braking = trajectory.braking_effort[row, trajectory.cell_of(curve.position)]
     none = COASTING_SHARE * (np.inf if train is None else train.max_tractive_effort)
     idle = (np.abs(tractive) < none) & (braking < none)
@@ -856,6 +857,54 @@ def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None)
         sums={"traction": work, "unknown_traction": np.zeros(work.size)},
         flags={} if train is None else {"coasting": idle},
         planned=True,
+    )
+
+
+def in_succession(sections: Sequence[DrivenTrip], dwells: Sequence[float]) -> DrivenTrip:
+    """Runs from stop to stop as one trip that stands between them.
+
+    Parameters
+    ----------
+    sections : sequence of m DrivenTrip
+        Of one train, in order; each begins where the one before ends.
+    dwells : sequence of m - 1 float [s]
+    """
+    first, stands = sections[0], list(sections[0].stands)
+    for dwell, each in zip(dwells, sections[1:], strict=True):
+        stands[-1:] = [replace(stands[-1], duration=dwell), *each.stands[1:]]
+    moving = np.cumsum([0.0, *(each.running[-1] for each in sections[:-1])])
+    waited = np.cumsum([0.0, *dwells]) + moving
+    waited += np.cumsum([0.0, *(each.time[-1] - each.running[-1] for each in sections[:-1])])
+
+    def together(name: str, before: FloatArray | None = None) -> FloatArray:
+        offsets = np.zeros(len(sections)) if before is None else before
+        parts = zip(sections, offsets, strict=True)
+        return np.concatenate([getattr(each, name) + offset for each, offset in parts])
+
+    def of_all(name: str) -> dict[str, Any]:
+        held = [getattr(each, name) for each in sections]
+        names = [key for key in held[0] if all(key in each for each in held)]
+        return {key: np.concatenate([each[key] for each in held]) for key in names}
+
+    sums = of_all("sums")
+    for values in sums.values():
+        # Each section counts from its own beginning.
+        begin = np.cumsum([each.time.size for each in sections])[:-1]
+        for node in begin.tolist():
+            values[node:] += values[node - 1] - values[node]
+    return replace(
+        first,
+        time=together("time", waited),
+        running=together("running", moving),
+        position=np.maximum.accumulate(together("position")),
+        speed=together("speed"),
+        stands=tuple(stands),
+        distance=sum(each.distance for each in sections),
+        sums=sums,
+        flags=of_all("flags"),
+        signals=of_all("signals"),
+        slips=None,
+        notes=tuple(dict.fromkeys(note for each in sections for note in each.notes)),
     )
 
 

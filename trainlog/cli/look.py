@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,6 +24,7 @@ from trainlog.cli.options import (
     named_apart,
     part_of,
     refuse_rivals,
+    sections_in,
 )
 from trainlog.cli.terminal import console, print_error, say, show, state, wrote
 from trainlog.display import counted
@@ -63,8 +64,8 @@ def compare_trips(
     Parameters
     ----------
     reference : FILE
-        Log or trajectory to compare with. Default: the fastest trip of each direction that covers
-        nearly all of the common section.
+        Log, trajectory or folder of a journey's sections to compare with. Default: the fastest trip
+        of each direction that covers nearly all of the common section.
     line : FILE
         Line file. Default: the line in the logs.
     model : FILE
@@ -81,16 +82,13 @@ def compare_trips(
     for path in logs:
         if not path.exists():
             raise InputError("does not exist", file=path, remedy="check the path")
-    if reference is not None and reference.is_dir():
-        raise InputError(
-            "is a folder; the reference is one trip or one trajectory",
-            file=reference,
-            remedy="give a log, or the trajectory of one section, such as section-1.json",
-        )
-    planned = reference is not None and reference.suffix != ".mcap"
+    against: Any = reference
+    if reference is not None and reference.suffix != ".mcap":
+        plans = [trainlog.read_trajectory(each) for each in sections_in([reference])]
+        against = plans if len(plans) > 1 else plans[0]
     found = analysis.compare(
         logs_in(logs),
-        trainlog.read_trajectory(reference) if planned and reference else reference,
+        against,
         line=None if line is None else trainlog.read_line(line),
         model=None if model is None else trainlog.read_parameters(model),
         by_time_of_day=time_of_day,
