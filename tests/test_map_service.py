@@ -286,3 +286,14 @@ class TestCommand:
         rows, others = content(one), content(other)
         assert rows[2] == others[2]
         assert [row.entry for row in rows[1]] == [row.entry for row in others[1]]
+
+
+def test_a_trip_that_is_added_without_evidence_is_named_with_the_reason(tmp_path, works):
+    trip = trainlog.read(trainlog.sample("nonstop.mcap"))
+    axles, controls = trip["/train/axles"], trip["/train/controls"]
+    none = {name: 0.0 for name in axles if name.startswith("wheel_effort_")}
+    efforts = controls.assign(tractive_effort=float("nan"))
+    write_log(trip.with_topic(axles.assign(**none)).with_topic(efforts), tmp_path / "none.mcap")
+    shown = works("map", "update", tmp_path / "none.mcap", "--map", tmp_path / "wil.map")
+    assert ": no evidence; " in " ".join(shown.split())
+    assert "the map holds 1 trip of 0 days" in shown

@@ -367,7 +367,7 @@ class LogOutcome:
     trip, layer : str
         Empty where that is not known.
     reason : str
-        Why it does not count, or is held under another layer than the one given.
+        Why it does not count, is held under another layer than the one given, or has no evidence.
     replaced : tuple of str
         Trips that counted until now, of which this is a fuller recording.
     damage : str
@@ -393,7 +393,8 @@ class LogOutcome:
             more = f", in place of {', '.join(self.replaced)}" if self.replaced else ""
             lost = f"; the log {self.damage}" if self.damage else ""
             other = f", though it states '{self.recorded}'" if self.recorded else ""
-            return f"{name} added to '{self.layer}'{other}{more}{lost}"
+            none = f": {self.reason}" if self.reason else ""
+            return f"{name} added to '{self.layer}'{other}{more}{lost}{none}"
         if self.outcome == "held":
             return f"{name}: in the map already, not counted again" + (
                 f"; {self.reason}" if self.reason else ""
@@ -797,6 +798,7 @@ def _added(file: MapFile, log: Path, piece: Evidence, damage: str) -> LogOutcome
     details = {"damage": damage} if damage else {}
     found = file.append(recording_of(piece, **details))
     outcome: Outcome = "held" if found.held else "added" if found.counted else "same drive"
-    return LogOutcome(
-        str(log), outcome, piece.trip, piece.layer, found.reason, found.replaced, damage
-    )
+    reason = found.reason
+    if outcome == "added" and not any(each.days.size for each in piece.layers.values()):
+        reason = "; ".join(["no evidence", *piece.details.get("notes", ())])
+    return LogOutcome(str(log), outcome, piece.trip, piece.layer, reason, found.replaced, damage)
