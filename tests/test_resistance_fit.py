@@ -297,7 +297,18 @@ def test_an_offset_of_efforts_while_pulling_is_stated_and_left_to_itself(
     fit = fit_trip(changed(simulated[number], "/train/controls", tractive_effort=spoilt))
     too = "high" if offset > 0.0 else "low"
     assert re.search(rf"efforts are [12]\.\d ± 0\.\d kN too {too} while pulling", str(fit.notes))
-    assert curve_error(fit, truth(simulated[number])[0]) < 0.06
+    true = truth(simulated[number])[0]
+    assert curve_error(fit, true) < 0.06
+    speed = np.linspace(5.0, fit.asked[1], 31)
+    low, high = fit.band(speed)
+    assert np.all((low <= true(speed)) & (true(speed) <= high))
+
+
+def test_a_large_offset_of_efforts_while_pulling_is_refused(simulated):
+    effort = simulated[0]["/train/controls"]["tractive_effort"]
+    spoilt = effort.where(effort <= 0.0, effort + 4000.0)
+    whole = changed(simulated[0], "/train/controls", tractive_effort=spoilt)
+    refused(TripRefusedError, "running resistance is uncertain by", fit_trip, whole)
 
 
 def test_a_brake_that_drags_through_half_of_a_trip_is_named_with_place_and_time():

@@ -156,6 +156,10 @@ OFFSET_STD = 0.03
 """Prior standard deviation of the force over mass [m/s²] by which a stretch is unlike the rest: a
 brake that drags, or a gradient 3 per mille wrong."""
 
+OFFSET_SHARE = 0.15
+"""Standard deviation of r0 where efforts have an offset while pulling, as a share of it: the gain
+of the efforts and their delay take up a part."""
+
 STRETCHES = 3
 """Most stretches that are unlike the rest."""
 
@@ -393,6 +397,9 @@ def fit_windows(
     half = 0.5 * sum(each.force for each in own_force if each.ambiguous)
     beta[:, 0] += half
     covariance[:, 0, 0] += half**2
+    offset = found.over("pulling", "1/m") if pulling else None
+    if offset is not None:
+        covariance[:, 0, 0] += (OFFSET_SHARE * offset[0]) ** 2
     share = shares(white.likelihood, white.noise)
     _, survey = _physical(found.estimate[None], factor * share.survey[None])
     tunnels = None
@@ -416,7 +423,7 @@ def fit_windows(
         condition=condition_number(white.used.x),
         stretches=tuple(own_force),
         tunnels=tunnels,
-        pulling=found.over("pulling", "1/m") if pulling else None,
+        pulling=offset,
     )
 
 
