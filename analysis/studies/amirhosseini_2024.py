@@ -768,8 +768,8 @@ def main(report: StudyReport, seed: int) -> None:
             "driving eight wagons",
         )
     ]  # fmt: skip
-    for run in (*runs[: 2 * count], *coupled):
-        report.log(trip_of(run, seed))
+    for each in (*runs[: 2 * count], *coupled):
+        report.log(trip_of(each, seed))
     report.draw(study_charts(exact))
     shifted = [exact[spatial.name], *runs[2 * count : -1]]
     report.show(
