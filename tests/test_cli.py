@@ -139,7 +139,7 @@ REFUSED = {
     "convert stopping.mcap -o sub/x.mcap --topic /nope": "stopping.mcap: has no topic /nope; it",
     "convert stopping.mcap -o .mcap": ".mcap: is the name of a .mcap file, and a folder is needed",
     "simulate fleet drawn -o x.json --days 1": "x.json: is the name of a .json file, and a folder",
-    "compare nonstop.mcap --reference none": "the trajectory of one section, such as section-1",
+    "compare nonstop.mcap --reference none": "has no sections of a journey; name a folder that",
     "new samples -o .csv": ".csv: is the name of a .csv file, and a folder is needed",
     "convert copy nonstop.mcap -o x.mcap --km 1:2": "--km cannot be taken: several logs are joined",
     "map show file --km 8:9": "what a picture shows",

@@ -438,8 +438,7 @@ def _show(file: Path, every: bool) -> bool:
 
     found = contents_of(file)
     if found.damaged and current().quiet:
-        remedy = "trainlog convert rebuilds it"
-        print_problems(LogError(found.described().account.sentence, file=file, remedy=remedy))
+        _state_damage(file, found.described().account.sentence)
     if found.kind == "log" and state({}):
         current().content.setdefault("logs", []).append(found.described().data())
         for part in found.repairs(every=every):
@@ -459,9 +458,13 @@ def _show_folder(folder: Path) -> bool:
     rows = folder_contents(folder)
     for row in rows:
         if row.damaged and current().quiet:
-            print_problems(LogError(row.summary, file=folder / row.name))
+            _state_damage(folder / row.name, row.summary)
     console.print(new_table(str(folder), *columns, name="file").add_rows(rows))
     return any(row.damaged for row in rows)
+
+
+def _state_damage(log: Path, words: str) -> None:
+    print_problems(LogError(words, file=log, remedy="'trainlog convert' rebuilds it"))
 
 
 def _open(file: Path) -> None:
