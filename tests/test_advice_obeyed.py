@@ -362,6 +362,8 @@ def test_a_trip_is_compared_with_the_plan_of_its_whole_journey():
         assert whole.running[-1] == pytest.approx(whole.duration - 40.0, abs=0.1)
         assert direction.obeyed.covered[1] == pytest.approx(LINE.length, abs=5.0)
         assert direction.obeyed.sums["traction"][-1] == pytest.approx(work, rel=0.1)
+        slips = [each.trip.slips.size for each in direction.trips]
+        assert direction.obeyed.slips.size == sum(slips)
         assert [each.within_advice > 0.6 for each in direction.trips] == [True, True]
         # Each trip drove one section: it lost what the advice of that section loses.
         for trip, section in zip(direction.trips, plan.sections, strict=True):

@@ -70,6 +70,12 @@ from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import KMH, clock
 
+if TYPE_CHECKING:
+    from analysis.trajectory.journey import JourneyPlan
+
+Plan = Union[Trajectory, Sequence[Trajectory], "JourneyPlan"]
+"""A trajectory, or those of a journey's sections."""
+
 EXCESS = 1.0 / KMH
 """Speed over the limit [m/s] from which it is stated: less is within what speeds are known to."""
 
@@ -98,13 +104,6 @@ def with_units(table: pd.DataFrame) -> pd.DataFrame:
     found = table.rename(columns=named)
     found.attrs["units"] = {named[n]: Quantity(units[n], "").si_unit for n in named}
     return found
-
-
-if TYPE_CHECKING:
-    from analysis.trajectory.journey import JourneyPlan
-
-Plan = Union[Trajectory, Sequence[Trajectory], "JourneyPlan"]
-"""A trajectory, or those of a journey's sections."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -873,8 +873,8 @@ def in_succession(sections: Sequence[DrivenTrip], dwells: Sequence[float]) -> Dr
     for dwell, each in zip(dwells, sections[1:], strict=True):
         stands[-1:] = [replace(stands[-1], duration=dwell), *each.stands[1:]]
     moving = np.cumsum([0.0, *(each.running[-1] for each in sections[:-1])])
-    waited = np.cumsum([0.0, *dwells]) + moving
-    waited += np.cumsum([0.0, *(each.time[-1] - each.running[-1] for each in sections[:-1])])
+    departures = np.cumsum([0.0, *(each.time[-1] for each in sections[:-1])])
+    departures += np.cumsum([0.0, *dwells])
 
     def together(name: str, before: FloatArray | None = None) -> FloatArray:
         offsets = np.zeros(len(sections)) if before is None else before
@@ -886,15 +886,14 @@ def in_succession(sections: Sequence[DrivenTrip], dwells: Sequence[float]) -> Dr
         names = [key for key in held[0] if all(key in each for each in held)]
         return {key: np.concatenate([each[key] for each in held]) for key in names}
 
-    sums = of_all("sums")
+    sums, begins = of_all("sums"), np.cumsum([each.time.size for each in sections])[:-1]
     for values in sums.values():
         # Each section counts from its own beginning.
-        begin = np.cumsum([each.time.size for each in sections])[:-1]
-        for node in begin.tolist():
+        for node in begins.tolist():
             values[node:] += values[node - 1] - values[node]
     return replace(
         first,
-        time=together("time", waited),
+        time=together("time", departures),
         running=together("running", moving),
         position=np.maximum.accumulate(together("position")),
         speed=together("speed"),
@@ -903,7 +902,9 @@ def in_succession(sections: Sequence[DrivenTrip], dwells: Sequence[float]) -> Dr
         sums=sums,
         flags=of_all("flags"),
         signals=of_all("signals"),
-        slips=None,
+        slips=(
+            None if any(each.slips is None for each in sections) else together("slips", departures)
+        ),
         notes=tuple(dict.fromkeys(note for each in sections for note in each.notes)),
     )
 
