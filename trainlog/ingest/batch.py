@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -136,11 +137,6 @@ def _name(each: Outcome) -> str:
     return f"{each.file.name}, {each.recording}" if each.recording else each.file.name
 
 
-def _place(each: Outcome) -> str:
-    """The recording, where the reason names the file alone."""
-    return f"{each.recording}: " if each.recording else ""
-
-
 def _repairs(each: Outcome) -> str:
     if each.state == "unchanged":
         return each.reason if each.reason.startswith("of") else "unchanged"
@@ -189,11 +185,13 @@ class Ingested(Presented):
     @property
     def notes(self) -> list[str]:
         """What was refused and passed over, with reasons."""
-        words = [f"refused: {_place(each)}{each.reason}" for each in self.of("refused")]
+        words = [
+            ": ".join(filter(None, ["refused", each.recording, each.reason]))
+            for each in self.of("refused")
+        ]
         for each in self.of("made", "repaired", "unchanged"):
-            direction, motion = (
-                each.metadata.get(f"{what}_evidence", "") for what in ("direction", "motion")
-            )
+            direction = each.metadata.get("direction_evidence", "")
+            motion = each.metadata.get("motion_evidence", "")
             words += [f"{_name(each)}: direction {direction}"] if "assumed" in direction else []
             words += [f"{_name(each)}: {motion}"] if motion else []
         others = self.of("passed_over")
@@ -323,7 +321,8 @@ def ingest_all(
         named = frozenset(Path(path).resolve() for path in every)
         batch = _Batch(target, given, recordings, named, choose, finish)
         for number, (file, reason) in enumerate(files, start=1):
-            step(sum(sizes[: number - 1]), note=f"reading {_at_file(file, number, len(files))}")
+            place = f", {number} of {counted(len(files), 'file')}" if len(files) > 1 else ""
+            step(sum(sizes[: number - 1]), note=f"reading {file.name}{place}")
             outcomes = [Outcome(file, "passed_over", reason=reason)] if reason else batch.make(file)
             for outcome in outcomes:
                 found.append(outcome)
@@ -339,10 +338,6 @@ def _size(path: Path) -> int:
         return sum(each.stat().st_size for each in files)
     except OSError:
         return 0
-
-
-def _at_file(file: Path, number: int, files: int) -> str:
-    return f"{file.name}, {number} of {counted(files, 'file')}" if files > 1 else file.name
 
 
 def files_of(paths: Iterable[Path], output: Path) -> list[tuple[Path, str]]:
@@ -402,18 +397,13 @@ def no_recording(file: Path) -> str:
     except InputError as error:
         return "" if suffix in RECORDED else f"{error.problem}; {error.remedy}"
     name = next((item.name for item in formats().values() if item.recognises(head)), "")
-    if name == "mcap" and _is_ours(file):
-        return "a log of trainlog"
+    if name == "mcap":
+        with suppress(LogError):
+            if describe(file).schema_version is not None:
+                return "a log of trainlog"
     if name == "csv" and suffix not in (".csv", ".tsv") and not looks_like_table(head, file):
         return "text without a table"
     return "" if name or suffix in RECORDED else "of no format that trainlog knows"
-
-
-def _is_ours(file: Path) -> bool:
-    try:
-        return describe(file).schema_version is not None
-    except LogError:
-        return False
 
 
 @dataclass
@@ -484,8 +474,12 @@ class _Batch:
             yield Outcome(file, "passed_over" if in_folder else "refused", reason=str(error))
         except TrainlogError as error:
             yield Outcome(file, "refused", reason=str(error))
+        except OSError as error:
+            reason = f"{file}: {(error.strerror or str(error)).lower()}"
+            yield Outcome(file, "refused", reason=reason)
         except Exception as error:  # noqa: BLE001  (a defect of a reader must not stop the others)
-            yield Outcome(file, "refused", reason=_unexpected(file, error))
+            reason = f"{file}: could not be read ({type(error).__name__}: {error})"
+            yield Outcome(file, "refused", reason=f"{reason}; report this as a defect")
 
     def _made_of(self, file: Path) -> Iterator[Outcome]:
         given = self.given
@@ -587,12 +581,6 @@ def _made(log: Path) -> _Made | None:
     if [step.get("step") for step in steps] not in (["ingest"], ["ingest", "passport"]):
         return None
     return _Made(log, trip, steps[0], whole=len(steps) == len(trip.provenance))
-
-
-def _unexpected(file: Path, error: Exception) -> str:
-    if isinstance(error, OSError):
-        return f"{file}: {(error.strerror or str(error)).lower()}"
-    return f"{file}: could not be read ({type(error).__name__}: {error}); report this as a defect"
 
 
 def distinct_names(files: list[Path]) -> dict[Path, str]:

@@ -88,7 +88,7 @@ from trainlog.ingest.receiver import (
 )
 from trainlog.ingest.recording import MOST, NEARLY_ALL, Finding, Table
 from trainlog.ingest.rules import quantum
-from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
+from trainlog.railway.geometry import beside, candidates, nearest_on, track_of
 from trainlog.railway.line import Geometry, Line
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of, seconds as seconds_of
@@ -317,8 +317,8 @@ class OnLine:
             self.common_delay = common_delay(self.fixes, fit)
             if self.common_delay.value > 0.0:
                 self.fixes = self.fixes.with_late_wheels(self.common_delay.value)
-                again = distance_driven(self.fixes, slip_aware=self.slip_aware)
-                self.slipping = again.slipping
+                driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
+                self.slipping = driven.slipping
         return fitting, course
 
     def _course(self, chainage: FloatArray) -> FloatArray:
@@ -712,7 +712,9 @@ class OnLine:
         departure = np.hypot(along, aside / std)
         # Where most depart it is the motion that is away: those depart that do so most.
         departure /= max(float(np.median(departure[self.known])), 1.0)
-        departure[_ends(self.track, chainage, std)] = np.inf
+        # So do those beyond the ends of the line, by more than their own error.
+        (begin, end), margin = self.track.positions[[0, -1]], GATE * std
+        departure[(chainage < begin - margin) | (chainage > end + margin)] = np.inf
         return held(departure, self.fixes.seconds)
 
     def _judge_speeds(self, motion: SmoothedMotion) -> None:
@@ -768,14 +770,6 @@ def _relative_accuracy(stated: FloatArray, aside: FloatArray) -> FloatArray:
         if value < best - 0.01:
             best, chosen = value, power
     return np.asarray(unit**chosen)
-
-
-def _ends(track: Track, chainage: FloatArray, std: FloatArray) -> BoolArray:
-    """Fixes beyond the ends of the track, by more than their own error."""
-    margin = GATE * std
-    return np.asarray(
-        (chainage < track.positions[0] - margin) | (chainage > track.positions[-1] + margin)
-    )
 
 
 # ------------------------------------------------------------------ the estimated state
@@ -864,7 +858,10 @@ def position_offset(table: Table, estimate: pd.DataFrame) -> Result:
     off = position[rows] - chainage
     least = np.maximum(ELSEWHERE, GATE * std) + (quantum(position) or 0.0)
     drifted = least + ODOMETER_DRIFT * np.ptp(chainage) + CLOCKS * speed
-    shift = _constant(off, least, drifted)
+    offset = float(np.median(off))
+    beyond, agreeing = np.sign(offset) * off > least, np.abs(off - offset) <= drifted
+    constant = min(np.mean(beyond), np.mean(agreeing)) >= NEARLY_ALL
+    shift = offset if constant else 0.0
     wrong = np.abs(off - shift) > drifted
     if not (shift or wrong.any()):
         return table, []
@@ -897,14 +894,6 @@ def _near(time: IntArray, known: IntArray) -> BoolArray:
     return inside & (known[after] - known[after - 1] <= LARGEST_GAP * NANOSECONDS)
 
 
-def _constant(off: FloatArray, least: FloatArray, drifted: FloatArray) -> float:
-    """The offset [m] that nearly all differences have, up to drift; 0 if there is none."""
-    offset = float(np.median(off))
-    beyond = float(np.mean(np.sign(offset) * off > least))
-    agreeing = float(np.mean(np.abs(off - offset) <= drifted))
-    return offset if min(beyond, agreeing) >= NEARLY_ALL else 0.0
-
-
 def _placed(fixes: Fixes, unplaced: Sequence[tuple[int, int]]) -> Fixes:
     """The fixes without positions between some times [ns]."""
     time = fixes.index.as_unit("ns").asi8
@@ -926,21 +915,13 @@ def _findings(fixes: Fixes, matched: OnLine) -> tuple[Finding, ...]:
     late_by = f"late by {matched.lateness:.1f} s in the mean; brought forward by the speeds"
     # A delay of fixes and speeds together concerns every speed.
     late = np.isfinite(fixes.speed) & (matched.common_delay.value > 0.0)
+    speeds = matched.aside | matched.judged | late
+    behind = np.isfinite(matched.chainage) & (matched.lateness > 0.0)
     counts = (
-        (
-            "contradicted",
-            matched.aside | matched.judged | late,
-            "/gnss/motion.speed",
-            matched.reasons,
-        ),
+        ("contradicted", speeds, "/gnss/motion.speed", matched.reasons),
         ("off_line", matched.rejected | matched.computed, "/gnss/fix", computed),
         ("slip", matched.slipping, "/train/state.speed", ""),
-        (
-            "contradicted",
-            np.isfinite(matched.chainage) & (matched.lateness > 0.0),
-            "/gnss/fix",
-            late_by,
-        ),
+        ("contradicted", behind, "/gnss/fix", late_by),
     )
     return tuple(
         Finding(rule, int(np.count_nonzero(flags)), (), column, note)

@@ -20,8 +20,7 @@ and to the first one after that shows by which clock each was written.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -262,7 +261,6 @@ def _spread(time: IntArray, usual: int) -> IntArray:
     """Times [ns] of rows whose whole seconds are `time`, with `usual` rows a second."""
     start = time[0]
     seconds = (time - start) // NANOSECONDS
-    run = np.cumsum(np.diff(seconds, prepend=seconds[0]) > 1)
     first = np.searchsorted(seconds, seconds, side="left")
     last = np.searchsorted(seconds, seconds, side="right")
     rank = np.arange(time.size) - first
@@ -270,7 +268,7 @@ def _spread(time: IntArray, usual: int) -> IntArray:
     row = np.arange(time.size, dtype=np.float64)
     tick = (seconds * usual + rank).astype(np.float64)
     whole = last - first == usual
-    for edge in _run_edges(run):
+    for edge in np.split(np.arange(time.size), np.flatnonzero(np.diff(seconds) > 1) + 1):
         whole_in_run = np.flatnonzero(whole[edge])
         if whole_in_run.size:
             tick[edge] = _interpolated(row[edge], tick[edge], whole_in_run)
@@ -278,11 +276,6 @@ def _spread(time: IntArray, usual: int) -> IntArray:
             share = np.maximum(last[edge] - first[edge], usual)
             tick[edge] = (seconds[edge] + rank[edge] / share) * usual
     return np.asarray(start + np.round(tick * (NANOSECONDS / usual)), dtype=np.int64)
-
-
-def _run_edges(run: IntArray) -> list[slice]:
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def _interpolated(row: FloatArray, tick: FloatArray, anchors: IntArray) -> FloatArray:
@@ -300,18 +293,18 @@ def merge_same_time(table: Table, limits: Limits) -> Result:  # noqa: ARG001
     if new.all():
         return table, []
     starts = np.flatnonzero(new)
-    number = np.arange(len(table))
-    merged = table.take(starts)
-    values, texts = dict(merged.signals), dict(merged.texts)
-    for name, column in table.signals.items():
-        candidates = np.where(np.isnan(column), len(table), number)
-        present = np.minimum.reduceat(candidates, starts)
-        values[name] = column[np.where(present < len(table), present, starts)]
-    for name, words in table.texts.items():
-        candidates = np.where(words == "", len(table), number)
-        present = np.minimum.reduceat(candidates, starts)
-        texts[name] = words[np.where(present < len(table), present, starts)]
-    return replace(merged, signals=values, texts=texts), table.found("same_time", ~new)
+
+    def first(column: Any, absent: BoolArray) -> Any:
+        number = np.where(absent, len(table), np.arange(len(table)))
+        present = np.minimum.reduceat(number, starts)
+        return column[np.where(present < len(table), present, starts)]
+
+    merged = replace(
+        table.take(starts),
+        signals={name: first(column, np.isnan(column)) for name, column in table.signals.items()},
+        texts={name: first(words, words == "") for name, words in table.texts.items()},
+    )
+    return merged, table.found("same_time", ~new)
 
 
 def count_gaps(table: Table, limits: Limits) -> Result:

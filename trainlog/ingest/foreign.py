@@ -9,7 +9,7 @@ the wheels.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,13 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError, suggestion
 from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
-from trainlog.ingest.profile import PROFILE_FORMAT, Column, MismatchError, Profile, TimeOptions
+from trainlog.ingest.profile import (
+    Column,
+    MismatchError,
+    Profile,
+    TimeOptions,
+    default_profile,
+)
 from trainlog.ingest.recording import (
     NO_TIME,
     SHOWN,
@@ -92,7 +98,7 @@ def read_foreign(path: Path, profile: Profile | None) -> Recording:
             file=path,
             remedy="give it to the other commands; it need not be brought in",
         )
-    options = profile or Profile(format=PROFILE_FORMAT, version=1, name="none")
+    options = profile or default_profile()
     presets = {topic.name for topic in described.topics if preset_of(topic.message)}
     named = {_topic(name) for column in options.columns.values() for name in column.names}
     held = Counter[str]()
@@ -162,20 +168,25 @@ class _Reader:
     def read_presets(self) -> None:
         """Map what is known by its schema, for the topics of ours that nothing is said of."""
         taken = {field_of(name)[0].name for name in self.profile.columns}
-        offers: dict[str, list[str]] = {}
+        offers: dict[str, dict[str, Preset]] = {}
         for name, frame in self.found.frames.items():
             preset = preset_of(frame.attrs["schema"])
             if preset is not None and preset[0] not in taken and len(frame):
-                offers.setdefault(preset[0], []).append(name)
-        for ours, names in offers.items():
-            if len(names) > 1 and ours != EVENTS.name:
+                offers.setdefault(preset[0], {})[name] = preset[1]
+        for ours, presets in offers.items():
+            if len(presets) > 1 and ours != EVENTS.name:
                 raise InputError(
-                    f"{ours} can come from {' or '.join(names)}",
+                    f"{ours} can come from {' or '.join(presets)}",
                     file=self.path,
                     remedy=f"say under [columns] of a profile which fields make {ours}",
                 )
-            for name in names:
-                self._read_preset(ours, name)
+            for name, read in presets.items():
+                frame, time = self.found.frames[name], self._time(name)
+                signals, texts = read(frame)
+                rows = np.arange(1, len(frame) + 1, dtype=np.int64)
+                self.tables.append(Table(time, rows, signals, texts))
+                self.sources.setdefault(ours, []).append(name)
+                self.rows_read += len(frame)
 
     def recording(self) -> Recording:
         """What was mapped; InputError if that is nothing."""
@@ -220,7 +231,10 @@ class _Reader:
                         file=self.path,
                         remedy=suggestion(path, [str(each) for each in frame.columns], "fields"),
                     )
-        self._note(columns, topic, len(frame))
+        self.rows_read += len(frame)
+        for name in columns:
+            topics = self.sources.setdefault(field_of(name)[0].name, [])
+            topics += [topic] if topic not in topics else []
         if not len(frame) or not values:
             return
         time = self._time(topic)
@@ -235,22 +249,6 @@ class _Reader:
         self.tables += made.tables
         self.findings += made.findings
         self.raw += made.raw
-
-    def _read_preset(self, ours: str, name: str) -> None:
-        frame = self.found.frames[name]
-        _, read = preset_of(frame.attrs["schema"]) or ("", None)
-        assert read is not None
-        table = table_of(self._time(name), frame, read)
-        self.tables.append(table)
-        self.sources.setdefault(ours, []).append(name)
-        self.rows_read += len(frame)
-
-    def _note(self, columns: Iterable[str], topic: str, rows: int) -> None:
-        self.rows_read += rows
-        for name in columns:
-            names = self.sources.setdefault(field_of(name)[0].name, [])
-            if topic not in names:
-                names.append(topic)
 
     def _count_skipped(self) -> None:
         """Count messages that cannot be decoded."""
@@ -454,9 +452,3 @@ PRESETS: dict[str, tuple[str, Preset]] = {
 def preset_of(schema: str) -> tuple[str, Preset] | None:
     """Our topic for a schema, and how its columns are found; None if it says nothing for sure."""
     return PRESETS.get(schema.replace("/msg/", "/"))
-
-
-def table_of(time: Any, frame: pd.DataFrame, read: Preset) -> Table:
-    """The table that a preset makes of a frame, its rows counted from 1."""
-    signals, texts = read(frame)
-    return Table(time, np.arange(1, len(frame) + 1, dtype=np.int64), signals, texts)

@@ -226,15 +226,11 @@ def _without(table: Table, motion: _Motion, frozen: dict[str, BoolArray]) -> Res
             continue
         runs = motion.runs[name]
         rows = runs.rows(chosen, len(table))
-        longest = float(
-            np.max(
-                motion.seconds[runs.last] - motion.seconds[runs.first], where=chosen, initial=0.0
-            )
-        )
+        lasted = (motion.seconds[runs.last] - motion.seconds[runs.first])[chosen]
+        note = f"{lasted.size} times, longest {lasted.max():.0f} s"
         for column in (LATITUDE, LONGITUDE) if name == LATITUDE else (name,):
             cells = rows & np.isfinite(table.signals[column])
             topic, _, item = field_of(column)
-            note = f"{np.count_nonzero(chosen)} times, longest {longest:.0f} s"
             findings += table.found("frozen", cells, f"{topic.name}.{item.name}", note)
             table = table.without(column, rows)
     return table, findings
@@ -385,7 +381,9 @@ class _Motion:
         resting = self._covered(name, np.ones(runs.value.size, dtype=np.bool_), own.size)
         compared = []
         for other, pace in self._others(name).items():
-            ratio, std, _ = _agreement(own, pace, ~resting, name, other)
+            live = ~resting & (own > MOVING) & (pace > MOVING)
+            usual = Agreement(1.0, USUAL_FIX_STD if LATITUDE in (name, other) else SPEED_STD)
+            ratio, std, _ = agreement(own, pace, live) or usual
             allowed = runs.step + STANDING + GATE * std
             compared.append(self._compared(name, own - ratio * pace, std, allowed))
         contradicted, asked = _verdict(compared, runs)
@@ -415,12 +413,12 @@ class _Motion:
         Acceleration is a linear function of all efforts, and of speed and its square, whose
         coefficients are those of the other windows.
         """
-        speed = next((self.paces()[s] for s in (SPEED, GNSS_SPEED) if s in self.paces()), None)
+        source = SPEED if SPEED in self.paces() else GNSS_SPEED
+        speed = self.paces().get(source)
         names = [name for name in self.runs if name.startswith(EFFORTS)]
         none = {name: np.zeros(self.runs[name].value.size, dtype=np.bool_) for name in names}
         if not names or speed is None or speed.size < MANY:
             return none
-        source = SPEED if SPEED in self.paces() else GNSS_SPEED
         speed = np.where(self.excluded[source], np.nan, speed)
         # Efforts are averaged over the two windows whose mean speeds are compared.
         acceleration = np.append(np.diff(speed), np.nan) / SPAN
@@ -535,11 +533,3 @@ def _trembles(column: Column, size: float, step: float) -> bool:
     signs = np.sign(bend)
     alternating = bool(np.mean(signs[1:] * signs[:-1]) < 0.0)
     return alternating and bool(robust_std(bend) / np.sqrt(6.0) >= step)
-
-
-def _agreement(
-    own: FloatArray, pace: FloatArray, live: BoolArray, name: str, other: str
-) -> Agreement:
-    """Ratio of a column to another where neither rests, and the noise of their difference."""
-    found = agreement(own, pace, live & (own > MOVING) & (pace > MOVING))
-    return found or Agreement(1.0, USUAL_FIX_STD if LATITUDE in (name, other) else SPEED_STD)

@@ -176,7 +176,7 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
     InputError
         If it is no XML, with line and column; declares entities; or holds no track with points.
     """
-    reader, cut = _parsed(_without_zeros(read_bytes(path)), path)
+    reader, cut = _parsed(read_bytes(path), path)
     filled = [track for track in reader.tracks if track.points]
     if not filled:
         others = ", ".join(f"{count} {kind}" for kind, count in reader.others.items())
@@ -198,13 +198,6 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
     return found
 
 
-def _without_zeros(data: bytes) -> bytes:
-    """A file without the zeros that a power cut leaves where there was no time for data."""
-    plain = data.rstrip(b"\0")
-    # The last character of little-endian UTF-16 ends in a zero of its own.
-    return plain + b"\0" * (len(plain) % 2) if data[:2] == b"\xff\xfe" else plain
-
-
 def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:
     """What a file holds, and the line at which it is cut off, 0 if it is whole."""
     parser = expat.ParserCreate()
@@ -215,8 +208,13 @@ def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:
     parser.CharacterDataHandler = reader.characters
     parser.EntityDeclHandler = reader.entity
     cut = 0
+    # A power cut leaves zeros where there was no time for data; the last character of little-endian
+    # UTF-16 ends in a zero of its own.
+    plain = data.rstrip(b"\0")
+    if data[:2] == b"\xff\xfe":
+        plain += b"\0" * (len(plain) % 2)
     try:
-        parser.Parse(data, True)
+        parser.Parse(plain, True)
     except expat.ExpatError as error:
         if error.code not in CUT_OFF or not any(track.points for track in reader.tracks):
             raise InputError(

@@ -28,11 +28,10 @@ from trainlog.ingest.pipeline import (
     Given,
     attachments_of,
     bounded_limits,
-    default_profile,
     metadata_of,
     profile_of,
 )
-from trainlog.ingest.profile import Limits, Profile, Repair, own_topics
+from trainlog.ingest.profile import Limits, Profile, Repair, default_profile, own_topics
 from trainlog.ingest.recording import (
     INFO,
     LONGEST_TEXT,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -221,13 +222,14 @@ def _refuse_garbled(
         return
     at = int(np.argmax(garbled))
     cell = str(cells.table[source][at].as_py())
+    shown = cell if len(cell) <= 30 else cell[:27] + "..."
     decimal = profile.file.decimal
     marks = [mark for mark in THOUSANDS if re.match(grouped(decimal, mark), cell)]
     one_comma = decimal == "." and cell.count(",") == 1 and "." not in cell
     remedies = ['decimal = ","'] if one_comma else []
     remedies += [f'thousands = "{marks[0]}"'] if marks and marks[0] != decimal else []
     raise InputError(
-        f"{count} cells are not numbers, the first is {_short(cell)!r}",
+        f"{count} cells are not numbers, the first is {shown!r}",
         file=file,
         place=f"row {cells.rows[at]}, column {source}",
         remedy=(
@@ -236,10 +238,6 @@ def _refuse_garbled(
             else f"check which column it is, and delimiter {profile.file.delimiter!r}"
         ),
     )
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 30 else text[:27] + "..."
 
 
 def _whole(column: pa.ChunkedArray, decimal: str) -> bool:
@@ -406,7 +404,10 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
             rest = np.round(np.where(known, beyond, 0.0) * NANOSECONDS).astype(np.int64)
             time = np.where(known, time + rest, NO_TIME)
     elif pa.types.is_timestamp(columns[0].type):
-        time = _from_typed(columns[0], options.timezone, file)
+        zone = columns[0].type.tz
+        time = pc.cast(pc.cast(columns[0], pa.timestamp("ns", zone)), pa.int64())
+        time = pc.fill_null(time, NO_TIME).to_numpy()
+        time = time if zone else _localised(time, options.timezone, file)
     else:
         if options.format == "iso" and len(columns) == 1 and is_text(columns[0]):
             undated = pc.fill_null(pc.match_substring_regex(columns[0], _NO_DATE), False).to_numpy()
@@ -483,10 +484,10 @@ def elapsed_time(column: pa.ChunkedArray, options: TimeOptions, decimal: str) ->
     if is_text(column) and pc.any(pc.match_substring(column, ":")).as_py():
         return _hours_minutes_seconds(column, decimal)
     factor = NANOSECONDS_PER[options.unit]
-    whole = _whole_numbers(column)
-    if whole is not None:
-        values, present = whole
-        sane = present & (np.abs(values) < LATEST // factor)
+    with suppress(pa.ArrowInvalid, pa.ArrowNotImplementedError):  # of whole numbers
+        whole = pc.cast(column, pa.int64())
+        values = pc.fill_null(whole, 0).to_numpy()
+        sane = pc.is_valid(whole).to_numpy() & (np.abs(values) < LATEST // factor)
         return np.where(sane, np.where(sane, values, 0) * factor, NO_TIME)
     count = numbers(column, decimal)[0]
     sane = np.abs(count) < LATEST / factor  # False for NaN
@@ -508,22 +509,6 @@ def _hours_minutes_seconds(text: pa.ChunkedArray, decimal: str) -> IntArray:
     ]
     whole = (counts[0] * 60 + counts[1]) * 60 + counts[2]
     return np.where(known, whole * NANOSECONDS_PER["s"] + counts[3], NO_TIME)
-
-
-def _whole_numbers(column: pa.ChunkedArray) -> tuple[IntArray, Any] | None:
-    """The column as integers, and which are present; None if it is not made of integers."""
-    try:
-        integers = pc.cast(column, pa.int64())
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-        return None
-    return pc.fill_null(integers, 0).to_numpy(), pc.is_valid(integers).to_numpy()
-
-
-def _from_typed(column: pa.ChunkedArray, timezone: str, file: Path) -> IntArray:
-    """Time from a column that the file itself types as a time stamp."""
-    time = pc.cast(pc.cast(column, pa.timestamp("ns", column.type.tz)), pa.int64())
-    nanoseconds = pc.fill_null(time, NO_TIME).to_numpy()
-    return nanoseconds if column.type.tz else _localised(nanoseconds, timezone, file)
 
 
 def _from_text(

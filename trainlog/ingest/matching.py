@@ -372,17 +372,11 @@ def _parts(chain: Chain) -> Iterator[tuple[Chain, str]]:
         after = ""
         if first:
             after = "reversal" if chain.link[first] == REVERSED else "absence"
-        yield _slice(chain, np.arange(first, last)), after
-
-
-def _slice(chain: Chain, index: IntArray) -> Chain:
-    link = chain.link[index].copy()
-    if link.size:
-        link[0] = ALONG
-    return Chain(
-        chain.worth, chain.node[index], chain.candidate[index], chain.course[index], link,
-        chain.without[index],
-    )  # fmt: skip
+        part = slice(first, last)
+        link = chain.link[part].copy()
+        link[:1] = ALONG
+        columns = chain.node[part], chain.candidate[part], chain.course[part]
+        yield Chain(chain.worth, *columns, link, chain.without[part]), after
 
 
 @dataclass(frozen=True, eq=False)
@@ -629,10 +623,8 @@ class Search:
         """The track of courses one after the other."""
         positions, points, begun = list[FloatArray](), list[ComplexArray](), 0.0
         for course in courses:
-            track, length = (
-                self.edges.tracks[course // 2],
-                float(self.edges.graph.lengths[course // 2]),
-            )
+            track = self.edges.tracks[course // 2]
+            length = float(self.edges.graph.lengths[course // 2])
             if track is not None:
                 way = slice(None, None, -1 if course % 2 else 1)
                 along = length - track.positions if course % 2 else track.positions
@@ -904,11 +896,9 @@ def placed(
         where = f"start at km {match.start / 1e3:.3f}"
         words = f"{shown[best[0]]}, {match.error:.0f} m off (RMS), {where}"
         return Placed(best[0], match.start, words)
-    found = (
-        {}
-        if train is None
-        else {way: gradients_in(table, each, train, starts[way]) for way, each in ways.items()}
-    )
+    found: dict[str, Gradients | None] = {}
+    if train is not None:
+        found = {way: gradients_in(table, each, train, starts[way]) for way, each in ways.items()}
     one, other = found.get("forward"), found.get("reverse")
     if one is not None and other is not None:
         way = "forward" if one.squares <= other.squares else "reverse"

@@ -134,20 +134,13 @@ def read_nmea(path: Path, profile: Profile | None) -> Recording:  # noqa: ARG001
         If it holds no sentence that gives a position or a speed, no date, or most are damaged.
     """
     text = read_bytes(path).rstrip(b"\0").decode("ascii", "replace")
-    lines: list[tuple[int, str, str]] = []
-    nothing: list[int] = []
+    messages, epochs = Messages(), Epochs()
     for row, line in enumerate(text.splitlines(), start=1):
         prefix, mark, sentence = line.partition("$")
         if mark:
-            lines.append((row, prefix, mark + sentence.rstrip()))
+            epochs.take(row, prefix, mark + sentence.rstrip(), messages)
         elif line.strip():
-            nothing.append(row)
-    messages = Messages()
-    epochs = Epochs()
-    for row, prefix, sentence in lines:
-        epochs.take(row, prefix, sentence, messages)
-    if nothing:
-        messages.others["lines without a sentence"] = len(nothing)
+            messages.others["lines without a sentence"] += 1
     damaged = messages.findings()
     table = epochs.table()
     return Recording(
@@ -264,7 +257,7 @@ class Epochs:
             [NO_TIME if date is None else pd.Timestamp(date).value for date in self.dates]
         )
         if np.all(dated == NO_TIME):
-            dated = self._logged_dates()
+            dated = self._logged_dates(of_day)
         known = dated != NO_TIME
         if not known.any():
             raise InputError(
@@ -277,7 +270,7 @@ class Epochs:
         date = np.where(known, dated, dates[np.argmax(counts)] + day * DAY)
         return np.asarray(date + of_day)
 
-    def _logged_dates(self) -> IntArray:
+    def _logged_dates(self, of_day: IntArray) -> IntArray:
         """Dates [ns] that the logger wrote before the sentences; `NO_TIME` where it wrote none."""
         words = pd.Series(self.prefixes).str.strip(" ,;:\t[]")
         stamps = pd.to_datetime(
@@ -286,7 +279,6 @@ class Epochs:
             utc=True,
             errors="coerce",
         )
-        of_day = np.array([_nanoseconds(time) for time in self.of_day], dtype=np.int64)
         logged = pd.DatetimeIndex(stamps).as_unit("ns").asi8
         # The logger's clock may be beside the receiver's, also across midnight.
         near = np.round((logged - of_day) / DAY).astype(np.int64) * DAY
@@ -579,7 +571,13 @@ def _receiver(
 def _ubx(lines: _Lines, mine: BoolArray, messages: Messages) -> tuple[Table | None, Anchors]:
     """The fixes of UBX-NAV-PVT, and times of the logger with the UTC that they give."""
     messages.read += int(np.count_nonzero(mine))
-    place, pvt = _nav_pvt(lines, mine)
+    place, octets = lines.octets(mine, NAV_PVT.itemsize)
+    # The checksum is Fletcher's, over all but the mark and itself.
+    first = np.cumsum(octets[:, 2:-2], axis=1, dtype=np.int64)
+    second = first.sum(axis=1)
+    good = np.all(octets[:, : len(NAV_PVT_HEAD)] == np.frombuffer(NAV_PVT_HEAD, np.uint8), axis=1)
+    good &= (first[:, -1] % 256 == octets[:, -2]) & (second % 256 == octets[:, -1])
+    place, pvt = place[good], np.ascontiguousarray(octets[good]).view(NAV_PVT).reshape(-1)
     others = mine.copy()
     others[place] = False
     _count_others(lines, others, messages)
@@ -593,18 +591,24 @@ def _ubx(lines: _Lines, mine: BoolArray, messages: Messages) -> tuple[Table | No
 
 def fixes_of_pvt(pvt: Any, rows: IntArray) -> Table:
     """The table of whole UBX-NAV-PVT messages, records of `NAV_PVT`, from these rows."""
-    return Table(_pvt_time(pvt), rows, _pvt_signals(pvt))
-
-
-def _nav_pvt(lines: _Lines, mine: BoolArray) -> tuple[IntArray, Any]:
-    """Which lines are whole UBX-NAV-PVT messages, and these as records."""
-    place, octets = lines.octets(mine, NAV_PVT.itemsize)
-    # The checksum is Fletcher's, over all but the mark and itself.
-    first = np.cumsum(octets[:, 2:-2], axis=1, dtype=np.int64)
-    second = first.sum(axis=1)
-    good = np.all(octets[:, : len(NAV_PVT_HEAD)] == np.frombuffer(NAV_PVT_HEAD, np.uint8), axis=1)
-    good &= (first[:, -1] % 256 == octets[:, -2]) & (second % 256 == octets[:, -1])
-    return place[good], np.ascontiguousarray(octets[good]).view(NAV_PVT).reshape(-1)
+    parts = [pvt[name].astype(np.float64) for name in ("year", "month", "day", "hour", "minute")]
+    minute = from_parts([*parts, np.zeros(len(pvt))])
+    valid = (pvt["valid"] & DATE_AND_TIME == DATE_AND_TIME) & (minute != NO_TIME)
+    # The second may be 60, the nanoseconds are negative where it was rounded up.
+    second = pvt["second"].astype(np.int64) * NANOSECONDS + pvt["nano"]
+    fixed = np.isin(pvt["fix_type"], FIX) & (pvt["flags"] & FIX_OK != 0)
+    signals = {
+        "/gnss/fix.latitude": np.where(fixed, pvt["latitude"] / 1e7, np.nan),
+        "/gnss/fix.longitude": np.where(fixed, pvt["longitude"] / 1e7, np.nan),
+        "/gnss/fix.altitude": pvt["altitude"] / 1e3,
+        "/gnss/fix.horizontal_accuracy": pvt["horizontal_accuracy"] / 1e3,
+        "/gnss/fix.vertical_accuracy": pvt["vertical_accuracy"] / 1e3,
+        "/gnss/motion.speed": pvt["speed"] / 1e3,
+        "/gnss/motion.speed_accuracy": pvt["speed_accuracy"] / 1e3,
+        "/gnss/motion.satellites": pvt["satellites"].astype(np.float64),
+        "/gnss/motion.pdop": pvt["pdop"] / 1e2,
+    }
+    return Table(np.where(valid, minute + second, NO_TIME), rows, signals)
 
 
 def _count_others(lines: _Lines, others: BoolArray, messages: Messages) -> None:
@@ -622,31 +626,6 @@ def _count_others(lines: _Lines, others: BoolArray, messages: Messages) -> None:
             messages.damaged(int(lines.rows[i]), lines.payload[int(i)].as_py())
         else:
             messages.others[f"UBX {message.identity}"] += 1
-
-
-def _pvt_time(pvt: Any) -> IntArray:
-    """UTC of UBX-NAV-PVT [ns]; `NO_TIME` if the receiver does not declare it valid."""
-    parts = [pvt[name].astype(np.float64) for name in ("year", "month", "day", "hour", "minute")]
-    minute = from_parts([*parts, np.zeros(len(pvt))])
-    valid = (pvt["valid"] & DATE_AND_TIME == DATE_AND_TIME) & (minute != NO_TIME)
-    # The second may be 60, the nanoseconds are negative where it was rounded up.
-    second = pvt["second"].astype(np.int64) * NANOSECONDS + pvt["nano"]
-    return np.where(valid, minute + second, NO_TIME)
-
-
-def _pvt_signals(pvt: Any) -> dict[str, FloatArray]:
-    fixed = np.isin(pvt["fix_type"], FIX) & (pvt["flags"] & FIX_OK != 0)
-    return {
-        "/gnss/fix.latitude": np.where(fixed, pvt["latitude"] / 1e7, np.nan),
-        "/gnss/fix.longitude": np.where(fixed, pvt["longitude"] / 1e7, np.nan),
-        "/gnss/fix.altitude": pvt["altitude"] / 1e3,
-        "/gnss/fix.horizontal_accuracy": pvt["horizontal_accuracy"] / 1e3,
-        "/gnss/fix.vertical_accuracy": pvt["vertical_accuracy"] / 1e3,
-        "/gnss/motion.speed": pvt["speed"] / 1e3,
-        "/gnss/motion.speed_accuracy": pvt["speed_accuracy"] / 1e3,
-        "/gnss/motion.satellites": pvt["satellites"].astype(np.float64),
-        "/gnss/motion.pdop": pvt["pdop"] / 1e2,
-    }
 
 
 class _Offset:

@@ -76,7 +76,8 @@ def parts_of(recording: Recording, profile: Profile, stem: str) -> list[Recordin
         return [recording]
     table = recording.tables[0]
     labels = _labels(recording, columns)
-    edges = _edges(labels)
+    changes = np.flatnonzero(labels[1:] != labels[:-1]) + 1
+    edges = np.concatenate(([0], changes, [labels.size]))
     for first, last in pairwise(edges.tolist()):
         inside = table.take(np.arange(first, last))
         cuts = first + pauses_in(inside, profile.limits.pause)
@@ -159,12 +160,6 @@ def _labels(recording: Recording, columns: TripColumns) -> NDArray[np.object_]:
     labels = carried_on(words)
     labels[labels == ""] = words[np.argmax(words != "")]
     return labels
-
-
-def _edges(labels: NDArray[np.object_]) -> IntArray:
-    """Where the blocks of equal labels begin, and the end."""
-    changes = np.flatnonzero(labels[1:] != labels[:-1]) + 1
-    return np.concatenate(([0], changes, [labels.size])).astype(np.int64)
 
 
 def _names(labels: list[str], stem: str) -> list[str]:
@@ -375,7 +370,9 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
             )
     table = _table(places[1], options)
     rides = _selected(table, options, profile.time.timezone)
-    fixes, device = _fixes(places[0], profile, options)
+    text = open_text(places[0], profile.file)
+    cells = text.cells([*wanted_columns(profile, text.names, places[0]), options.device])
+    fixes, device = recording_of(cells, profile, places[0]), words_in(cells.table[options.device])
     found: list[Recording] = []
     reasons: list[str] = []
     counts: list[int] = []
@@ -462,15 +459,6 @@ def _iso(time: int) -> str:
     return pd.Timestamp(time, tz="UTC").isoformat()
 
 
-def _fixes(
-    path: Path, profile: Profile, options: RideOptions
-) -> tuple[Recording, NDArray[np.object_]]:
-    """All fixes as one recording, and whose they are."""
-    text = open_text(path, profile.file)
-    cells = text.cells([*wanted_columns(profile, text.names, path), options.device])
-    return recording_of(cells, profile, path), words_in(cells.table[options.device])
-
-
 def _during(ride: _Ride, fixes: Table, device: NDArray[np.object_]) -> BoolArray:
     """Which fixes are those of a ride's device while it lasted."""
     if NO_TIME in (ride.begin, ride.last):
@@ -490,17 +478,12 @@ def _reason_left_out(ride: _Ride, fixes: Table, *, known: bool, options: RideOpt
         return "the phone has no fixes"
     if np.unique(fixes.time).size < 2:
         return "fewer than two fixes"
-    least = options.least_movement
-    if least is not None and _movement(fixes) < least.si("m"):
+    points, least = plane(fixes), options.least_movement
+    fixed = np.zeros(1) if points is None else points[np.isfinite(points)]
+    diagonal = np.hypot(np.ptp(fixed.real), np.ptp(fixed.imag))
+    if least is not None and diagonal < least.si("m"):
         return "the fixes do not move"
     return ""
-
-
-def _movement(fixes: Table) -> float:
-    """Diagonal [m] of the rectangle that holds the fixes that have a place; 0 without any."""
-    points = plane(fixes)
-    known = np.zeros(1) if points is None else points[np.isfinite(points)]
-    return float(np.hypot(np.ptp(known.real), np.ptp(known.imag)))
 
 
 def _recording(ride: _Ride, fixes: Table, every: Recording, options: RideOptions) -> Recording:

@@ -38,6 +38,7 @@ from trainlog.ingest.profile import (
     Profile,
     Quantity,
     TripOptions,
+    default_profile,
     own_topics,
     parse_profile,
 )
@@ -531,11 +532,6 @@ def profile_of(profile: str | Path | Profile | None) -> tuple[Profile | None, di
 
 def _written_moment(moment: datetime.date) -> str:
     return moment.isoformat().replace("+00:00", "Z")
-
-
-def default_profile() -> Profile:
-    """The profile of a recorder of which nothing is stated."""
-    return Profile(format="trainlog/recorder-profile", version=1, name="none")
 
 
 def _trip(

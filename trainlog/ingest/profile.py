@@ -954,6 +954,11 @@ class Profile(Strict):
         return any(columns <= names for columns in wanted)
 
 
+def default_profile() -> Profile:
+    """The profile of a recorder of which nothing is stated."""
+    return Profile(format=PROFILE_FORMAT, version=1, name="none")
+
+
 def read_profile(path: str | Path) -> Profile:
     """Read a profile from a TOML file.
 

@@ -10,6 +10,7 @@ compared with those between stations, by the same chain: each stop may be at any
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -184,16 +185,11 @@ class NetworkRoutes:
         tried = [(), *((name,) for name in passed), tuple(passed)]
         for vias in tried:
             places = (ends[0], *vias, ends[1])
-            if self._leads(places, legs):
-                return Route(self.network, places, legs)
+            with suppress(InputError):
+                if self.network.route(*places).legs == legs:
+                    return Route(self.network, places, legs)
         middle = [f"{leg.edge}@{_km(self.network.edge(leg.edge), leg)}" for leg in legs]
         return Route(self.network, (ends[0], *middle, ends[1]), legs)
-
-    def _leads(self, places: tuple[str, ...], legs: tuple[Leg, ...]) -> bool:
-        try:
-            return self.network.route(*places).legs == legs
-        except InputError:
-            return False
 
     def _place(self, leg: Leg, chainage: float) -> str:
         """The name of a stop of an edge."""
@@ -407,14 +403,19 @@ def by_fixes(
     found = match_route(routes.edges, fixes)
     _check(routes.network, found)
     spans = _spans(fixes, found.passages)
-    off = _rows_off(table, spans)
+    shown = f"fixes ({found.on_network / max(found.near, 1):.0%} of {found.near} looked at)"
+    inside = np.zeros(len(table), dtype=np.bool_)
+    for first, last in spans:
+        inside |= (table.time >= first) & (table.time <= last)
+    left = int(np.count_nonzero(~inside))
     for number, (passage, span) in enumerate(zip(found.passages, spans, strict=True), start=1):
         name = f"{stem}-{number:02d}" if len(spans) > 1 else None
         part = recording if name is None else named(recording, name)
         try:
             part = _between(recording, table, span, name)
-            if off and number == 1:
-                part = replace(part, not_used=part.not_used | {off[0]: off[1]})
+            if left and number == 1:
+                off = {f"{counted(left, 'row')} off the network": left}
+                part = replace(part, not_used=part.not_used | off)
             joined = "".join(_joined_over(routes, unseen) for unseen in passage.unseen)
             route = _determined(
                 routes,
@@ -424,7 +425,7 @@ def by_fixes(
                 "state the way: --stations with a place on the edge that was driven,"
                 " such as A,edge@1.2,B",
             )
-            evidence = _evidence(routes, found, passage) + joined
+            evidence = shown + _margin(routes, passage) + joined
             for unseen in passage.unseen:
                 part = _without_fixes(part, fixes, unseen, routes.words(unseen.courses))
         except TrainlogError as error:
@@ -520,11 +521,6 @@ def _check(network: Network, found: Passages) -> None:
         )
 
 
-def _evidence(routes: NetworkRoutes, found: Passages, passage: Passage) -> str:
-    share = found.on_network / max(found.near, 1)
-    return f"fixes ({share:.0%} of {found.near} looked at)" + _margin(routes, passage)
-
-
 def _spans(fixes: Fixes, passages: Sequence[Passage]) -> list[tuple[int, int]]:
     """First and last time [ns] of each passage; the first and the last reach the recording's ends.
 
@@ -550,15 +546,6 @@ def _spans(fixes: Fixes, passages: Sequence[Passage]) -> list[tuple[int, int]]:
         return int(time[0] + round(seconds * 1e9))
 
     return [(at(first), at(last)) for first, last in spans]
-
-
-def _rows_off(table: Table, spans: Sequence[tuple[int, int]]) -> tuple[str, int] | None:
-    """How many rows belong to no route."""
-    inside = np.zeros(len(table), dtype=np.bool_)
-    for first, last in spans:
-        inside |= (table.time >= first) & (table.time <= last)
-    count = int(np.count_nonzero(~inside))
-    return (f"{counted(count, 'row')} off the network", count) if count else None
 
 
 def _between(

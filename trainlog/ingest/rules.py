@@ -294,10 +294,9 @@ def find_quantised(table: Table, limits: Limits) -> Result:  # noqa: ARG001
             continue
         step = quantum(values)
         if step is not None:
-            cells = np.isfinite(values)
-            note = f"steps of {step:.4g} {item.unit}"
-            findings += table.found("quantised", cells, base_name(name), note)
-    return table, [Finding(f.rule, f.count, (), f.column, f.note) for f in findings]
+            count, note = int(np.isfinite(values).sum()), f"steps of {step:.4g} {item.unit}"
+            findings.append(Finding("quantised", count, (), base_name(name), note))
+    return table, findings
 
 
 def quantum(values: FloatArray) -> float | None:

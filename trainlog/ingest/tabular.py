@@ -11,10 +11,13 @@ that hold fields of the same topic: these share a table with the instants of all
 from __future__ import annotations
 
 import csv
+import io
+import json
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -292,12 +295,8 @@ class TextFile:
         others = [mark for mark in ";\t|," if mark != self.options.delimiter]
         likely = max(others, key=sample.count)
         if sample.count(likely) > sample.count(self.options.delimiter):
-            return f"set delimiter = {_shown(likely)} under [file] of the profile"
+            return f"set delimiter = {json.dumps(likely)} under [file] of the profile"
         return DELIMITER_REMEDY
-
-
-def _shown(mark: str) -> str:
-    return repr(mark).replace("'", '"')
 
 
 def open_text(path: Path, options: FileOptions) -> TextFile:
@@ -328,7 +327,7 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
             place=f"row {header}" if header else None,
             remedy="record again; was the recorder stopped at once?",
         )
-    first = _split(body[: _line_end(body)], options.delimiter)
+    first = _split(io.BytesIO(body).readline(), options.delimiter)
     # Columns without a name may hold values.
     used = [name or cell for name, cell in zip_longest(names, first[: len(names) or None])]
     named = max((number for number, text in enumerate(used, start=1) if text), default=0)
@@ -504,11 +503,6 @@ def _header_line(data: bytes, path: Path, options: FileOptions) -> tuple[int, in
         place=f"row {row}",
         remedy="check header under [file] of the profile",
     )
-
-
-def _line_end(data: bytes) -> int:
-    end = data.find(b"\n")
-    return len(data) if end < 0 else end
 
 
 def _split(line: bytes, delimiter: str) -> tuple[str, ...]:
@@ -744,7 +738,11 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
     }
     for name, places in part.items():
         column = profile.columns[name]
-        read = _selected(mdf, places, name in WORDS, path)
+        wanted = [(None, group, index) for group, index in places]
+        # The numbers of a code, unless it is words that are wanted.
+        numbers = name not in WORDS
+        select = partial(mdf.select, wanted, ignore_value2text_conversions=numbers)
+        read = list(called(path, select))
         channels = tuple(f"{group}:{index}" for group, index in places)
         signals |= dict(zip(channels, read, strict=True))
         columns[name] = _with_unit(name, column, read[0], channels, path)
@@ -767,12 +765,6 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
         else tuple(finding for finding in found.findings if finding.rule != "empty")
     )
     return replace(found, findings=findings)
-
-
-def _selected(mdf: Any, places: list[Place], words: bool, path: Path) -> list[Any]:
-    """The channels at some places; the numbers of a code, unless it is words that are wanted."""
-    wanted = [(None, group, index) for group, index in places]
-    return list(called(path, lambda: mdf.select(wanted, ignore_value2text_conversions=not words)))
 
 
 def _clock(signals: dict[str, Any], group: int, start: int) -> IntArray:

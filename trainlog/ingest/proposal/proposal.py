@@ -103,9 +103,8 @@ class Proposal(Presented):
         ]
         for row, unit in self._rows():
             if row["alternative"]:
-                found += [
-                    f"{row['column']}: {row['field']}{unit} ({row['why']}); or {row['alternative']}"
-                ]
+                taken = f"{row['column']}: {row['field']}{unit} ({row['why']})"
+                found.append(f"{taken}; or {row['alternative']}")
         return tuple(found)
 
     def _rows(self) -> Iterator[tuple[dict[Hashable, Any], str]]:

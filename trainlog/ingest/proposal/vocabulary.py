@@ -306,7 +306,8 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
     words = meaning.qualifiers | ({"numbered"} if meaning.index is not None else set())
     words |= {"wheel"} if words & {"axle", "motor"} else set()
     words |= {"brake"} if words & {"braking", "electric", "pneumatic"} else set()
-    for rule in _rules().get(quantity, ()):
+    every = (each["rules"] for each in vocabulary()["role"] if each["quantity"] == quantity)
+    for rule in next(every, ()):
         if "deviation" in words:
             return None, f"an error or a difference ({quantity})"
         has, without = (rule.get(key, "").split() for key in ("has", "without"))
@@ -325,11 +326,6 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
         return None, f"no measured value ({quantity})"
     why = vocabulary()["unplaced"].get(quantity, f"{NO_FIELD} it ({quantity.replace('_', ' ')})")
     return (meant[""], "") if "" in meant else (None, why)
-
-
-@cache
-def _rules() -> dict[str, list[dict[str, str]]]:
-    return {each["quantity"]: each["rules"] for each in vocabulary()["role"]}
 
 
 def language_of(names: tuple[str, ...]) -> str | None:
