@@ -219,7 +219,6 @@ def error_of(trip: Trip, case: Case) -> float:
     return float(np.quantile(np.abs(time[:shortest] - case.truth[:shortest]) / SECOND, 0.99))
 
 
-FILE = Path("run.csv")
 
 INSTANT = pd.Timestamp("2024-05-01T06:07:08.25Z").value
 
@@ -228,7 +227,7 @@ def read(*columns: list[object], decimal: str = ".", **options: object) -> list[
     names = [str(number) for number in range(len(columns))]
     table = pa.table(dict(zip(names, columns, strict=True)))
     where = {"column": "0"} if len(columns) == 1 else {"columns": tuple(names)}
-    return read_time(table, from_content(TimeOptions, where | options), decimal, FILE).tolist()
+    return read_time(table, from_content(TimeOptions, where | options), decimal).tolist()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ exits with status 2. Any other exception is a defect of trainlog itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,26 @@ class TrainlogError(Exception):
 def _restored(kind: type[TrainlogError], args: tuple[Any, ...]) -> TrainlogError:
     """An error as it was pickled, without calling its constructor again."""
     return kind.__new__(kind, *args)
+
+
+@contextmanager
+def in_file(path: str | Path) -> Iterator[None]:
+    """Have an error that names no file name this one.
+
+    Examples
+    --------
+    >>> with in_file("run.csv"):
+    ...     raise InputError("has no row of data")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: run.csv: has no row of data
+    """
+    try:
+        yield
+    except TrainlogError as error:
+        if error.file is None:
+            known = {"place": error.place, "remedy": error.remedy}
+            TrainlogError.__init__(error, error.problem, file=path, **known)
+        raise
 
 
 class InputError(TrainlogError):

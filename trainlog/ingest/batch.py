@@ -401,7 +401,7 @@ def no_recording(file: Path) -> str:
         with suppress(LogError):
             if describe(file).schema_version is not None:
                 return "a log of trainlog"
-    if name == "csv" and suffix not in (".csv", ".tsv") and not looks_like_table(head, file):
+    if name == "csv" and suffix not in (".csv", ".tsv") and not looks_like_table(head):
         return "text without a table"
     return "" if name or suffix in RECORDED else "of no format that trainlog knows"
 

@@ -661,9 +661,7 @@ class OnLine:
         self.unmeasured = np.where(outage, max(OUTAGE_DENSITY / usual, 1.0), 1.0)
 
     def _smoothed(
-        self,
-        along: FloatArray | None = None,
-        rows: IntArray | slice = slice(None),
+        self, along: FloatArray | None = None, rows: IntArray | slice = slice(None)
     ) -> SmoothedMotion:
         """The motion by the chainage, or by other positions of some rows."""
         fixes, noise, speeds = self.fixes, self.position_noise, self.speed_noise
@@ -785,10 +783,7 @@ class Estimate:
 
 
 def estimated_state(
-    trip: Trip,
-    line: Line | None,
-    profile: Profile,
-    unplaced: Sequence[tuple[int, int]] = (),
+    trip: Trip, line: Line | None, profile: Profile, unplaced: Sequence[tuple[int, int]] = ()
 ) -> Estimate:
     """The ``/estimates/state`` frame of a trip, if its data give one.
 

@@ -24,13 +24,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError, suggestion
 from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
-from trainlog.ingest.profile import (
-    Column,
-    MismatchError,
-    Profile,
-    TimeOptions,
-    default_profile,
-)
+from trainlog.ingest.profile import Column, MismatchError, Profile, TimeOptions, default_profile
 from trainlog.ingest.recording import (
     NO_TIME,
     SHOWN,
@@ -95,7 +89,6 @@ def read_foreign(path: Path, profile: Profile | None) -> Recording:
     if described.schema_version is not None:
         raise InputError(
             "is a log of trainlog, and a trip as it is",
-            file=path,
             remedy="give it to the other commands; it need not be brought in",
         )
     options = profile or default_profile()
@@ -106,7 +99,7 @@ def read_foreign(path: Path, profile: Profile | None) -> Recording:
         held[topic.name] += topic.count
     wanted = presets | named | {_plain(name) for name in named}
     found = frames_of(path, topics=wanted & held.keys())
-    reader = _Reader(path, options, found, dict(held))
+    reader = _Reader(options, found, dict(held))
     reader.read_columns()
     reader.read_presets()
     return reader.recording()
@@ -125,10 +118,7 @@ def _plain(name: str) -> str:
 class _Reader:
     """Tables and findings while the topics of a file are mapped."""
 
-    def __init__(
-        self, path: Path, profile: Profile, found: ForeignFrames, held: dict[str, int]
-    ) -> None:
-        self.path = path
+    def __init__(self, profile: Profile, found: ForeignFrames, held: dict[str, int]) -> None:
         self.profile = profile
         self.found = found
         self.held = held
@@ -153,7 +143,6 @@ class _Reader:
             if len(topics) > 1:
                 raise InputError(
                     f'columns."{name}" names fields of several topics',
-                    file=self.path,
                     remedy="take all axles of a field from one topic",
                 )
             topic = topics.pop()
@@ -177,7 +166,6 @@ class _Reader:
             if len(presets) > 1 and ours != EVENTS.name:
                 raise InputError(
                     f"{ours} can come from {' or '.join(presets)}",
-                    file=self.path,
                     remedy=f"say under [columns] of a profile which fields make {ours}",
                 )
             for name, read in presets.items():
@@ -195,7 +183,6 @@ class _Reader:
             listed = ", ".join(list(self.held)[:SHOWN]) or "none at all"
             raise InputError(
                 f"holds nothing that can be mapped by itself; its topics: {listed}",
-                file=self.path,
                 remedy="give a profile that says which field is what, as in docs/foreign.md",
             )
         used = {_plain(name) for names in self.sources.values() for name in names}
@@ -228,7 +215,6 @@ class _Reader:
                 elif not column.optional:
                     raise MismatchError(
                         f"topic {topic} has no field '{path}' (columns.\"{name}\")",
-                        file=self.path,
                         remedy=suggestion(path, [str(each) for each in frame.columns], "fields"),
                     )
         self.rows_read += len(frame)
@@ -245,7 +231,7 @@ class _Reader:
         logged = TimeOptions(column=LOG_TIME, format="epoch", unit="ns")
         profile = replace(self.profile, columns=columns, time=logged)
         rows = np.arange(1, len(frame) + 1, dtype=np.int64)
-        made = recording_of(Cells(table, rows, rows.size), profile, self.path)
+        made = recording_of(Cells(table, rows, rows.size), profile)
         self.tables += made.tables
         self.findings += made.findings
         self.raw += made.raw
@@ -280,10 +266,9 @@ class _Reader:
             if path in frame:
                 assert self.profile.time is not None
                 table = pa.table({name: pa.Array.from_pandas(frame[path])})
-                return read_time(table, self.profile.time, ".", self.path)
+                return read_time(table, self.profile.time, ".")
         raise InputError(
             f"topic {topic} has no time '{name}'",
-            file=self.path,
             remedy=f'set column = "{LOG_TIME}" under [time] of the profile, or a field it has',
         )
 
@@ -291,21 +276,18 @@ class _Reader:
         if not topic:
             return InputError(
                 f"'{source}' does not say which topic it is of",
-                file=self.path,
                 remedy='write "/topic:path.to.field"',
             )
         for item in self.found.skipped:
             if item.topic == topic and not item.field:
                 return InputError(
                     f"topic {topic} cannot be decoded: {item.reason}",
-                    file=self.path,
                     remedy="record it in an encoding that docs/foreign.md lists",
                 )
         names = [*self.found.frames, *self.held]
         several = [name for name in self.found.frames if _plain(name) == topic]
         return MismatchError(
             f"no topic '{topic}'" if not several else f"topic {topic} has several schemas",
-            file=self.path,
             remedy=suggestion(topic, dict.fromkeys(several or names), "topics"),
         )
 
@@ -387,9 +369,7 @@ def _fix(frame: pd.DataFrame) -> Reading:
         "altitude": _number(frame, "altitude"),
         # A receiver that says that it has no position has the accuracy that means so.
         "horizontal_accuracy": np.where(
-            _number(frame, "status.status") <= _NO_FIX,
-            NO_ACCURACY,
-            _deviation(horizontal, known),
+            _number(frame, "status.status") <= _NO_FIX, NO_ACCURACY, _deviation(horizontal, known)
         ),
         "vertical_accuracy": _deviation(up, known),
     }

@@ -176,13 +176,12 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
     InputError
         If it is no XML, with line and column; declares entities; or holds no track with points.
     """
-    reader, cut = _parsed(read_bytes(path), path)
+    reader, cut = _parsed(read_bytes(path))
     filled = [track for track in reader.tracks if track.points]
     if not filled:
         others = ", ".join(f"{count} {kind}" for kind, count in reader.others.items())
         raise InputError(
             f"has no track point{f', but {others}' if others else ''}",
-            file=path,
             remedy="give the track that was recorded, not waypoints or a planned route",
         )
     not_used = {f"points <{kind}>": count for kind, count in sorted(reader.others.items())}
@@ -194,11 +193,11 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
     for number, track in enumerate(filled, start=1):
         several = f"{path.stem}-{number}" if len(filled) > 1 else ""
         cut_here = cut if number == len(filled) else 0
-        found.append(_recording(track, several, cut_here, reader.creator, not_used, path))
+        found.append(_recording(track, several, cut_here, reader.creator, not_used))
     return found
 
 
-def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:
+def _parsed(data: bytes) -> tuple[_Reader, int]:
     """What a file holds, and the line at which it is cut off, 0 if it is whole."""
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -219,16 +218,13 @@ def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:
         if error.code not in CUT_OFF or not any(track.points for track in reader.tracks):
             raise InputError(
                 f"is not XML: {expat.ErrorString(error.code)}",
-                file=path,
                 place=f"line {error.lineno}, column {error.offset + 1}",
                 remedy="copy the file again, or correct it there or just before",
             ) from error
         cut = error.lineno
     if reader.root != "gpx":
         raise InputError(
-            f"is XML, but its first element is <{reader.root}>",
-            file=path,
-            remedy="give a GPX file",
+            f"is XML, but its first element is <{reader.root}>", remedy="give a GPX file"
         )
     return reader, cut
 
@@ -251,12 +247,7 @@ def _clock(track: _Track) -> tuple[str, Profile]:
 
 
 def _recording(
-    track: _Track,
-    trip: str,
-    cut: int,
-    creator: str,
-    not_used: dict[str, int],
-    path: Path,
+    track: _Track, trip: str, cut: int, creator: str, not_used: dict[str, int]
 ) -> Recording:
     columns = {
         name: pa.array([point.get(name) or None for point in track.points], pa.string())
@@ -284,6 +275,6 @@ def _recording(
     rows = np.array(track.rows, dtype=np.int64)
     lost = (Finding("truncated_rows", 1, (cut,)),) if cut else ()
     cells = Cells(pa.table(present), rows, rows.size + len(lost), lost)
-    found = recording_of(cells, layout, path)
+    found = recording_of(cells, layout)
     named = {"trip": trip} if trip else {}
     return replace(found, metadata=metadata | named, not_used=dict(not_used))

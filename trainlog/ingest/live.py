@@ -20,17 +20,11 @@ import pandas as pd
 
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.display import counted
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 from trainlog.formats.sfera import SferaJourney
 from trainlog.ingest.clock import gap_beside, same_as_previous
 from trainlog.ingest.motion import MANY
-from trainlog.ingest.pipeline import (
-    Given,
-    attachments_of,
-    bounded_limits,
-    metadata_of,
-    profile_of,
-)
+from trainlog.ingest.pipeline import Given, attachments_of, bounded_limits, metadata_of, profile_of
 from trainlog.ingest.profile import Limits, Profile, Repair, default_profile, own_topics
 from trainlog.ingest.recording import (
     INFO,
@@ -453,7 +447,8 @@ class LiveIngest:
         if options.header is not None:
             if profile is None:
                 raise InputError("a header goes with a profile", remedy="give --profile, too")
-            header = open_text(options.header, profile.file).names
+            with in_file(options.header):
+                header = open_text(options.header, profile.file).names
         rules = profile or default_profile()
         attachments |= attachments_of(given.line, given.train)
         direction = given.direction or rules.trip.direction or "forward"

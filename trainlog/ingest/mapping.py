@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,7 +33,7 @@ from trainlog.topics import SLIP_PROTECTION
 from trainlog.units import DAY, NANOSECONDS, to_si
 
 
-def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> list[str]:
+def wanted_columns(profile: Profile, present: tuple[str, ...]) -> list[str]:
     """Names of the file's columns that the profile needs.
 
     Raises
@@ -46,7 +45,6 @@ def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> li
         lacking = "[time]" if profile.time is None else "[columns]"
         raise InputError(
             f"profile '{profile.name}' has no {lacking} section",
-            file=file,
             remedy="give time and the meaning of the columns; docs/ingest.md has an example",
         )
     names = list(profile.time.names)
@@ -56,12 +54,10 @@ def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> li
     return list(dict.fromkeys([*names, *profile.trip.columns.names]))
 
 
-def undescribed(
-    problem: str, file: Path, wanted: str = "that says which column is what"
-) -> InputError:
+def undescribed(problem: str, wanted: str = "that says which column is what") -> InputError:
     """The refusal of a file that no profile describes; `wanted`: what the profile has to have."""
     remedy = f"give a profile {wanted}; docs/ingest.md has an example"
-    return InputError(problem, file=file, remedy=remedy)
+    return InputError(problem, remedy=remedy)
 
 
 def _left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
@@ -74,11 +70,7 @@ def _left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
 
 
 def recording_of(
-    cells: Cells,
-    profile: Profile,
-    file: Path,
-    time: IntArray | None = None,
-    columns: Iterable[str] = (),
+    cells: Cells, profile: Profile, time: IntArray | None = None, columns: Iterable[str] = ()
 ) -> Recording:
     """The recording that a table of cells holds, as the profile describes it.
 
@@ -86,8 +78,6 @@ def recording_of(
     ----------
     cells : Cells
         With the columns that `wanted_columns` names.
-    file : Path
-        For messages.
     time : (n,) int64 array [ns], optional
         Time of the rows, where the file itself gives it; default: as the profile says.
     columns : iterable of str
@@ -101,7 +91,7 @@ def recording_of(
     raw = list(cells.raw)
     if time is None:
         assert profile.time is not None, "wanted_columns checks it"
-        time = read_time(cells.table, profile.time, profile.file.decimal, file)
+        time = read_time(cells.table, profile.time, profile.file.decimal)
         raw += _unreadable_times(cells, profile.time.names, time)
     values: dict[str, FloatArray] = {}
     texts: dict[str, NDArray[np.object_]] = {}
@@ -119,7 +109,7 @@ def recording_of(
         elif name in WORDS:
             texts[name] = words_in(cells.table[column.names[0]])
         else:
-            found, met, garbled = _field(name, column, cells, profile, file)
+            found, met, garbled = _field(name, column, cells, profile)
             values |= found
             findings += met
             raw += [
@@ -131,7 +121,6 @@ def recording_of(
     if not texts and not any(np.isfinite(column).any() for column in values.values()):
         raise InputError(
             "none of the mapped columns holds a number",
-            file=file,
             place=f"columns {', '.join(sorted(present - times))}",
             remedy="check the columns under [columns] of the profile",
         )
@@ -176,7 +165,7 @@ def _text(cells: Cells, column: str, rows: BoolArray) -> NDArray[np.object_]:
 
 
 def _field(
-    name: str, column: Column, cells: Cells, profile: Profile, file: Path
+    name: str, column: Column, cells: Cells, profile: Profile
 ) -> tuple[dict[str, FloatArray], list[Finding], list[tuple[str, str, BoolArray]]]:
     """The values of one field, one entry an axle where it has several, and what was met.
 
@@ -192,7 +181,7 @@ def _field(
             continue
         cell = cells.table[source]
         raw, absent, garbled = numbers(cell, profile.file.decimal, profile.file.thousands)
-        _refuse_garbled(source, cells, raw, garbled, profile, file)
+        _refuse_garbled(source, cells, raw, garbled, profile)
         target = f"{name}_{axle}" if column.columns else name
         scaled = column
         if column.integer_scale is not None and _whole(cell, profile.file.decimal):
@@ -202,20 +191,12 @@ def _field(
         unreadable = np.append(unreadable, cells.rows[garbled])
         if garbled.any():
             texts.append((target, source, garbled))
-    findings = [
-        *Finding.met("empty", empty, name),
-        *Finding.met("not_a_number", unreadable, name),
-    ]
+    findings = [*Finding.met("empty", empty, name), *Finding.met("not_a_number", unreadable, name)]
     return values, findings, texts
 
 
 def _refuse_garbled(
-    source: str,
-    cells: Cells,
-    raw: FloatArray,
-    garbled: BoolArray,
-    profile: Profile,
-    file: Path,
+    source: str, cells: Cells, raw: FloatArray, garbled: BoolArray, profile: Profile
 ) -> None:
     count, readable = np.count_nonzero(garbled), np.count_nonzero(np.isfinite(raw))
     if count <= MOST * (count + readable):
@@ -230,7 +211,6 @@ def _refuse_garbled(
     remedies += [f'thousands = "{marks[0]}"'] if marks and marks[0] != decimal else []
     raise InputError(
         f"{count} cells are not numbers, the first is {shown!r}",
-        file=file,
         place=f"row {cells.rows[at]}, column {source}",
         remedy=(
             f"set {' or '.join(remedies)} under [file] of the profile"
@@ -370,7 +350,7 @@ UNDATED_PARTS = (1980, 1, 6)
 _NO_DATE = r"^\s*\d{4}-00-00"
 
 
-def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -> IntArray:
+def read_time(table: pa.Table, options: TimeOptions, decimal: str) -> IntArray:
     """Time of each row [ns] UTC, `NO_TIME` where it cannot be read or is not plausible.
 
     Parameters
@@ -379,8 +359,6 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
         Holds the columns that `options` names.
     decimal : str
         Decimal sign of the numbers in `table`.
-    file : Path
-        For messages.
 
     Raises
     ------
@@ -395,9 +373,9 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
         undated = (parts[1] == 0.0) | (parts[2] == 0.0)
         for values, stand_in in zip(parts[:3], UNDATED_PARTS, strict=True):
             values[undated] = stand_in
-        time = _localised(from_parts(parts), options.timezone, file)
+        time = _localised(from_parts(parts), options.timezone)
     elif options.format in ("epoch", "elapsed"):
-        time = _from_count(columns[0], options, decimal, file)
+        time = _from_count(columns[0], options, decimal)
         if options.fraction is not None:
             beyond = numbers(columns[1], decimal)[0] * options.fraction
             known = (time != NO_TIME) & (beyond >= 0.0) & (beyond < 1.0)
@@ -407,19 +385,18 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
         zone = columns[0].type.tz
         time = pc.cast(pc.cast(columns[0], pa.timestamp("ns", zone)), pa.int64())
         time = pc.fill_null(time, NO_TIME).to_numpy()
-        time = time if zone else _localised(time, options.timezone, file)
+        time = time if zone else _localised(time, options.timezone)
     else:
         if options.format == "iso" and len(columns) == 1 and is_text(columns[0]):
             undated = pc.fill_null(pc.match_substring_regex(columns[0], _NO_DATE), False).to_numpy()
             columns = [pc.replace_substring_regex(columns[0], _NO_DATE, "1980-01-06")]
-        time = _from_text(columns, options, decimal, file)
+        time = _from_text(columns, options, decimal)
     time = _with_time_of_day(time, undated)
     plausible = (time >= EARLIEST) & (time < LATEST)
     if not plausible.any() and np.any(time != NO_TIME):
         first = int(np.argmax(time != NO_TIME))
         raise InputError(
             f"the first time reads as {pd.Timestamp(time[first])}",
-            file=file,
             place=f"column {options.names[0]}",
             remedy="check format, unit and start under [time] of the profile",
         )
@@ -465,16 +442,14 @@ def from_parts(parts: list[FloatArray]) -> IntArray:
     return np.where(valid, time, NO_TIME)
 
 
-def _from_count(
-    column: pa.ChunkedArray, options: TimeOptions, decimal: str, file: Path
-) -> IntArray:
+def _from_count(column: pa.ChunkedArray, options: TimeOptions, decimal: str) -> IntArray:
     """Time from a count of seconds or their fractions."""
     start = 0
     if isinstance(options.start, datetime.datetime):
         origin = pd.Timestamp(options.start)
         start = origin.value
         if origin.tzinfo is None:
-            start = int(_localised(np.array([start]), options.timezone, file)[0])
+            start = int(_localised(np.array([start]), options.timezone)[0])
     elapsed = elapsed_time(column, options, decimal)
     return np.where(elapsed != NO_TIME, start + elapsed, NO_TIME)
 
@@ -511,15 +486,13 @@ def _hours_minutes_seconds(text: pa.ChunkedArray, decimal: str) -> IntArray:
     return np.where(known, whole * NANOSECONDS_PER["s"] + counts[3], NO_TIME)
 
 
-def _from_text(
-    columns: list[pa.ChunkedArray], options: TimeOptions, decimal: str, file: Path
-) -> IntArray:
+def _from_text(columns: list[pa.ChunkedArray], options: TimeOptions, decimal: str) -> IntArray:
     """Time from text, ISO 8601 or after a pattern."""
     texts = [column if is_text(column) else pc.cast(column, pa.string()) for column in columns]
     joined = [pc.utf8_trim_whitespace(text) for text in texts]
     text = joined[0] if len(joined) == 1 else pc.binary_join_element_wise(*joined, " ")
     if options.format == "iso":
-        return _from_iso(text, options.timezone, decimal, file)
+        return _from_iso(text, options.timezone, decimal)
     series = text.to_pandas()
     if "%z" in options.format:
         return _nanoseconds(
@@ -528,10 +501,10 @@ def _from_text(
     naive = _nanoseconds(pd.to_datetime(series, format=options.format, errors="coerce"))
     if options.date is not None:
         naive = _dated(naive, options.date)
-    return _localised(naive, options.timezone, file)
+    return _localised(naive, options.timezone)
 
 
-def _from_iso(text: pa.ChunkedArray, timezone: str, decimal: str, file: Path) -> IntArray:
+def _from_iso(text: pa.ChunkedArray, timezone: str, decimal: str) -> IntArray:
     if decimal == ",":
         text = pc.replace_substring(text, ",", ".")
     text = pc.replace_substring_regex(text, "z$", "Z")
@@ -540,7 +513,7 @@ def _from_iso(text: pa.ChunkedArray, timezone: str, decimal: str, file: Path) ->
     if aware.all():
         return _nanoseconds(pd.to_datetime(series, format="ISO8601", utc=True, errors="coerce"))
     naive = pd.to_datetime(series.where(~aware), format="ISO8601", errors="coerce")
-    time = _localised(_nanoseconds(naive), timezone, file)
+    time = _localised(_nanoseconds(naive), timezone)
     if aware.any():
         marked = pd.to_datetime(series.where(aware), format="ISO8601", utc=True, errors="coerce")
         time = np.where(aware, _nanoseconds(marked), time)
@@ -565,7 +538,7 @@ def _dated(time: IntArray, first: datetime.date) -> IntArray:
     return dated
 
 
-def _localised(time: IntArray, timezone: str, file: Path) -> IntArray:
+def _localised(time: IntArray, timezone: str) -> IntArray:
     """UTC [ns] of local times [ns]."""
     if timezone == "UTC":
         return time
@@ -584,7 +557,6 @@ def _localised(time: IntArray, timezone: str, file: Path) -> IntArray:
         raise InputError(
             f"local time {local[int(np.argmax(lost))]} comes twice or never in {timezone}"
             " (the clocks change)",
-            file=file,
             remedy='give the offset that the recorder kept, for example timezone = "+01:00"',
         )
     return np.where(known, aware.asi8, NO_TIME)

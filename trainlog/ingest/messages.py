@@ -421,14 +421,12 @@ def read_tagged(path: Path, profile: Profile | None) -> Recording:
     """
     if profile is None or profile.lines is None or profile.time is None:
         raise undescribed(
-            "holds lines of several kinds, which no profile describes",
-            path,
-            "with [time] and [lines]",
+            "holds lines of several kinds, which no profile describes", "with [time] and [lines]"
         )
     lines = _lines(path, profile, profile.time, profile.lines)
     kinds = profile.lines.kinds
     numbers = [
-        _samples(lines, kind, payload, profile, path)
+        _samples(lines, kind, payload, profile)
         for kind, payload in kinds.items()
         if payload.dtype is not None
     ]
@@ -515,13 +513,13 @@ def _lines(path: Path, profile: Profile, time: TimeOptions, options: LineOptions
     if time.start == "messages":
         stamps = elapsed_time(table[time.names[0]], time, profile.file.decimal)
     else:
-        stamps = read_time(table, time, profile.file.decimal, path)
+        stamps = read_time(table, time, profile.file.decimal)
     kind = pc.fill_null(table[options.kind], "").to_numpy()
     return _Lines(cells, stamps, kind, pc.fill_null(table[options.payload], ""))
 
 
 def _samples(
-    lines: _Lines, kind: str, payload: Payload, profile: Profile, path: Path
+    lines: _Lines, kind: str, payload: Payload, profile: Profile
 ) -> tuple[Recording | None, BoolArray]:
     """The numbers in the lines of a kind, and which of these lines hold no whole sample."""
     mine = lines.kind == kind
@@ -541,7 +539,7 @@ def _samples(
     table = pa.table({name: values[:, i].astype(np.float64) for i, name in enumerate(names)})
     cells = Cells(table, lines.rows[place], place.size)
     mapped = replace(profile, columns=columns, time=None)
-    return recording_of(cells, mapped, path, lines.time[place]), cut
+    return recording_of(cells, mapped, lines.time[place]), cut
 
 
 def _receiver(
@@ -694,13 +692,11 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
     if path.suffix.lower() != ".zip" and not holds:
         raise InputError(
             "has no journey, which the places of reports refer to",
-            file=path,
             remedy="pack the journey, its segments and the reports into one zip archive",
         )
     if not documents.reports:
         raise InputError(
             "has no status report (B2G_StatusReport)",
-            file=path,
             remedy="give the reports with their journey and its segments, as one zip archive",
         )
     found = []
@@ -711,7 +707,6 @@ def read_reports(path: Path, profile: Profile | None = None) -> list[Recording]:
     if not found:
         raise InputError(
             "holds status reports, but not the journey of their train",
-            file=path,
             remedy="add its JourneyProfile and the SegmentProfiles that it names",
         )
     return found

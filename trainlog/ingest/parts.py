@@ -25,7 +25,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 from trainlog.formats.files import csv_bytes, read_bytes
 from trainlog.ingest.mapping import recording_of, undescribed, wanted_columns, words_in
 from trainlog.ingest.motion import ENOUGH, POSITION, SHORTEST, STANDING, plane, speed_of
@@ -358,7 +358,6 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
     if profile is None or profile.rides is None or profile.time is None:
         raise undescribed(
             "holds the fixes of several devices, which no profile cuts into rides",
-            path,
             "with [time] and [rides]",
         )
     options = profile.rides
@@ -366,13 +365,15 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
     for place in places:
         if not place.is_file():
             raise InputError(
-                f"needs {place.name} beside it", file=path, remedy="copy both files into one folder"
+                f"needs {place.name} beside it", remedy="copy both files into one folder"
             )
-    table = _table(places[1], options)
+    with in_file(places[1]):
+        table = _table(places[1], options)
     rides = _selected(table, options, profile.time.timezone)
-    text = open_text(places[0], profile.file)
-    cells = text.cells([*wanted_columns(profile, text.names, places[0]), options.device])
-    fixes, device = recording_of(cells, profile, places[0]), words_in(cells.table[options.device])
+    with in_file(places[0]):
+        text = open_text(places[0], profile.file)
+        cells = text.cells([*wanted_columns(profile, text.names), options.device])
+        fixes, device = recording_of(cells, profile), words_in(cells.table[options.device])
     found: list[Recording] = []
     reasons: list[str] = []
     counts: list[int] = []
@@ -388,7 +389,6 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
     if not found:
         raise InputError(
             f"none of {len(rides)} {what} has fixes that move",
-            file=path,
             remedy="are the two files of the same day?",
         )
     lost = Counter(f"{what}: {reason}" for reason in reasons if reason)
@@ -407,15 +407,12 @@ def _table(path: Path, options: RideOptions) -> pd.DataFrame:
     except (ValueError, pd.errors.ParserError) as error:
         raise InputError(
             f"cannot be split into rows and cells: {str(error).splitlines()[0]}",
-            file=path,
             remedy="give the file as published",
         ) from error
     table.columns = table.columns.str.strip()
     for name in options.columns:
         if name not in table.columns:
-            raise InputError(
-                f"no column '{name}'", file=path, place="row 1", remedy="give it as published"
-            )
+            raise InputError(f"no column '{name}'", place="row 1", remedy="give it as published")
     return table
 
 

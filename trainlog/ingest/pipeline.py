@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +14,7 @@ import pandas as pd
 
 from trainlog import __version__
 from trainlog.declaration import content_of
-from trainlog.errors import InputError, TrainlogError
+from trainlog.errors import InputError, TrainlogError, in_file
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.identity import source_of
@@ -226,10 +225,7 @@ class Given:
     @property
     def options(self) -> dict[str, Any]:
         """What the provenance of a trip keeps of it; files are among its inputs."""
-        known: dict[str, Any] = {
-            "direction": self.direction,
-            "metadata": dict(self.metadata or {}),
-        }
+        known: dict[str, Any] = {"direction": self.direction, "metadata": dict(self.metadata or {})}
         if self.network is not None and self.network.stations:
             known["stations"] = list(self.network.stations)
         return known
@@ -377,16 +373,14 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
     if profile is None and format is None:
         profile = own_profile(source)
     rules, carried, chosen = _chosen(source, profile, format)
-    with _naming(source):
+    with in_file(source):
         try:
             read = chosen.read(source, rules)
         except MismatchError as error:
             if profile is None or isinstance(profile, Profile):
                 raise
             remedy = "; ".join(filter(None, [error.remedy, f"correct the profile {profile}"]))
-            raise InputError(
-                error.problem, file=error.file, place=error.place, remedy=remedy
-            ) from error
+            raise InputError(error.problem, place=error.place, remedy=remedy) from error
     recordings = (read,) if isinstance(read, Recording) else tuple(read)
     options = rules or chosen.profile or default_profile()
     recordings = tuple(
@@ -417,24 +411,11 @@ def _chosen(
     return rules, carried, format_of(path, format or (rules.file.format if rules else None))
 
 
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Have errors name the file."""
-    try:
-        yield
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(
-            error.problem, file=path, place=error.place, remedy=error.remedy
-        ) from error
-
-
 def _finished(source: _Source, job: _Job, given: Given) -> Trip:
     """The trip of a recording, with what is known of its files."""
     recording, metadata = job.recording, given.metadata or {}
     line, direction, facts = given.line, given.direction, dict[str, str]()
-    with _naming(source.path):
+    with in_file(source.path):
         if isinstance(job.route, TrainlogError):
             raise job.route
         if job.route is not None:
@@ -632,11 +613,7 @@ def _topics(recording: Recording, profile: Profile, tables: list[Table]) -> dict
 
 
 def _estimated(
-    trip: Trip,
-    line: Line | None,
-    recording: Recording,
-    profile: Profile,
-    stated: Direction | None,
+    trip: Trip, line: Line | None, recording: Recording, profile: Profile, stated: Direction | None
 ) -> tuple[Direction, Estimate]:
     """The direction of a trip and its estimated state; fixes give a direction that none states."""
     travelled = line.reversed() if line is not None and stated == "reverse" else line

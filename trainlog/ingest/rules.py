@@ -469,11 +469,7 @@ def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
 
 
 def _beside(
-    seconds: FloatArray,
-    places: ComplexArray,
-    poor: BoolArray,
-    good: BoolArray,
-    tolerance: float,
+    seconds: FloatArray, places: ComplexArray, poor: BoolArray, good: BoolArray, tolerance: float
 ) -> BoolArray:
     """Which of the poor fixes are further from the way between the good ones than a train gets."""
     beside = np.zeros(places.size, dtype=np.bool_)

@@ -15,7 +15,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -285,7 +284,7 @@ class Decoder:
         if self._sequence in options.columns:
             numbers = columns_of(octets, [self._sequence], options)[self._sequence]
             decoded.count(numbers.to_pylist())
-        names = wanted_columns(profile, (*options.columns, ARRIVAL), _STREAM)
+        names = wanted_columns(profile, (*options.columns, ARRIVAL))
         self._read("telegram", kept, columns_of(octets, names, options), profile, decoded)
 
     def _read(
@@ -294,7 +293,7 @@ class Decoder:
         """Give the columns of rows their meaning, as the profile states it."""
         rows = np.array([row for row, _ in frames], dtype=np.int64)
         try:
-            found = recording_of(Cells(cells, rows, rows.size), profile, _STREAM)
+            found = recording_of(Cells(cells, rows, rows.size), profile)
         except InputError as error:
             if len(frames) == 1:
                 decoded.refuse(*frames[0], error.problem)
@@ -334,7 +333,7 @@ class Decoder:
         missing, absent = set(profile.file.missing), (None,) * len(frames)
         cells = {
             name: [None if each in missing else each for each in columns.get(name, absent)]
-            for name in wanted_columns(profile, tuple(columns), _STREAM)
+            for name in wanted_columns(profile, tuple(columns))
         }
         table = pa.table({name: pa.array(each, pa.string()) for name, each in cells.items()})
         self._read(kind, frames, table, profile, decoded)
@@ -417,10 +416,6 @@ class Decoder:
             every = dict.fromkeys(name for _, flat in used for name in flat)
             columns = {name: [flat.get(name) for _, flat in used] for name in every}
             self._map("json", [frame for frame, _ in used], columns, decoded)
-
-
-_STREAM = Path("stream")
-"""What errors of readers call the source; messages leave it out."""
 
 
 def _kind(data: bytes) -> str:

@@ -107,7 +107,6 @@ class TextFile:
 
     Attributes
     ----------
-    path : Path
     options : FileOptions
     names : tuple of str
         Names of the columns.
@@ -121,7 +120,6 @@ class TextFile:
         How many columns there are up to the last that has a name or, in the first row, a value.
     """
 
-    path: Path
     options: FileOptions
     names: tuple[str, ...]
     header: int
@@ -143,7 +141,7 @@ class TextFile:
             # Of a single column the delimiter is wrong, whatever is missing.
             alone = len(self.names) == 1
             kind = MismatchError if type(problems[0]) is MismatchError else InputError
-            raise kind.listing(problems[:1] if alone else problems, file=self.path)
+            raise kind.listing(problems[:1] if alone else problems)
         parsed, body = self._parsed(self.body, names), self.body
         cut = np.zeros(0, dtype=np.int64)
         needed = max(self.named, *(self.names.index(name) + 1 for name in names))
@@ -151,11 +149,7 @@ class TextFile:
             body, cut = without_empty_cells(self.body, self.options.delimiter, needed)
             parsed = self._parsed(body, names, self.names[:needed])
         if parsed is None:
-            raise InputError(
-                "cannot be split into rows and cells",
-                file=self.path,
-                remedy=self._delimiter_remedy(),
-            )
+            raise InputError("cannot be split into rows and cells", remedy=self._delimiter_remedy())
         ragged = np.union1d(np.array(parsed.ragged, dtype=np.int64), cut)
         if ragged.size > SELDOM * self.rows.size:
             padded = self._parsed(with_empty_cells(body, self.options.delimiter, needed), names)
@@ -255,7 +249,6 @@ class TextFile:
         return InputError(
             f"{count} of {self.rows.size} rows do not fit {source}: it has {names}, they have"
             f" {each}",
-            file=self.path,
             place=f"row {self.rows[first]}",
             remedy=remedy,
         )
@@ -269,7 +262,6 @@ class TextFile:
         if count > 1:
             return InputError(
                 f"column '{name}' comes {count} times",
-                file=self.path,
                 place=place,
                 remedy="rename all but one of them in the file",
             )
@@ -277,14 +269,12 @@ class TextFile:
             spellings = self.options.aliases[name]
             return MismatchError(
                 f"no column of the {name}",
-                file=self.path,
                 place=place,
                 remedy=f"expected one called {' or '.join(spellings)}",
             )
         alone = len(self.names) == 1
         return MismatchError(
             f"no column '{name}'",
-            file=self.path,
             place=place,
             remedy=self._delimiter_remedy() if alone else suggestion(name, self.names, "columns"),
         )
@@ -307,8 +297,8 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
     InputError
         If the file is missing, empty, binary, in another encoding, or holds no row of data.
     """
-    data = _utf8(path, read_bytes(path), options.encoding)
-    start, header = _header_line(data, path, options)
+    data = _utf8(read_bytes(path), options.encoding)
+    start, header = _header_line(data, options)
     end = data.find(b"\n", start)
     line = data[start:] if end < 0 else data[start:end]
     names = _split(line, options.delimiter) if header else ()
@@ -323,7 +313,6 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
     if not rows.size:
         raise InputError(
             "has no row of data" + (", only its header" if header else ""),
-            file=path,
             place=f"row {header}" if header else None,
             remedy="record again; was the recorder stopped at once?",
         )
@@ -336,7 +325,7 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
     # Delimiters at the end of the header, of the rows of data or of both make no columns.
     if not any(names[len(first) :]) and not any(first[len(names) :]):
         names = (*names, *[""] * (len(first) - len(names)))[: max(len(first), named)]
-    return TextFile(path, options, options.named(names), header, body, rows, named)
+    return TextFile(options, options.named(names), header, body, rows, named)
 
 
 def without_empty_cells(body: bytes, delimiter: str, named: int) -> tuple[bytes, IntArray]:
@@ -418,18 +407,17 @@ def _counted(body: bytes, delimiter: str) -> tuple[Any, IntArray, IntArray, IntA
     return buffer, ends, marks, before, np.searchsorted(marks, ends) - before + 1
 
 
-def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
+def _utf8(data: bytes, encoding: str) -> bytes:
     """The file's text as UTF-8, without byte order mark, each line ended by a line feed."""
     codec = encoding.lower().replace("_", "-")
     wide = codec.startswith(("utf-16", "utf-32", "utf16", "utf32"))
     if not wide and data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
             f"is not {encoding} text: it begins with the mark of UTF-16",
-            file=path,
             place="byte 0",
             remedy='set encoding = "utf-16" under [file] of the profile',
         )
-    data = plain_text(data, path, "give the recorder's CSV, not its binary file", wide=wide)
+    data = plain_text(data, "give the recorder's CSV, not its binary file", wide=wide)
     marked = not wide and data.startswith(UTF8_MARK)
     if marked:
         # The file states its encoding; recorders of one layout differ in it.
@@ -444,20 +432,18 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
         row = data.count(b"\n", 0, error.start) + 1
         raise InputError(
             f"is not {encoding} text: byte 0x{data[error.start]:02x} cannot be read",
-            file=path,
             place=f"row {row}, byte {error.start}",
             remedy='set encoding under [file] of the profile, for example "cp1252"',
         ) from error
     return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
 
 
-def plain_text(data: bytes, path: Path, remedy: str, *, wide: bool = False) -> bytes:
+def plain_text(data: bytes, remedy: str, *, wide: bool = False) -> bytes:
     """A text without the zeros that a power cut leaves where there was no time for data.
 
     Parameters
     ----------
     data : bytes
-    path : Path
     remedy : str
         Where it holds other zeros.
     wide : bool
@@ -471,18 +457,15 @@ def plain_text(data: bytes, path: Path, remedy: str, *, wide: bool = False) -> b
     if not wide:
         data = data.rstrip(b"\0")
     if not data or data.isspace():
-        raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
+        raise InputError("is empty", remedy="was the recorder stopped at once?")
     if not wide and b"\0" in data:
         raise InputError(
-            "is not text: it holds zero bytes",
-            file=path,
-            place=f"byte {data.index(0)}",
-            remedy=remedy,
+            "is not text: it holds zero bytes", place=f"byte {data.index(0)}", remedy=remedy
         )
     return data
 
 
-def _header_line(data: bytes, path: Path, options: FileOptions) -> tuple[int, int]:
+def _header_line(data: bytes, options: FileOptions) -> tuple[int, int]:
     """Where the header starts, and its row; row 0 if there is none."""
     if options.header == 0:
         return 0, 0
@@ -499,7 +482,6 @@ def _header_line(data: bytes, path: Path, options: FileOptions) -> tuple[int, in
         position, row = end + 1, row + 1
     raise InputError(
         f"has no row {options.header} for the header" if options.header else "has no header",
-        file=path,
         place=f"row {row}",
         remedy="check header under [file] of the profile",
     )
@@ -543,10 +525,10 @@ def read_delimited(path: Path, profile: Profile | None) -> Recording:
         If there is no profile, or the file does not fit it.
     """
     if profile is None:
-        raise undescribed("is text of a layout that trainlog does not know", path)
+        raise undescribed("is text of a layout that trainlog does not know")
     text = open_text(path, profile.file)
-    cells = text.cells(wanted_columns(profile, text.names, path))
-    return recording_of(cells, profile, path, columns=text.names)
+    cells = text.cells(wanted_columns(profile, text.names))
+    return recording_of(cells, profile, columns=text.names)
 
 
 MAGIC = b"PAR1"
@@ -566,35 +548,34 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
         If there is no profile, the file is damaged, or does not fit the profile.
     """
     if profile is None:
-        raise undescribed("is a Parquet table of a layout that trainlog does not know", path)
+        raise undescribed("is a Parquet table of a layout that trainlog does not know")
     data = pa.BufferReader(read_bytes(path))
-    with readable_parquet(path):
+    with readable_parquet():
         names = tuple(pa.parquet.read_schema(data).names)
-        wanted = list(dict.fromkeys(wanted_columns(profile, names, path)))
+        wanted = list(dict.fromkeys(wanted_columns(profile, names)))
         problems = [
             MismatchError(f"no column '{name}'", remedy=suggestion(name, names, "columns"))
             for name in wanted
             if name not in names
         ]
         if problems:
-            raise MismatchError.listing(problems, file=path)
+            raise MismatchError.listing(problems)
         data.seek(0)
         table = pa.parquet.read_table(data, columns=wanted)
     if not table.num_rows:
-        raise InputError("has no row of data", file=path, remedy="record again")
+        raise InputError("has no row of data", remedy="record again")
     rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
-    return recording_of(Cells(table, rows, rows.size), profile, path, columns=names)
+    return recording_of(Cells(table, rows, rows.size), profile, columns=names)
 
 
 @contextmanager
-def readable_parquet(path: Path) -> Iterator[None]:
+def readable_parquet() -> Iterator[None]:
     """InputError where what is read of a Parquet table is damaged."""
     try:
         yield
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             f"is not a readable Parquet table: {str(error).splitlines()[0][:120]}",
-            file=path,
             remedy="copy the file again; was the recorder stopped while writing?",
         ) from error
 
@@ -639,12 +620,11 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
     if profile is None or not profile.columns:
         raise undescribed(
             "is a measurement file whose channels may mean anything",
-            path,
             "that says which channel is what",
         )
     with opened_mdf(path) as mdf:
-        start = _start(mdf, profile, path)
-        places = _places(mdf, profile, path)
+        start = _start(mdf, profile)
+        places = _places(mdf, profile)
         every = {
             (group, index): channel.name
             for group, held in enumerate(mdf.groups)
@@ -658,7 +638,7 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
     return together(found, metadata={"clock": "MDF"}, not_used={others: len(left)} if left else {})
 
 
-def _start(mdf: Any, profile: Profile, path: Path) -> int:
+def _start(mdf: Any, profile: Profile) -> int:
     """Instant of the file's time 0 [ns]."""
     given = profile.time.start if profile.time is not None else None
     start = pd.Timestamp(mdf.header.start_time if given is None else given)
@@ -666,27 +646,26 @@ def _start(mdf: Any, profile: Profile, path: Path) -> int:
     if not EARLIEST <= start.value < LATEST:
         raise InputError(
             f"states that it was started at {start}",
-            file=path,
             remedy="give the start: [time] column = 'time', format = 'elapsed', start = ...",
         )
     return int(start.value)
 
 
-def _places(mdf: Any, profile: Profile, path: Path) -> dict[str, list[Place]]:
+def _places(mdf: Any, profile: Profile) -> dict[str, list[Place]]:
     """Where the channels of each field are."""
     found: dict[str, list[Place]] = {}
     for name, column in profile.columns.items():
         if column.value is not None:
             continue
-        places = [_place(mdf, channel, column.optional, path) for channel in column.names]
+        places = [_place(mdf, channel, column.optional) for channel in column.names]
         if None not in places:
             found[name] = [place for place in places if place is not None]
     if not found:
-        raise InputError("holds none of the channels", file=path, remedy="check [columns]")
+        raise InputError("holds none of the channels", remedy="check [columns]")
     return found
 
 
-def _place(mdf: Any, channel: str, optional: bool, path: Path) -> Place | None:
+def _place(mdf: Any, channel: str, optional: bool) -> Place | None:
     number, mark, plain = channel.partition(":")
     known = mdf.channels_db
     if mark and number.isdigit() and channel not in known:
@@ -697,14 +676,10 @@ def _place(mdf: Any, channel: str, optional: bool, path: Path) -> Place | None:
         return int(among[0][0]), int(among[0][1])
     if among:
         shown = " or ".join(f"'{group}:{plain or channel}'" for group, _ in among)
-        raise InputError(
-            f"channel '{channel}' is in {len(among)} groups", file=path, remedy=f"write {shown}"
-        )
+        raise InputError(f"channel '{channel}' is in {len(among)} groups", remedy=f"write {shown}")
     if optional:
         return None
-    raise MismatchError(
-        f"no channel '{channel}'", file=path, remedy=suggestion(channel, known, "channels")
-    )
+    raise MismatchError(f"no channel '{channel}'", remedy=suggestion(channel, known, "channels"))
 
 
 _Part = dict[str, list[Place]]
@@ -745,19 +720,19 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
         read = list(called(path, select))
         channels = tuple(f"{group}:{index}" for group, index in places)
         signals |= dict(zip(channels, read, strict=True))
-        columns[name] = _with_unit(name, column, read[0], channels, path)
+        columns[name] = _with_unit(name, column, read[0], channels)
     groups = sorted({group for places in part.values() for group, _ in places})
     clocks = {group: _clock(signals, group, start) for group in groups}
     time, rows = _instants(clocks)
     table = pa.table(
         {
-            key: _cells(signal, rows[int(key.split(":")[0])], time.size, path)
+            key: _cells(signal, rows[int(key.split(":")[0])], time.size)
             for key, signal in signals.items()
         }
     )
     cells = Cells(table, np.arange(1, time.size + 1, dtype=np.int64), time.size)
     mapped = replace(profile, columns=columns, time=None)
-    found = recording_of(cells, mapped, path, time)
+    found = recording_of(cells, mapped, time)
     # A channel has no value between its own instants: that is no empty cell.
     findings = (
         found.findings
@@ -795,13 +770,12 @@ def _instants(clocks: dict[int, IntArray]) -> tuple[IntArray, dict[int, IntArray
     }
 
 
-def _cells(signal: Any, rows: IntArray, count: int, path: Path) -> pa.Array:
+def _cells(signal: Any, rows: IntArray, count: int) -> pa.Array:
     """The samples of a channel, put at their instants."""
     samples = np.asarray(signal.samples)
     if samples.ndim != 1 or samples.dtype.fields is not None:
         raise InputError(
             f"channel '{signal.name}' holds {samples.ndim}-dimensional samples",
-            file=path,
             remedy="map a channel with one value a sample",
         )
     absent = np.ones(count, dtype=np.bool_)
@@ -820,9 +794,7 @@ def _cells(signal: Any, rows: IntArray, count: int, path: Path) -> pa.Array:
     return pa.array(values, pa.float64(), mask=absent)
 
 
-def _with_unit(
-    name: str, column: Column, signal: Any, channels: tuple[str, ...], path: Path
-) -> Column:
+def _with_unit(name: str, column: Column, signal: Any, channels: tuple[str, ...]) -> Column:
     """The column by the places of its channels, in the channel's own unit if it names none."""
     unit = column.unit
     item = column.field(name)
@@ -839,7 +811,6 @@ def _with_unit(
             raise InputError(
                 f"channel '{signal.name}' has the unit '{stated}',"
                 f" which does not convert to {item.unit}",
-                file=path,
                 place=f"field {name}",
                 remedy="give its unit in the profile",
             ) from error

@@ -58,26 +58,24 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
     """
     if profile is None or profile.telegram is None:
         raise undescribed(
-            "holds binary telegrams, whose layout no profile describes", path, "with [telegram]"
+            "holds binary telegrams, whose layout no profile describes", "with [telegram]"
         )
     options = profile.telegram
     data = read_bytes(path)
     not_used: Counter[str] = Counter()
     if is_capture(data):
-        octets, rows, arrival, findings, raw = _captured(data, options, path, not_used)
+        octets, rows, arrival, findings, raw = _captured(data, options, not_used)
     else:
         octets, rows, findings, raw = _of_file(data, options)
         arrival = None
         if ARRIVAL in _named(profile):
             raise InputError(
                 f"states no time of arrival: column '{ARRIVAL}' is of captures and live telegrams",
-                file=path,
                 remedy="name the telegram's own time under [time] of the profile",
             )
     if not len(octets):
         raise InputError(
             f"has no telegram of {options.length} bytes",
-            file=path,
             remedy="check length under [telegram] of the profile",
         )
     wanted = chosen(octets, options)
@@ -87,15 +85,14 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
     if not wanted.any():
         raise InputError(
             f"none of {len(octets):,} telegrams is of the kind that the profile states",
-            file=path,
             remedy="check where under [telegram] of the profile",
         )
     octets, rows = octets[wanted], rows[wanted]
     arrival = None if arrival is None else arrival[wanted]
     names = (*options.columns, ARRIVAL)
-    table = columns_of(octets, wanted_columns(profile, names, path), options, arrival)
+    table = columns_of(octets, wanted_columns(profile, names), options, arrival)
     cells = Cells(table, rows, len(rows) + sum(each.count for each in findings), findings, raw)
-    found = recording_of(cells, profile, path, columns=options.columns)
+    found = recording_of(cells, profile, columns=options.columns)
     return replace(found, not_used=found.not_used | dict(not_used))
 
 
@@ -149,12 +146,12 @@ def _starts(data: bytes, options: TelegramOptions) -> IntArray:
 
 
 def _captured(
-    data: bytes, options: TelegramOptions, path: Path, not_used: Counter[str]
+    data: bytes, options: TelegramOptions, not_used: Counter[str]
 ) -> tuple[np.ndarray, IntArray, IntArray, tuple[Finding, ...], tuple[Raw, ...]]:
     """The telegrams of a capture with their times of arrival [ns UTC]."""
     payloads, times, rows = list[bytes](), list[int](), list[int]()
     odd = Counter[int]()
-    packets, damage = _packets(data, path)
+    packets, damage = _packets(data)
     for number, (time, payload, port) in enumerate(packets, start=1):
         if payload is None:
             not_used["packets that are not UDP datagrams"] += 1
@@ -174,7 +171,7 @@ def _captured(
     return octets, numbers, at, *_cut(behind, [damage] * bool(damage))
 
 
-def _packets(data: bytes, path: Path) -> tuple[list[tuple[int, bytes | None, int]], str]:
+def _packets(data: bytes) -> tuple[list[tuple[int, bytes | None, int]], str]:
     """Time of arrival [ns], UDP payload and port of each packet; and how the capture is cut."""
     from io import BytesIO
 
@@ -192,7 +189,6 @@ def _packets(data: bytes, path: Path) -> tuple[list[tuple[int, bytes | None, int
         if not found:
             raise InputError(
                 f"is a capture that cannot be read: {error or type(error).__name__}",
-                file=path,
                 remedy="capture again; pcap and pcapng are read",
             ) from error
         size = 0

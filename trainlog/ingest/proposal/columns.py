@@ -223,7 +223,7 @@ def columns_of(
     known = np.flatnonzero(clock.time != NO_TIME)
     order = known[np.argsort(clock.time[known], kind="stable")]
     seconds = (clock.time[order] - clock.time[order[0]]) / NANOSECONDS
-    _refuse_no_recording(layout, seconds)
+    _refuse_no_recording(seconds)
     work = Work(layout, clock, meanings, train, line, order, seconds)
     for name in [name for name in layout.names if name not in clock.options.names]:
         role, why = role_of(meanings[name])
@@ -251,16 +251,14 @@ def refuse_no_motion(work: Work) -> None:
         raise InputError(
             "is not a recording of a trip: no column is a speed, a distance or a satellite position"
             + (f" ({shown})" if shown else ""),
-            file=work.layout.path,
             remedy="if a column is one of them, write a profile, see docs/ingest.md",
         )
 
 
-def _refuse_no_recording(layout: Layout, seconds: FloatArray) -> None:
+def _refuse_no_recording(seconds: FloatArray) -> None:
     if seconds.size < ENOUGH:
         raise InputError(
             f"is not a recording of a trip: {seconds.size} rows have a time, it takes {ENOUGH}",
-            file=layout.path,
             remedy="give the recorder's file, not a summary of it",
         )
     step = np.diff(seconds)
@@ -269,7 +267,6 @@ def _refuse_no_recording(layout: Layout, seconds: FloatArray) -> None:
         raise InputError(
             f"is not a recording of a trip: its rows lie {usual:.0f} s apart, as in a timetable"
             " or a summary",
-            file=layout.path,
             remedy=f"trips need a row every {SLOWEST_STEP:.0f} s or more often",
         )
 
@@ -391,7 +388,6 @@ def _place_fixes(work: Work, place: Position, close: list[Position], answer: Ans
     if fastest > FASTEST:
         raise InputError(
             f"is not a recording of one trip: its positions move at {fastest:.0f} m/s",
-            file=work.layout.path,
             remedy="does it hold several devices or rides? Give a file of one",
         )
     why = f"read as {place.words}"

@@ -163,7 +163,7 @@ def layout_of(path: Path) -> Layout:
     return _parquet_layout(path, data) if is_parquet(data[:8]) else _text_layout(path, data)
 
 
-def looks_like_table(head: bytes, path: Path) -> bool:
+def looks_like_table(head: bytes) -> bool:
     r"""Whether the beginning of a text is rows of cells most of which are numbers or times.
 
     Examples
@@ -174,15 +174,15 @@ def looks_like_table(head: bytes, path: Path) -> bool:
     False
     """
     try:
-        _, text, _ = _decoded(path, head)
-        _separators(path, _sample(text.splitlines()))
+        _, text, _ = _decoded(head)
+        _separators(_sample(text.splitlines()))
     except InputError:
         return False
     return True
 
 
 def _parquet_layout(path: Path, data: bytes) -> Layout:
-    with readable_parquet(path):
+    with readable_parquet():
         table = pa.parquet.read_table(pa.BufferReader(data))
     names = tuple(str(name) for name in table.schema.names)
     fields = [table.schema.field(name).metadata or {} for name in names]
@@ -195,14 +195,13 @@ def _parquet_layout(path: Path, data: bytes) -> Layout:
 
 
 def _text_layout(path: Path, data: bytes) -> Layout:
-    encoding, text, why = _decoded(path, data)
+    encoding, text, why = _decoded(data)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     sample = _sample(lines)
-    delimiter, decimal, width, judged = _separators(path, sample)
+    delimiter, decimal, width, judged = _separators(sample)
     if delimiter == decimal:
         raise InputError(
             "has commas between its cells and in its numbers, which a profile cannot part",
-            file=path,
             remedy="write it with semicolons between the cells",
         )
     header, units, first = _header(lines, delimiter, decimal, width, sample)
@@ -249,7 +248,7 @@ def _text_layout(path: Path, data: bytes) -> Layout:
     )  # fmt: skip
 
 
-def _decoded(path: Path, data: bytes) -> tuple[str, str, str]:
+def _decoded(data: bytes) -> tuple[str, str, str]:
     """The encoding, the text, and why."""
     head = data[:4096]
     codec, why = "utf-8", "valid UTF-8"
@@ -259,17 +258,14 @@ def _decoded(path: Path, data: bytes) -> tuple[str, str, str]:
         codec = "utf-16-le" if head[1:2] == b"\0" else "utf-16-be"
         why = "every other byte is zero"
     else:
-        data = plain_text(data, path, "give the recorder's table, not its binary file")
+        data = plain_text(data, "give the recorder's table, not its binary file")
         why = "ASCII" if data.isascii() else why
     try:
         return codec, data.decode(codec).removeprefix("\ufeff"), why
     except UnicodeDecodeError as error:
         if codec != "utf-8":
             raise InputError(
-                f"is not {codec} text",
-                file=path,
-                place=f"byte {error.start}",
-                remedy="copy it again",
+                f"is not {codec} text", place=f"byte {error.start}", remedy="copy it again"
             ) from error
     texts = {}
     for codec in CODECS:
@@ -290,7 +286,7 @@ def _sample(lines: list[str]) -> list[str]:
     return [*body[:third], *body[middle : middle + third], *body[-third - 1 : -1]]
 
 
-def _separators(path: Path, sample: list[str]) -> tuple[str, Decimal, int, str]:
+def _separators(sample: list[str]) -> tuple[str, Decimal, int, str]:
     """Delimiter, decimal mark, cells a row, and the shares that decide."""
     best, found = 0.2, None
     for delimiter in DELIMITERS:
@@ -314,7 +310,6 @@ def _separators(path: Path, sample: list[str]) -> tuple[str, Decimal, int, str]:
     if found is None:
         raise InputError(
             "is not a table: no delimiter leaves rows of equal length with numbers in them",
-            file=path,
             remedy="expected text with ';', ',', '|' or tabulators between the cells",
         )
     return found
@@ -509,7 +504,6 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
     kind = InputError if tried or named else NoRecordingError
     raise kind(
         f"is not a recording of a trip: no column is a time that goes forward{noted}",
-        file=layout.path,
         remedy=f"columns: {shown}; if one of them is the time, write a profile, see docs/ingest.md",
     )
 
@@ -545,7 +539,7 @@ def _first(layout: Layout, candidates: _Candidates) -> Clock | None:
 def _clock(layout: Layout, options: TimeOptions, readings: tuple[Reading, ...]) -> Clock | None:
     """The time so read; None unless most rows have one and most steps go forward."""
     try:
-        time = read_time(layout.table, options, layout.options.decimal, layout.path)
+        time = read_time(layout.table, options, layout.options.decimal)
     except (InputError, ValueError, OverflowError, pa.ArrowException):
         if "/" not in options.timezone:
             return None

@@ -358,9 +358,7 @@ class Position(NamedTuple):
 
 
 def positions_of(
-    seconds: FloatArray,
-    columns: list[tuple[str, FloatArray]],
-    speed: FloatArray | None,
+    seconds: FloatArray, columns: list[tuple[str, FloatArray]], speed: FloatArray | None
 ) -> list[Position]:
     """The scales and orders of two columns that are possible, the likeliest first.
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from trainlog.declaration import content_of
 from trainlog.display import counted
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 from trainlog.formats.declared import toml_value
 from trainlog.ingest.matching import placed
 from trainlog.ingest.motion import FAR, POSITION, speed_of
@@ -187,36 +187,37 @@ def propose_profile(
     ['time zone']
     """
     source = Path(path)
-    layout = layout_of(source)
-    units = zip(layout.names, layout.units, strict=True)
-    meanings = {name: meaning_of(name, unit or None) for name, unit in units}
-    clock = clock_of(layout, meanings)
-    work = columns_of(layout, clock, meanings, train, line)
-    find_trips(work)
-    keep_others(work)
-    refuse_no_motion(work)
-    readings = [*layout.readings, *clock.readings, *work.readings]
-    read = read_parquet if layout.format == "parquet" else read_delimited
-    text, profile = _stated(work, readings)
-    recording = read(source, profile)
-    readings += _pauses(recording, profile, source.stem)
-    text, profile = _stated(work, readings)
-    if line is not None:
-        readings += _start(parts_of(recording, profile, source.stem), line, train)
+    with in_file(source):
+        layout = layout_of(source)
+        units = zip(layout.names, layout.units, strict=True)
+        meanings = {name: meaning_of(name, unit or None) for name, unit in units}
+        clock = clock_of(layout, meanings)
+        work = columns_of(layout, clock, meanings, train, line)
+        find_trips(work)
+        keep_others(work)
+        refuse_no_motion(work)
+        readings = [*layout.readings, *clock.readings, *work.readings]
+        read = read_parquet if layout.format == "parquet" else read_delimited
         text, profile = _stated(work, readings)
-    rows = [
-        {
-            "column": ", ".join(each.column.names),
-            "field": each.field,
-            "unit": each.column.unit or "",
-        }
-        | {"why": each.why, "check": each.check, "alternative": each.alternative}
-        for each in _ordered(work)
-    ]
-    return Proposal(
-        source, text, profile, pd.DataFrame(rows), _preview(recording), tuple(readings),
-        _not_used(work), clock.one_file, layout.names,
-    )  # fmt: skip
+        recording = read(source, profile)
+        readings += _pauses(recording, profile, source.stem)
+        text, profile = _stated(work, readings)
+        if line is not None:
+            readings += _start(parts_of(recording, profile, source.stem), line, train)
+            text, profile = _stated(work, readings)
+        rows = [
+            {
+                "column": ", ".join(each.column.names),
+                "field": each.field,
+                "unit": each.column.unit or "",
+            }
+            | {"why": each.why, "check": each.check, "alternative": each.alternative}
+            for each in _ordered(work)
+        ]
+        return Proposal(
+            source, text, profile, pd.DataFrame(rows), _preview(recording), tuple(readings),
+            _not_used(work), clock.one_file, layout.names,
+        )  # fmt: skip
 
 
 def needs_profile(path: Path, format: str | None = None) -> bool:
