@@ -31,7 +31,7 @@ from simulated_line import hilly_line
 
 from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, draw_scenarios, read_line, read_train, sample
 from trainlog.declaration import from_content
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 from trainlog.ingest import Profile, ingest, profile_of, report_of
 from trainlog.ingest.clock import rows_per_second
 from trainlog.ingest.mapping import read_time
@@ -219,6 +219,7 @@ def error_of(trip: Trip, case: Case) -> float:
     return float(np.quantile(np.abs(time[:shortest] - case.truth[:shortest]) / SECOND, 0.99))
 
 
+FILE = Path("run.csv")
 
 INSTANT = pd.Timestamp("2024-05-01T06:07:08.25Z").value
 
@@ -227,7 +228,8 @@ def read(*columns: list[object], decimal: str = ".", **options: object) -> list[
     names = [str(number) for number in range(len(columns))]
     table = pa.table(dict(zip(names, columns, strict=True)))
     where = {"column": "0"} if len(columns) == 1 else {"columns": tuple(names)}
-    return read_time(table, from_content(TimeOptions, where | options), decimal).tolist()
+    with in_file(FILE):
+        return read_time(table, from_content(TimeOptions, where | options), decimal).tolist()
 
 
 @pytest.mark.parametrize(

@@ -47,12 +47,7 @@ from trainlog.railway.condition import (
 )
 from trainlog.railway.evidence import DailyEvidence, day_of
 
-UNITS = {
-    "length": "m",
-    "slippery_length": "m",
-    "spot_length": "m",
-    "life": "days",
-}
+UNITS = {"length": "m", "slippery_length": "m", "spot_length": "m", "life": "days"}
 
 NAMES = {
     "mean": "mean",

@@ -6,6 +6,7 @@ exits with status 2. Any other exception is a defect of trainlog itself.
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -115,12 +116,7 @@ class TrainlogError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Children take other arguments than the message: pickle what they became."""
-        return _restored, (type(self), self.args), self.__dict__
-
-
-def _restored(kind: type[TrainlogError], args: tuple[Any, ...]) -> TrainlogError:
-    """An error as it was pickled, without calling its constructor again."""
-    return kind.__new__(kind, *args)
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 @contextmanager

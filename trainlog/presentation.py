@@ -472,7 +472,9 @@ class WordTable:
 
     def _longest(self, texts: Sequence[str]) -> int:
         """Letters of the longest word; of a table of words one that is as long is broken."""
-        longest = _longest_word(texts)
+        from rich.cells import cell_len
+
+        longest = max((cell_len(word) for text in texts for word in text.split()), default=0)
         return min(longest, LONGEST_WORD) if self.plain else longest
 
     def _widths(self, heads: list[str], rows: list[list[str]], width: int) -> list[int | None]:
@@ -583,12 +585,6 @@ def _kind(cell: str) -> str:
 
 def _cell(cell: str) -> str:
     return escape(cell).replace("\n", "<br>")
-
-
-def _longest_word(texts: Sequence[str]) -> int:
-    from rich.cells import cell_len
-
-    return max((cell_len(word) for text in texts for word in text.split()), default=0)
 
 
 def _longest_line(text: str) -> int:

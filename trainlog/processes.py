@@ -38,10 +38,7 @@ def _end_with(parent: Any) -> None:
 
 
 def in_processes(
-    work: Callable[[_Shared, _Given], _Made],
-    shared: _Shared,
-    pieces: Sequence[_Given],
-    jobs: int,
+    work: Callable[[_Shared, _Given], _Made], shared: _Shared, pieces: Sequence[_Given], jobs: int
 ) -> Iterator[_Made]:
     """What a function makes of each piece, in their order, a bounded number at a time.
 

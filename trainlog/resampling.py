@@ -340,8 +340,7 @@ def check_max_gap(max_gap: object) -> None:
     number = isinstance(max_gap, _NUMBERS) and not isinstance(max_gap, bool)
     if not (number and float(str(max_gap)) > 0):
         raise InputError(
-            f"max_gap is {max_gap!r}",
-            remedy="give seconds above 0, or None for gaps of any length",
+            f"max_gap is {max_gap!r}", remedy="give seconds above 0, or None for gaps of any length"
         )
 
 
@@ -575,9 +574,7 @@ def planned_time_distance(trajectory: Trajectory, row: int, start: int = 0) -> T
     times = trajectory.times[row][cell] + np.where(share > 0.0, after, 0.0)
     seconds = np.append(times, trajectory.times[row][-1])
     return TimeDistance(
-        start,
-        start + np.rint(seconds * NANOSECONDS).astype(np.int64),
-        np.append(place, nodes[-1]),
+        start, start + np.rint(seconds * NANOSECONDS).astype(np.int64), np.append(place, nodes[-1])
     )
 
 
@@ -628,9 +625,7 @@ def grid_over(curves: list[TimeDistance], step: float = 10.0) -> FloatArray:
 
 
 def on_grid(
-    curve: TimeDistance,
-    grid: FloatArray,
-    recorded: tuple[Nanoseconds, FloatArray] | None = None,
+    curve: TimeDistance, grid: FloatArray, recorded: tuple[Nanoseconds, FloatArray] | None = None
 ) -> OnGrid:
     """Passing time and speed of a trip at the nodes of a grid.
 

@@ -269,10 +269,7 @@ def spans_within(time: ArrayLike, position: ArrayLike, start: float, end: float)
     entered = t[step] + np.clip(np.ceil(first), 1.0, length).astype(np.int64)
     left = t[step] + np.clip(np.floor(last), 0.0, length - 1.0).astype(np.int64)
     spans = np.column_stack(
-        (
-            np.where(inside[step], t[step], entered),
-            np.where(inside[step + 1], t[step + 1], left),
-        )
+        (np.where(inside[step], t[step], entered), np.where(inside[step + 1], t[step + 1], left))
     )
     return merged_spans(np.concatenate((instants, spans[spans[:, 0] <= spans[:, 1]])))
 

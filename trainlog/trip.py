@@ -8,6 +8,7 @@ Bringing topics onto one clock is in `trainlog.resampling`.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -105,8 +106,7 @@ class Trip(Presented):
         except KeyError:
             present = ", ".join(self.topics) or "none"
             error = NotRecordedError(
-                f"trip '{self.name}' has no topic {topic}",
-                remedy=f"topics loaded: {present}",
+                f"trip '{self.name}' has no topic {topic}", remedy=f"topics loaded: {present}"
             )
             error.topic = topic
             raise error from None
@@ -150,8 +150,9 @@ class Trip(Presented):
         rows = {}
         if any(len(frame) for frame in self.topics.values()):
             words = [self.start.strftime("%Y-%m-%d %H:%M:%S UTC"), clock(self.duration)]
-            if (distance := self._distance()) is not None:
-                words.append(f"{distance / 1e3:.1f} km")
+            with suppress(LogError):  # how far it went may not be known
+                position = self.located()["position"].dropna()
+                words.append(f"{float(abs(position.iloc[-1] - position.iloc[0])) / 1e3:.1f} km")
             rows["when"] = ", ".join(words)
         frames = sorted(self.topics.items(), key=lambda item: -len(item[1]))
         for name, frame in frames[:most] if len(frames) > most + 1 else frames:
@@ -160,14 +161,6 @@ class Trip(Presented):
         if len(frames) > most + 1:
             rows[f"{len(frames) - most} more"] = ", ".join(name for name, _ in frames[most:])
         return rows or {"topics": "none"}
-
-    def _distance(self) -> float | None:
-        """How far the train went [m]; None where that is not known."""
-        try:
-            position = self.located()["position"].dropna()
-        except LogError:
-            return None
-        return float(abs(position.iloc[-1] - position.iloc[0]))
 
     @property
     def name(self) -> str:
@@ -306,10 +299,7 @@ class Trip(Presented):
             frame = self.topics.get(name)
             if frame is not None and "position" in frame and frame["position"].notna().any():
                 return frame
-        raise LogError(
-            f"trip '{self.name}' does not know where the train was",
-            remedy=NO_POSITION,
-        )
+        raise LogError(f"trip '{self.name}' does not know where the train was", remedy=NO_POSITION)
 
     def _filled(self) -> list[pd.DataFrame]:
         frames = [frame for frame in self.topics.values() if len(frame)]

@@ -594,10 +594,7 @@ _FORECAST_COLUMNS = (
 _FORECAST_REQUIRED = ("line", "from", "to", "valid from", "valid to")
 _FORECAST_MUST = {
     "quantile": Must(
-        "is not plausible",
-        "give an adhesion above 0 to 1, not in per cent",
-        high=1.0,
-        above=True,
+        "is not plausible", "give an adhesion above 0 to 1, not in per cent", high=1.0, above=True
     ),
     "below": Must("is not plausible", "give a probability from 0 to 1, not in per cent", high=1.0),
 }

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from trainlog.declaration import Declared, content_of, from_content
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 from trainlog.formats.files import (
     check_written,
     parse_json,
@@ -39,18 +39,17 @@ def parse_toml(data: bytes, *, file: str | Path) -> dict[str, Any]:
     >>> parse_toml(b"length = {value = 1, unit = 'km'}", file="line.toml")
     {'length': {'value': 1, 'unit': 'km'}}
     """
-    try:
-        return tomllib.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "is not UTF-8 text", file=file, place=f"byte {error.start}", remedy="expected TOML"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"is not TOML: {error}", file=file, remedy="correct it there or just before"
-        ) from error
-    except (RecursionError, ValueError) as error:
-        raise too_large(error, file, "TOML") from error
+    with in_file(file):
+        try:
+            return tomllib.loads(data.decode("utf-8-sig"))
+        except UnicodeDecodeError as error:
+            place = f"byte {error.start}"
+            raise InputError("is not UTF-8 text", place=place, remedy="expected TOML") from error
+        except tomllib.TOMLDecodeError as error:
+            remedy = "correct it there or just before"
+            raise InputError(f"is not TOML: {error}", remedy=remedy) from error
+        except (RecursionError, ValueError) as error:
+            raise too_large(error, "TOML") from error
 
 
 def as_toml(content: Mapping[str, Any], comments: Mapping[str, str]) -> str:
@@ -298,11 +297,6 @@ def _without_nan(content: Any) -> Any:
 
 def built(make: Callable[[], Result], file: str | Path) -> Result:
     """`make()`, with the file's name added to the InputError it may raise."""
-    try:
-        # Numbers near the end of the doubles overflow in the checks, which then refuse them.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return make()
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError.listing(error.each, file=file) from error
+    # Numbers near the end of the doubles overflow in the checks, which then refuse them.
+    with in_file(file), np.errstate(over="ignore", invalid="ignore"):
+        return make()

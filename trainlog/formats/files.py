@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from trainlog.declaration import plain as plain, shortest as shortest
 from trainlog.display import cell_of
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -445,51 +445,43 @@ def parse_json(data: bytes, *, file: str | Path) -> Any:
     Traceback (most recent call last):
     trainlog.errors.InputError: x.json, a: comes twice in one object; remove one of them
     """
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if error.reason == "unexpected end of data":
-            raise _truncated(file, f"byte {error.start}") from error
-        found = mistaken_json(data[:LOOKED_AT])
-        problem = "is not UTF-8 text" if found is None else f"is not JSON but {found}"
-        raise InputError(
-            problem, file=file, place=f"byte {error.start}", remedy="expected JSON"
-        ) from error
-    if not text.strip():
-        raise InputError("is empty", file=file, remedy="expected JSON")
-    try:
-        return json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_object)
-    except json.JSONDecodeError as error:
-        place = f"line {error.lineno}, column {error.colno}"
-        if _ends_in_the_middle(error):
-            raise _truncated(file, place) from error
-        raise InputError(
-            f"is not JSON: {error.msg}",
-            file=file,
-            place=place,
-            remedy="correct it there or just before",
-        ) from error
-    except InputError as error:
-        place = error.place or _constant_place(text)
-        raise InputError(error.problem, file=file, place=place, remedy=error.remedy) from error
-    except (RecursionError, ValueError) as error:
-        raise too_large(error, file, "JSON") from error
+    with in_file(file):
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            place = f"byte {error.start}"
+            if error.reason == "unexpected end of data":
+                raise _truncated(place) from error
+            found = mistaken_json(data[:LOOKED_AT])
+            problem = "is not UTF-8 text" if found is None else f"is not JSON but {found}"
+            raise InputError(problem, place=place, remedy="expected JSON") from error
+        if not text.strip():
+            raise InputError("is empty", remedy="expected JSON")
+        try:
+            return json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_object)
+        except json.JSONDecodeError as error:
+            place = f"line {error.lineno}, column {error.colno}"
+            if _ends_in_the_middle(error):
+                raise _truncated(place) from error
+            remedy = "correct it there or just before"
+            raise InputError(f"is not JSON: {error.msg}", place=place, remedy=remedy) from error
+        except InputError as error:
+            place = error.place or _constant_place(text)
+            raise InputError(error.problem, place=place, remedy=error.remedy) from error
+        except (RecursionError, ValueError) as error:
+            raise too_large(error, "JSON") from error
 
 
-def too_large(error: Exception, file: str | Path, kind: str) -> InputError:
+def too_large(error: Exception, kind: str) -> InputError:
     """The refusal of a text that Python's parser gives up: nested too deeply, or a huge number."""
     deep = isinstance(error, RecursionError)
     problem = "is nested too deeply" if deep else "holds a number of thousands of digits"
-    return InputError(problem, file=file, remedy=f"expected {kind} of one of trainlog's files")
+    return InputError(problem, remedy=f"expected {kind} of one of trainlog's files")
 
 
-def _truncated(file: str | Path, place: str) -> InputError:
-    return InputError(
-        "the file ends in the middle: truncated?",
-        file=file,
-        place=place,
-        remedy="copy the file again",
-    )
+def _truncated(place: str) -> InputError:
+    problem = "the file ends in the middle: truncated?"
+    return InputError(problem, place=place, remedy="copy the file again")
 
 
 def _ends_in_the_middle(error: json.JSONDecodeError) -> bool:
@@ -773,13 +765,9 @@ def _is_text(start: bytes) -> bool:
         words = start[: max(1, len(start) - 3)].decode()
     except UnicodeDecodeError as error:
         if error.start < len(start) - 8:
-            return _is_text_of_windows(start)
+            # Most bytes are printed ASCII, and the others can be letters of cp1252.
+            controls = any(byte < 0x20 and byte not in b"\t\r\n" for byte in start)
+            letters = sum(byte >= 0x80 for byte in start) < 0.3 * len(start)
+            return letters and not controls and 0x7F not in start
         words = start[: error.start].decode()
     return bool(words) and all(sign.isprintable() or sign in "\t\r\n" for sign in words)
-
-
-def _is_text_of_windows(start: bytes) -> bool:
-    """Whether most bytes are printed ASCII and the others can be letters of cp1252."""
-    if any(byte < 0x20 and byte not in b"\t\r\n" for byte in start) or 0x7F in start:
-        return False
-    return sum(byte >= 0x80 for byte in start) < 0.3 * len(start)

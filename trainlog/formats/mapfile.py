@@ -34,7 +34,7 @@ from isal.igzip_lib import IsalError
 from numpy.typing import NDArray
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 from trainlog.formats.files import (
     beginning,
     check_written,
@@ -124,9 +124,7 @@ def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         raise ValueError(str(error)) from error
 
 
-def unpack_joined(
-    many: Sequence[bytes],
-) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+def unpack_joined(many: Sequence[bytes]) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
     """Facts of each, and their arrays, one behind the other.
 
     Raises
@@ -1311,11 +1309,11 @@ def merged(files: Iterable[MapFile], output: str | Path = "map") -> MapFile:
     blobs: dict[str, bytes] = {}
     sums: dict[str, list[DailyEvidence]] = {}
     for file in files:
-        with file, file.unchanging():
-            _check_alike(empty, file.empty, file.path)
+        with file, in_file(file.path), file.unchanging():
+            _check_alike(empty, file.empty)
             empty = file.empty
             for row in file.trips():
-                rows[row.key] = _chosen(rows.get(row.key), row, file.path)
+                rows[row.key] = _chosen(rows.get(row.key), row)
             blobs.update(file._asked("SELECT digest, data FROM evidence"))
             for layer, piece in file.sums().items():
                 sums.setdefault(layer, []).append(piece)
@@ -1326,7 +1324,7 @@ def merged(files: Iterable[MapFile], output: str | Path = "map") -> MapFile:
     return MapFile._made(empty, output, kept, ((each, blobs[each]) for each in used), totals)
 
 
-def _chosen(first: Row | None, second: Row, path: str | Path) -> Row:
+def _chosen(first: Row | None, second: Row) -> Row:
     """Which of two rows of one recording is used, whatever their order."""
     if first is None:
         return second
@@ -1334,14 +1332,12 @@ def _chosen(first: Row | None, second: Row, path: str | Path) -> Row:
     if first.layer != second.layer:
         raise InputError(
             f"counts trip '{name}' as '{second.layer}', another of the maps as '{first.layer}'",
-            file=path,
             remedy="build one map from the logs instead",
         )
     fixed = [row for row in (first, second) if row.evidence is None and row.counted]
     if len(fixed) == 2:
         raise InputError(
             f"has trip '{name}' in its sums, and so has another of the maps",
-            file=path,
             remedy="build one map from the logs instead",
         )
     if fixed:
@@ -1371,19 +1367,16 @@ def _decided(rows: Sequence[Row]) -> list[Row]:
     return found
 
 
-def _check_alike(first: TrackConditionMap | None, second: TrackConditionMap, path: object) -> None:
+def _check_alike(first: TrackConditionMap | None, second: TrackConditionMap) -> None:
     """Refuse to merge maps that differ in more than their trips."""
     for name in ("line", "length", "bin_length", "settings", "levels"):
         if first is not None and not np.array_equal(getattr(first, name), getattr(second, name)):
             stated = [
-                f"{value.size} from {value[0]:g} to {value[-1]:g}"
-                if isinstance(value, np.ndarray)
-                else str(value)
-                for value in (getattr(each, name) for each in (first, second))
+                f"{v.size} from {v[0]:g} to {v[-1]:g}" if isinstance(v, np.ndarray) else str(v)
+                for v in (getattr(each, name) for each in (first, second))
             ]
             raise InputError(
                 f"track-condition maps differ in {name}: {' and '.join(stated)}",
-                file=str(path),
                 remedy="merge maps of one line that were made with the same settings",
             )
 

@@ -30,7 +30,7 @@ from trainlog.declaration import (
     Text,
     from_content,
 )
-from trainlog.errors import InputError
+from trainlog.errors import InputError, in_file
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_bytes
 from trainlog.formats.ttobench import UNPUBLISHED, assumed_axles
@@ -229,25 +229,25 @@ def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dic
     >>> vehicles["wagon"].mass
     22000.0
     """
-    content = _content(path, "rolling-stock.json")
-    stock = built(lambda: from_content(_RollingStock, content), path)
-    if stock.trains is None and stock.vehicles is None:
-        raise InputError("holds neither trains nor vehicles", file=path, remedy="add 'vehicles'")
-    vehicles = _by_id(stock.vehicles or (), "vehicle", path)
-    formations: dict[str, Formation] = {}
-    for number, train in enumerate(stock.trains or ()):
-        missing = [name for name in train.formation if name not in vehicles]
-        if missing and stock.vehicles is not None:
-            raise InputError(
-                f"vehicle '{missing[0]}' of train '{train.id}' is not in the file",
-                file=path,
-                place=f"trains[{number}].formation",
-                remedy=f"vehicles: {', '.join(vehicles)}",
-            )
-        if not missing:
-            parts = tuple(vehicles[name] for name in train.formation)
-            formations[train.id] = train.name, parts
-    return vehicles, formations
+    with in_file(path):
+        content = _content(path, "rolling-stock.json")
+        stock = built(lambda: from_content(_RollingStock, content), path)
+        if stock.trains is None and stock.vehicles is None:
+            raise InputError("holds neither trains nor vehicles", remedy="add 'vehicles'")
+        vehicles = _by_id(stock.vehicles or (), "vehicle")
+        formations: dict[str, Formation] = {}
+        for number, train in enumerate(stock.trains or ()):
+            missing = [name for name in train.formation if name not in vehicles]
+            if missing and stock.vehicles is not None:
+                raise InputError(
+                    f"vehicle '{missing[0]}' of train '{train.id}' is not in the file",
+                    place=f"trains[{number}].formation",
+                    remedy=f"vehicles: {', '.join(vehicles)}",
+                )
+            if not missing:
+                parts = tuple(vehicles[name] for name in train.formation)
+                formations[train.id] = train.name, parts
+        return vehicles, formations
 
 
 def read_running_paths(path: str | Path) -> dict[str, Line]:
@@ -277,21 +277,21 @@ def read_running_paths(path: str | Path) -> dict[str, Line]:
     8000.0
     """
     content = _content(path, "running-path.json")
-    named = _by_id(built(lambda: from_content(_Paths, content), path).paths, "path", path)
+    with in_file(path):
+        named = _by_id(built(lambda: from_content(_Paths, content), path).paths, "path")
     return {
         own: built(partial(_line, each, f"paths[{number}]"), path)
         for number, (own, each) in enumerate(named.items())
     }
 
 
-def _by_id(things: Sequence[Identified], what: str, path: str | Path) -> dict[str, Identified]:
+def _by_id(things: Sequence[Identified], what: str) -> dict[str, Identified]:
     """Things of a file by their id, which none may share."""
     found: dict[str, Identified] = {}
     for number, each in enumerate(things):
         if each.id in found:
             raise InputError(
                 f"{what} '{each.id}' comes twice",
-                file=path,
                 place=f"{what}s[{number}]",
                 remedy="remove one of them",
             )
@@ -357,33 +357,32 @@ def read_any(
     if isinstance(content, dict) and content.get("schema") == SCHEMA + "running-path.json":
         return [(name, line, []) for name, line in read_running_paths(path).items()]
     vehicles, formations = read_rolling_stock(path)
-    absent = [each for each in content.get("trains") or () if each["id"] not in formations]
-    if absent:
-        raise InputError(
-            f"the vehicles of train '{absent[0]['id']}' are not in the file",
-            file=path,
-            place="trains",
-            remedy="import the files of its vehicles with --formation"
-            f" '{', '.join(absent[0]['formation'])}'",
-        )
-    if not formations:
-        formations = {
-            name: (each.name, (each,))
-            for name, each in vehicles.items()
-            if each.powered and each.effort
-        }
-    if not formations:
-        raise InputError(
-            "no train in it has tractive effort",
-            file=path,
-            place="trains",
-            remedy="add a formation with a traction unit or a multiple unit",
-        )
-    share = 0.0 if loaded is None else loaded
-    return [
-        (name, built(partial(coupled, *each, share), path), ["names of its vehicles"])
-        for name, each in formations.items()
-    ]
+    with in_file(path):
+        absent = [each for each in content.get("trains") or () if each["id"] not in formations]
+        if absent:
+            raise InputError(
+                f"the vehicles of train '{absent[0]['id']}' are not in the file",
+                place="trains",
+                remedy="import the files of its vehicles with --formation"
+                f" '{', '.join(absent[0]['formation'])}'",
+            )
+        if not formations:
+            formations = {
+                name: (each.name, (each,))
+                for name, each in vehicles.items()
+                if each.powered and each.effort
+            }
+        if not formations:
+            raise InputError(
+                "no train in it has tractive effort",
+                place="trains",
+                remedy="add a formation with a traction unit or a multiple unit",
+            )
+        share = 0.0 if loaded is None else loaded
+        return [
+            (name, built(partial(coupled, *each, share), path), ["names of its vehicles"])
+            for name, each in formations.items()
+        ]
 
 
 def coupled(name: str, vehicles: Sequence[RollingVehicle], loaded: float = 1.0) -> Train:
@@ -451,39 +450,40 @@ _ASSUMED = ("max_acceleration", *UNPUBLISHED, "axles", "brake")
 
 
 def _yaml(path: str | Path) -> Any:
-    try:
-        return yaml.safe_load(read_bytes(path))
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        raise InputError(
-            f"is not YAML: {getattr(error, 'problem', None) or 'cannot be read'}",
-            file=path,
-            place=f"line {mark.line + 1}, column {mark.column + 1}" if mark else None,
-            remedy="correct it there",
-        ) from error
-    except (RecursionError, UnicodeDecodeError, ValueError) as error:
-        raise InputError("is not YAML", file=path, remedy="expected a railtoolkit file") from error
+    with in_file(path):
+        try:
+            return yaml.safe_load(read_bytes(path))
+        except yaml.YAMLError as error:
+            mark = getattr(error, "problem_mark", None)
+            raise InputError(
+                f"is not YAML: {getattr(error, 'problem', None) or 'cannot be read'}",
+                place=f"line {mark.line + 1}, column {mark.column + 1}" if mark else None,
+                remedy="correct it there",
+            ) from error
+        except (RecursionError, UnicodeDecodeError, ValueError) as error:
+            raise InputError("is not YAML", remedy="expected a railtoolkit file") from error
 
 
 def _content(path: str | Path, schema: str) -> Any:
-    content = _yaml(path)
-    found = content.get("schema") if isinstance(content, dict) else None
-    if found != SCHEMA + schema:
-        raise InputError(
-            f"is not a {schema.removesuffix('.json').replace('-', ' ')} of railtoolkit",
-            file=path,
-            place="schema",
-            remedy=f"expected {SCHEMA}{schema}",
-        )
-    version = content.get("schema_version")
-    if version not in ("2022.05", "2024.07"):
-        raise InputError(
-            f"schema version {version!r} is not known" if version else "states no schema version",
-            file=path,
-            place="schema_version",
-            remedy="expected 2022.05 or 2024.07",
-        )
-    return content
+    with in_file(path):
+        content = _yaml(path)
+        found = content.get("schema") if isinstance(content, dict) else None
+        if found != SCHEMA + schema:
+            raise InputError(
+                f"is not a {schema.removesuffix('.json').replace('-', ' ')} of railtoolkit",
+                place="schema",
+                remedy=f"expected {SCHEMA}{schema}",
+            )
+        version = content.get("schema_version")
+        if version not in ("2022.05", "2024.07"):
+            raise InputError(
+                f"schema version {version!r} is not known"
+                if version
+                else "states no schema version",
+                place="schema_version",
+                remedy="expected 2022.05 or 2024.07",
+            )
+        return content
 
 
 def _line(path: _Path, place: str) -> Line:

@@ -70,13 +70,7 @@ _OUTSIDE = "places outside of their segment"
 
 _NO_TIMES = "journey: it has times at fewer than two timing points"
 
-_TIMES = (
-    "TP_latestArrivalTime",
-    "departureTime",
-    "earliestDepartureTime",
-    "startTime",
-    "endTime",
-)
+_TIMES = ("TP_latestArrivalTime", "departureTime", "earliestDepartureTime", "startTime", "endTime")
 """Times of a journey that are used."""
 
 _SLACK = 1.0

@@ -7,6 +7,7 @@ others needs. The frame is plain; `COLUMNS` says what it holds.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,10 +179,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("speed_scale_std", "1", "its standard deviation", of="scale.std"),
     Column("speed_scale_source", "", "reference of the calibration", "text", of="scale.source"),
     Column(
-        "gradients",
-        "",
-        "SHA-256 of the line's gradients as travelled; of a route edges",
-        "text",
+        "gradients", "", "SHA-256 of the line's gradients as travelled; of a route edges", "text"
     ),
     *_SURVEY,
     Column("masked_gap", "s", "time masked: gaps", of="masked.gap"),
@@ -320,7 +318,8 @@ def merged(pieces: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 def age(summaries: pd.DataFrame) -> pd.Series:
     """Place of the software of each row among those of all, the oldest first."""
-    versions = sorted(summaries["software"].unique(), key=lambda name: (_version(name), name))
+    numbers = {name: [int(n) for n in re.findall(r"\d+", name)] for name in summaries["software"]}
+    versions = sorted(numbers, key=lambda name: (numbers[name], name))
     return summaries["software"].map({name: place for place, name in enumerate(versions)})
 
 
@@ -349,11 +348,6 @@ def _symmetric(summaries: pd.DataFrame, names: Sequence[str], size: int) -> Floa
     full[:, rows, columns] = summaries[list(names)].to_numpy(np.float64)
     full[:, columns, rows] = full[:, rows, columns]
     return full
-
-
-def _version(software: str) -> tuple[int, ...]:
-    digits = "".join(c if c.isdigit() else " " for c in software)
-    return tuple(int(word) for word in digits.split())
 
 
 def _check(frame: pd.DataFrame, path: str | Path) -> None:

@@ -289,7 +289,7 @@ class TrackData:
         assumed = []
         at, values = self._laid("gradients", self.gradients, account)[:2]
         unknown = np.isnan(values) if self.gradients or not self.level_between else ~np.isfinite(at)
-        missing = self._missing(at, unknown)
+        missing = float(np.diff(np.append(at, self.length))[unknown].sum())
         if not self.gradients or (missing > 1.0 and not self.level_between):
             assumed.append("gradients")
             account.assume("gradients", LEVEL, missing or self.length)
@@ -347,18 +347,15 @@ class TrackData:
 
     def _tunnels(self, account: Account) -> tuple[Tunnel, ...]:
         """The tunnels, those without a cross-section with `ASSUMED_SECTION`."""
-        at, sections = self._laid(
-            "tunnels",
-            [
-                each._replace(value=ASSUMED_SECTION) if np.isnan(each.value) else each
-                for each in self.tunnels
-            ],
-            account,
-        )[:2]
-        unknown = sum(bool(np.isnan(each.value)) for each in self.tunnels)
+        unknown = [bool(np.isnan(each.value)) for each in self.tunnels]
+        given = [
+            each._replace(value=ASSUMED_SECTION) if lacks else each
+            for each, lacks in zip(self.tunnels, unknown, strict=True)
+        ]
+        at, sections = self._laid("tunnels", given, account)[:2]
         account.assumed[
             f"tunnels whose cross-section is not stated, taken as {ASSUMED_SECTION:g} m²"
-        ] += unknown
+        ] += sum(unknown)
         ends = np.append(at[1:], self.length)
         return tuple(
             Tunnel(float(begin), float(end - begin), float(section))
@@ -375,10 +372,6 @@ class TrackData:
             inside = (middle > each.begin) & (middle < each.end)
             values[inside] = np.fmin(values[inside], each.speed)
         return values
-
-    def _missing(self, at: FloatArray, unknown: BoolArray) -> float:
-        """Length [m] of the pieces that are not known."""
-        return float(np.diff(np.append(at, self.length))[unknown].sum())
 
     def _within(self, what: str, stretches: Sequence[Stretch], account: Account) -> list[Stretch]:
         """The stretches that lie on the track; those that reach beyond it are counted."""
@@ -683,10 +676,9 @@ def joined(lines: Sequence[Line], name: str, source: str) -> Line:
 def _station_at(end: TrackEnd, tracks: dict[str, Line]) -> str:
     """The station that stands at an end of an edge; empty without."""
     track = tracks[end.track]
-    for station in track.stations:
-        if abs(station.position - (track.length if end.at_end else 0.0)) <= AT_END:
-            return station.name
-    return ""
+    place = track.length if end.at_end else 0.0
+    near = (each.name for each in track.stations if abs(each.position - place) <= AT_END)
+    return next(near, "")
 
 
 def _without_loops(

@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 from trainlog.arrays import IntArray
 from trainlog.declaration import Declared, Form, Must
 from trainlog.display import FORMULA
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, in_file
 from trainlog.extras import load
 from trainlog.formats.declared import file_content, thing_from_bytes
 from trainlog.formats.files import (
@@ -302,9 +302,8 @@ def _frame_in(entry: _TopicEntry, path: Path, columns: list[str] | None) -> pd.D
 
 def _chosen(names: Iterable[str], columns: list[str] | None) -> list[str]:
     """The names of the columns that are wanted, and of the time."""
-    return [name for name in names if name != TIME and (columns is None or name in columns)] + [
-        TIME
-    ]
+    wanted = [name for name in names if columns is None or name in columns]
+    return [*(name for name in wanted if name != TIME), TIME]
 
 
 def _parquet_table(
@@ -515,20 +514,13 @@ def write_parquet(trip: Trip, folder: str | Path) -> None:
 @contextmanager
 def folder_writer(folder: str | Path, kind: type[TripIndex] = TripIndex) -> Iterator[FolderWriter]:
     """Write a trip in pieces, in the order of time; as Parquet, or as CSV; see `write_parquet`."""
-    try:
-        with atomic_folder(folder, INDEX_FILE) as temporary:
-            writer = FolderWriter(temporary, kind)
-            try:
-                yield writer
-            finally:
-                writer.close()
-            writer.describe()
-    except LogError as error:
-        if error.file is not None:
-            raise
-        raise LogError(
-            error.problem, file=folder, place=error.place, remedy=error.remedy
-        ) from error
+    with in_file(folder), atomic_folder(folder, INDEX_FILE) as temporary:
+        writer = FolderWriter(temporary, kind)
+        try:
+            yield writer
+        finally:
+            writer.close()
+        writer.describe()
 
 
 class FolderWriter:
@@ -550,7 +542,11 @@ class FolderWriter:
         self._trip = joined_head(self._trip, piece)
         for topic, frame in piece.topics.items():
             if topic not in self._topics:
-                path = self._folder / f"{self._free_name(topic)}{self._kind.SUFFIX}"
+                # A file name like the topic's that no other has, whatever the case of letters.
+                taken = {each.path.stem.lower() for each in self._topics.values()}
+                name = _plain(topic.strip("/"))
+                name = name if name.lower() not in taken else f"{name}-{len(taken) + 1}"
+                path = self._folder / f"{name}{self._kind.SUFFIX}"
                 self._topics[topic] = TopicWriter(topic, path, frame)
             self._topics[topic].add(frame)
 
@@ -583,12 +579,6 @@ class FolderWriter:
                 f"metadata or provenance cannot be written: {error}",
                 remedy="use text, finite numbers, lists and dictionaries with text keys",
             ) from error
-
-    def _free_name(self, topic: str) -> str:
-        """A file name like the topic's that no other topic has, whatever the case of letters."""
-        taken = {each.path.stem.lower() for each in self._topics.values()}
-        name = _plain(topic.strip("/"))
-        return name if name.lower() not in taken else f"{name}-{len(taken) + 1}"
 
 
 def _plain(name: str) -> str:
@@ -684,9 +674,7 @@ def _inside(folder: Path, file: str) -> Path:
     path = folder / file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise LogError(
-            f"names a file outside its folder: {file}",
-            file=folder / INDEX_FILE,
-            remedy=AGAIN,
+            f"names a file outside its folder: {file}", file=folder / INDEX_FILE, remedy=AGAIN
         )
     return path
 
