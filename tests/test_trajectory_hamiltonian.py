@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_cases import FLIRT, drawn, hilly_line, slippery
+from scipy.integrate import solve_ivp
+from trajectory_cases import FLIRT, FREIGHT, VIRM6, drawn, hilly_line, slippery
 
 from analysis.trajectory import bound
 from analysis.trajectory.bound import (
@@ -24,6 +25,7 @@ from analysis.trajectory.convex import Multipliers
 from analysis.trajectory.discretisation import Curves, Plan, Taper, discretise, effort_limits
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.rollout import run_together
 from trainlog.arrays import FloatArray
 from trainlog.railway import EffortCurve
 
@@ -197,16 +199,11 @@ def test_the_costate_changes_as_the_least_does_with_the_speed(case):
 def test_a_plan_costs_what_its_efforts_and_its_time_are_worth(case):
     made, costate, slope = of(case)
     problem, plan, run = made.problem, made.plan, made.problem.run
-    place = made.segments.place
-    fall, step = problem.taper.fall[:, None], problem.step[:, None]
+    place, fall = made.segments.place, problem.taper.fall[:, None]
     pulled = plan.traction[:, None] + fall - 2.0 * fall * place
     total = made.prices.traction * pulled
     for row, each in enumerate(run.configurations):
-        # Traction falls steadily, so that the mean from the beginning is above that of the cell.
-        ends, gain = plan.z[row], problem.reference / each.inertia
-        z = ends[:-1, None] * (1.0 - place) + ends[1:, None] * place
-        v = np.sqrt(2.0 * (z + gain * step * place * (1.0 - place) * fall))
-        np.testing.assert_allclose(made.speed[row], v, rtol=1e-12)
+        v, gain = made.speed[row], problem.reference / each.inertia
         s, own = made.segments.positions, costate[row]
         tunnel = run.train.tunnel_coefficient(run.line.tunnel_cross_section(s))
         drag = each.resistance(v) + each.mass * run.track_acceleration(s) + tunnel * v**2
@@ -214,6 +211,36 @@ def test_a_plan_costs_what_its_efforts_and_its_time_are_worth(case):
         total = total + made.prices.time[row][:, None] / v - own * net - 0.5 * slope[row] * v**2
         total = total - made.prices.regained[row] * plan.dynamic[row][:, None]
     np.testing.assert_allclose(made.of_plan(costate, slope), total, rtol=1e-10)
+
+
+@pytest.mark.parametrize("train", [FLIRT, VIRM6, FREIGHT], ids=lambda train: train.name)
+def test_inside_its_cells_a_plan_has_the_speeds_that_its_efforts_lead_to(train):
+    """In long cells, with bends that begin and end in them, and traction that falls; by DOP853."""
+    run = TrajectoryProblem(hilly_line(), train, drawn(train, 2, seed=2, spread=0.3))
+    fastest, positions = fastest_run(run), np.union1d(run.breakpoints, [10.0, 50.0, 200.0, 400.0])
+    problem, plan = run_together(discretise(run, positions), fastest.at(positions))
+    none = np.zeros(problem.shape)
+    prices = Prices(1.0, np.zeros(2), none, none, none, None)
+    made = Hamiltonian(problem, plan, prices, fastest, run, Segments.of(problem, 4))
+    line, fall, step = run.line, problem.taper.fall, problem.step
+    for row, each in enumerate(run.configurations):
+        for cell in range(1, step.size - 1):
+
+            def force(s, z, row=row, each=each, cell=cell):
+                place = (s - positions[cell]) / step[cell]
+                pull = plan.traction[cell] + fall[cell] * (1.0 - 2.0 * place)
+                v, where = np.sqrt(2.0 * z), np.array([s])
+                drag = each.resistance(v) + each.mass * run.track_acceleration(where)
+                drag += run.train.tunnel_coefficient(line.tunnel_cross_section(where)) * v**2
+                return problem.reference * (pull - plan.braking[row, cell]) / each.inertia - (
+                    drag / each.inertia
+                )
+
+            span, at = positions[cell : cell + 2], made.segments.positions[cell]
+            begin = [plan.z[row, cell]]
+            found = solve_ivp(force, span, begin, "DOP853", at, rtol=1e-9, max_step=step[cell] / 8)
+            v = np.sqrt(2.0 * found.y[0])
+            np.testing.assert_allclose(made.speed[row, cell], v, rtol=3e-4)
 
 
 def test_what_traction_is_worth_at_its_limit_is_shared_by_whose_power_limits_it():
@@ -244,7 +271,7 @@ def test_quadrature_is_exact_for_what_time_and_costate_are_made_of():
         whole = (segments.weights * segments.place**power).sum(axis=1)[inner]
         np.testing.assert_allclose(whole, length[inner] / (power + 1.0))
     for power in range(POINTS):
-        so_far = (segments.place**power) @ segments.gathering.T
+        so_far = segments.gathered(segments.place**power) / length[:, None]
         np.testing.assert_allclose(
             so_far[inner], segments.place[inner] ** (power + 1) / (power + 1)
         )

@@ -139,6 +139,14 @@ class Segments:
     positions: FloatArray
     gathering: FloatArray
 
+    def gathered(self, values: FloatArray) -> FloatArray:
+        """Integrals of values at the points, from the beginning of the cell, (..., n, p)."""
+        return np.asarray((values * self.weights) @ self.gathering.T)
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Of values at the points, over each cell, (..., n)."""
+        return np.asarray((values * self.weights).sum(axis=-1) / self.length)
+
     @staticmethod
     def of(problem: DiscreteProblem, points: int) -> Segments:
         """With so many points in each cell."""
@@ -146,7 +154,7 @@ class Segments:
         nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
         length, powers = problem.step, np.arange(points)
         rising = nodes[:, None] ** (powers + 1) / (powers + 1)
-        gathering = rising @ np.linalg.inv(nodes[:, None] ** powers)
+        gathering = rising @ np.linalg.inv(nodes[:, None] ** powers) / weights
         place, part = np.tile(nodes, (length.size, 1)), np.tile(weights, (length.size, 1))
         # Time goes with the root of the way from or to a standstill; so do the points.
         if problem.initial == 0.0:
@@ -229,6 +237,10 @@ class Hamiltonian:
         part, step, fall = segments.place, problem.step[:, None], problem.taper.fall[:, None]
         z = plan.z[:, :-1, None] + np.diff(plan.z, axis=1)[:, :, None] * part
         z = z + self.gain * fall * step * part * (1.0 - part)
+        # Resistance that changes inside a cell bends it, too.
+        v = np.sqrt(2.0 * np.maximum(z, 0.0))
+        drag = self.drag0 + self.drag1 * v + self.drag2 * v**2
+        z = z - segments.gathered(drag - segments.mean(drag)[:, :, None])
         self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), self.lowest, self.highest)
         self.pulled = plan.traction[:, None] + fall * (1.0 - 2.0 * part)
 
@@ -550,11 +562,9 @@ class Costate:
         line = self.begin[:, :, None] + change[:, :, None] * segments.place
         shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(line))
         shape = _together(shape, self.give, hamiltonian.problem.gain)
-        part = segments.weights / segments.length[:, None]
-        rest = change / segments.length - (shape * part).sum(axis=2)
-        slope = shape + rest[:, :, None]
-        step = segments.length[:, None] * (slope @ segments.gathering.T)
-        return np.where(self.even[:, :, None], line, self.begin[:, :, None] + step), slope
+        slope = shape + (change / segments.length - segments.mean(shape))[:, :, None]
+        curve = self.begin[:, :, None] + segments.gathered(slope)
+        return np.where(self.even[:, :, None], line, curve), slope
 
 
 def costate_of(
@@ -596,9 +606,8 @@ def costate_of(
     base = _together(base, give, problem.gain)
     flat |= give > 0.0
     whole = hamiltonian.segments
-    change, gain = (base * whole.weights).sum(axis=2), problem.gain[:, None]
-    gathered = whole.length[:, None] * (base @ whole.gathering.T)
-    begin = mean - (gathered * whole.weights).sum(axis=2) / step
+    change, gain = whole.mean(base) * step, problem.gain[:, None]
+    begin = mean - whole.mean(whole.gathered(base))
     end = begin + change
     # Between two cells; the one that follows the adjoint equation knows better.
     trust = np.where(partial, 1e-6, 1.0) * np.where(creeping, 1e-12, 1.0) / step**2
