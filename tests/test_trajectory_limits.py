@@ -145,7 +145,7 @@ def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs():
 
 
 def test_expected_energy_is_least_for_the_weights_that_are_given():
-    options = {"reserve": 0.1, "cells": 120}
+    options = {"reserve": 0.1, "cells": 120, "tolerance": 1e-4}
     configurations = observed(FLIRT, 0.9, 1.0, 1.1)
     found = {
         weights: optimised(
