@@ -11,9 +11,13 @@ import pytest
 from scipy.optimize import brentq
 from trajectory_cases import FLIRT, KMH, drawn, hilly_line, level_line, observed, optimised, steps
 
+from analysis.trajectory import active_set
+from analysis.trajectory.convex import NoSolutionError
+from analysis.trajectory.discretisation import Plan, discretise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.rollout import rollout
 from trainlog.errors import InfeasibleError
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
@@ -229,3 +233,36 @@ def test_whole_library(track, objective):
             assert -1e-6 <= certificate["gap"] <= 2e-3, (path.stem, reserve, certificate["gap"])
             # Three programs on each of the coarse cells, the first ones and three laid anew.
             assert len(certificate["solver"]["statuses"]) <= 15
+
+
+def test_trains_that_only_brake_are_answered():
+    """Steeply down with all the time there is: no traction, so no part of it is regained."""
+    answered(problem_of_kind(9858), 500)
+
+
+def test_one_whose_brakes_are_not_found_leaves_those_of_the_others_as_they_are(monkeypatch):
+    """Each regains most by itself under the traction that all have."""
+    configurations = drawn(FLIRT, 3, seed=2, spread=0.3)
+    run = TrajectoryProblem(hilly_line(), FLIRT, configurations, objective="line", reserve=0.2)
+    found = optimise(run, OptimiserOptions(100))
+    problem = discretise(run, found.positions)
+    unit = problem.reference
+    planned = Plan(
+        0.5 * found.speeds**2, found.tractive_effort / unit, found.braking_effort / unit,
+        np.zeros(problem.shape),
+    )  # fmt: skip
+    late = rollout(problem, planned.traction, None)
+    every = active_set._best_responses(problem, late, found.running_time)
+    solve = active_set.minimise
+
+    def fails(part, *rest, **options):
+        if part.run.configurations[0].name == configurations[1].name:
+            raise NoSolutionError("infeasible")
+        return solve(part, *rest, **options)
+
+    monkeypatch.setattr(active_set, "minimise", fails)
+    some = active_set._best_responses(problem, late, found.running_time)
+    work = [plan.dynamic @ problem.step for plan in (late, every, some)]
+    assert np.all(work[1] > work[0])
+    assert work[2][1] == pytest.approx(work[0][1], rel=1e-2)
+    np.testing.assert_array_equal(work[2][[0, 2]], work[1][[0, 2]])

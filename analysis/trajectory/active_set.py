@@ -77,9 +77,6 @@ _LARGE, _OF_LARGE = 5_000, replace(EXACT, energy=2e-5)
 _RESPONSE = Tolerances(energy=1e-4, lateness=0.02)
 """Where the brakes of configurations are sought that are not in the program."""
 
-_NOT_SOON = replace(_RESPONSE, energy=2e-3)
-"""The same where some only have to brake in order not to be too soon."""
-
 _VIOLATION = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
 
@@ -275,24 +272,26 @@ def _brake_gently(
 
 
 def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float) -> Plan:
-    """How each regains most under the traction that all have, by one program for them all."""
-    q = problem.shape[0]
-    apart = replace(
-        problem,
-        run=replace(problem.run, objective="expected", weights=()),
-        weights=np.full(q, 1.0 / q),
-    )
+    """How each regains most under the traction that all have, by programs for its brakes alone.
+
+    In one program for all, the one that settles last would keep all the others waiting.
+    """
     sooner = running_time - _RESPONSE.lateness
-    near = _NOT_SOON if np.isfinite(problem.earliest).any() else _RESPONSE
-    best: Solution | None = None
-    try:
-        best = minimise(apart, driven, np.zeros(q), sooner, near, iterations=15, given=True)
-    except NoSolutionError:
-        pass
-    except OutOfTimeError as stop:
-        best = stop.found
+    planned = driven.z.copy()
+    for row in range(problem.shape[0]):
+        own, start = problem.select([row]), driven.select([row])
+        apart = replace(own, run=replace(own.run, objective="expected"), weights=np.ones(1))
+        best: Solution | None = None
+        try:
+            best = minimise(apart, start, np.zeros(1), sooner, _RESPONSE, iterations=15, given=True)
+        except NoSolutionError:
+            pass
+        except OutOfTimeError as stop:
+            best = stop.found
+        if best is not None:
+            planned[row] = best.plan.z[0]
     # The plan that it began from may be another's, whose speeds are not its own.
-    return rollout_at(problem, driven, driven.z if best is None else best.plan.z)
+    return rollout_at(problem, driven, planned)
 
 
 def _roll_out(
@@ -315,7 +314,8 @@ def _violators(
     excesses = _excesses(problem, plan, running_time)
     if problem.run.objective == "line" and active:
         spent = -(plan.dynamic @ problem.step)
-        excesses.append((spent - spent[active].max()) / (plan.traction @ problem.step))
+        drawn = max(float(plan.traction @ problem.step), NEGLIGIBLE_ENERGY)
+        excesses.append((spent - spent[active].max()) / drawn)
     found: set[int] = set()
     for excess in excesses:
         excess[active] = -np.inf
