@@ -73,8 +73,8 @@ class Advised:
     ----------
     begin, end : float [m]
         Along the journey.
-    time : float [s]
-        At its begin, since the first departure, as planned.
+    time, until : float [s]
+        At its begin and end, since the first departure, as planned.
     phase : Phase
     hold : bool
         Whether the speed is to be held; else it is that at the end of the stretch.
@@ -85,6 +85,7 @@ class Advised:
     begin: float
     end: float
     time: float
+    until: float
     phase: Phase
     hold: bool
     speed: int
@@ -109,8 +110,9 @@ def advised(
 ) -> list[Advised]:
     """A driver's advice as speeds that are advised, one stretch after the other.
 
-    A stretch with a limit below its speed is divided there. Of two that would follow each other
-    sooner than changes may, the lower speed holds over both.
+    A stretch with a limit below its speed is divided there. Where two would follow each other
+    sooner than changes may, a lower speed begins with the first, and a higher one waits; a train
+    that has stopped departs at any time.
 
     Parameters
     ----------
@@ -141,12 +143,21 @@ def advised(
             continue
         part = replace(each, begin=max(each.begin, passed))
         last = found[-1] if found else None
-        if last is not None and (
-            last.advice == part.advice or part.time - last.time < changes_apart
-        ):
-            slower = part if part.speed < last.speed else last
-            part = replace(slower, begin=last.begin, time=last.time, end=part.end)
-            found.pop()
+        if last is not None and last.advice == part.advice:
+            found[-1] = replace(last, end=part.end, until=part.until)
+            continue
+        # Behind a stop the train departs, however soon.
+        if last is not None and last.speed and part.time - last.time < changes_apart:
+            if part.speed <= last.speed:
+                part = replace(part, begin=last.begin, time=last.time)
+                found.pop()
+            else:
+                until = min(last.time + changes_apart, part.until)
+                at = float(np.interp(until, (part.time, part.until), (part.begin, part.end)))
+                found[-1] = replace(last, end=at, until=until)
+                if until == part.until:
+                    continue
+                part = replace(part, begin=at, time=until)
         found.append(part)
     if not found:
         end = max(float(each.positions[-1]) for each in advice.sections)
@@ -186,9 +197,10 @@ def _divided(advice: JourneyAdvice, line: Line) -> Iterator[Advised]:
             if own is None or not begin - _SHORT <= own.position < end - _SHORT:
                 continue
             for each in limits_between(limits, own.position, own.end):
-                time = departure + float(np.interp(each.start, section.positions, times))
+                ends = np.interp((each.start, each.end), section.positions, times)
+                time, until = (departure + ends).tolist()
                 speed = round(KMH * min(own.stated_target, each.speed))
-                yield Advised(each.start, each.end, time, own.phase, own.hold, speed)
+                yield Advised(each.start, each.end, time, until, own.phase, own.hold, speed)
 
 
 def advice_constraints(found: Iterable[Advised]) -> list[Constraint]:

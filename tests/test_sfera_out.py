@@ -115,6 +115,32 @@ def test_advice_keeps_to_limits_and_changes_seldom(number, apart, tmp_path):
     assert np.diff(times).min(initial=np.inf) >= apart
 
 
+def test_brief_advice_neither_replaces_another_nor_holds_a_train_at_its_stop(
+    plan, wil, monkeypatch
+):
+    """Behind each change one that follows sooner: at the same speed, a higher one, a departure."""
+    (journey,), traction = read_sfera(wil), sfera.Phase.MAXIMUM_TRACTION
+    rows = [
+        (0.0, 1_000.0, 0.0, 60.0, sfera.Phase.COASTING, False, 40),
+        (1_000.0, 1_100.0, 60.0, 65.0, traction, False, 77),
+        (1_100.0, 8_000.0, 65.0, 365.0, sfera.Phase.CRUISING, True, 77),
+        (8_000.0, 8_100.0, 365.0, 370.0, sfera.Phase.CRUISING, True, 60),
+        (8_100.0, 9_100.0, 370.0, 420.0, traction, False, 90),
+        (9_100.0, 9_120.0, 420.0, 424.0, sfera.Phase.MAXIMUM_BRAKING, False, 0),
+        (9_120.0, 10_000.0, 426.0, 500.0, traction, False, 90),
+    ]
+    monkeypatch.setattr(sfera, "_divided", lambda *_: [sfera.Advised(*row) for row in rows])
+    found = advised(journey_advice([trainlog.read_trajectory(plan)]), journey)
+    assert [(each.begin, each.end, each.time, each.speed, each.hold) for each in found] == [
+        (0.0, 1_000.0, 0.0, 40, False),
+        (1_000.0, 8_000.0, 60.0, 77, True),
+        (8_000.0, 8_200.0, 365.0, 60, True),
+        (8_200.0, 9_100.0, 375.0, 90, False),
+        (9_100.0, 9_120.0, 420.0, 0, False),
+        (9_120.0, 10_000.0, 426.0, 90, False),
+    ]
+
+
 def test_there_is_no_advice_for_what_lies_behind(plan, wil, tmp_path):
     options = sfera.SferaOptions(passed=11_000.0)
     write_sfera([plan], wil, tmp_path / "ahead.xml", options)
