@@ -41,6 +41,7 @@ from trainlog.mcap.reader import read_log
 from trainlog.progress import track
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.condition import AdhesionForecast
+from trainlog.resampling import interpolated_columns
 from trainlog.topics import SLIP_PROTECTION, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import KMH, NANOSECONDS
@@ -60,6 +61,9 @@ KINDS = {
 PROBABILITY = 0.05
 """With which the rail is worse than the category that is said of it."""
 
+
+GAP = 5.0
+"""Between samples that are so many times further apart than usual, a train reports nothing."""
 
 CHANGES_APART = 10.0
 """Changes of the advised speed follow each other by no less [s]."""
@@ -317,6 +321,7 @@ def reports_of(
     own : Line, optional
         The trip's line as travelled, where it is not the journey's.
     every : float [s]
+        There are no reports in gaps of the recording.
 
     Raises
     ------
@@ -330,12 +335,16 @@ def reports_of(
     state = state.assign(position=along(state.position.to_numpy())).dropna()
     if len(state) < 2:
         raise LogError("is nowhere on the journey", remedy="give a trip over the journey's line")
-    index = pd.DatetimeIndex(state.index).as_unit("ns")
+    known = pd.DatetimeIndex(state.index).as_unit("ns").asi8
     step = int(every * NANOSECONDS)
-    times = np.arange(index[0].value, index[-1].value + 1, step)
     # Messages state whole seconds.
-    times = np.unique(np.round(times / NANOSECONDS).astype(np.int64)) * NANOSECONDS
-    at, speed = (np.interp(times, index.asi8, state[name]) for name in ("position", "speed"))
+    first = -(-known[0] // NANOSECONDS) * NANOSECONDS
+    times = np.unique(np.arange(first, known[-1] + 1, step) // NANOSECONDS) * NANOSECONDS
+    gap = max(every, GAP * float(np.median(np.diff(known))) / NANOSECONDS)
+    clock = pd.DatetimeIndex(times, tz="UTC")
+    at, speed = interpolated_columns(state, ["position", "speed"], clock, gap)
+    recorded = np.isfinite(at)
+    times, at, speed = times[recorded], at[recorded], speed[recorded]
     slips = _slips(trip, times, step)
     return [
         Report(_utc(time), place, max(v, 0.0), None if slips is None else bool(slips[number]))

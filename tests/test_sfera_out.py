@@ -241,6 +241,20 @@ def test_a_trip_becomes_reports_and_a_trip_again(wil, tmp_path):
     assert again.metadata["line"] == read_sfera(wil)[0].line.name
 
 
+def test_a_train_reports_nothing_of_a_gap(wil):
+    """Nor of an instant before its first sample."""
+    (journey,), trip = read_sfera(wil), trainlog.read("sample_logs/nonstop.mcap")
+    own = trip["/train/state"]
+    passed = (own.index - own.index[0]).total_seconds()
+    kept = (passed > 100.6) & ~((passed > 300.0) & (passed < 800.0))
+    part = trip.with_topic(own[kept])
+    times = [each.time for each in sfera.reports_of(part, journey, trainlog.read_line("sample"))]
+    since = np.array([(each - own.index[0]).total_seconds() for each in times])
+    assert 100.6 < since[0] < 101.6
+    assert not np.any((since > 300.0) & (since < 800.0))
+    assert np.diff(times).max().total_seconds() == pytest.approx(500.0, abs=5.0)
+
+
 def test_what_was_learned_is_the_next_version(wil, tmp_path):
     train = trainlog.read_train("sample")
     common = RunningResistance(1_987.0, 40.0, 10.0)
