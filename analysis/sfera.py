@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -473,7 +474,16 @@ def _with_low_adhesion(
     of = partial(low_adhesion, layer=options.layer, probability=options.probability)
     rows = built(lambda: of(forecast, own, options.line), sources[0])
     profile = with_constraints(own.profile, own.segments, rows, "Low_Adhesion")
-    return profile, {"stretches_of_low_adhesion": len(rows)}
+    said: dict[str, object] = {"stretches_of_low_adhesion": len(rows)}
+    return profile, said | _dated(rows[0].start if rows else None, own)
+
+
+def _dated(time: datetime.datetime | None, journey: SferaJourney) -> dict[str, object]:
+    """The day of a result, where it is not the journey's."""
+    runs = re.search(r"\d{4}-\d\d-\d\d", journey.name)
+    if time is None or runs is None or (day := f"{time:%Y-%m-%d}") == runs[0]:
+        return {}
+    return {"dated": f"{day}, the journey is of {runs[0]}"}
 
 
 def _with_learned(sources: Sequence[Path], own: SferaJourney, _: SferaOptions) -> _Written:
@@ -524,8 +534,7 @@ def _write_reports(
         waits = [(each.time - first).total_seconds() / options.pace for each in reports]
         _publish(messages, waits, broker)
         said["published"] = len(messages)
-    day, runs = f"{reports[0].time:%Y-%m-%d}", own.name.rpartition(" ")[2]
-    return said if day == runs else said | {"dated": f"{day}, the journey is of {runs}"}
+    return said | _dated(reports[0].time, own)
 
 
 def _publish(messages: Sequence[bytes], waits: Sequence[float], broker: Publication) -> None:

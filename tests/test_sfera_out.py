@@ -214,6 +214,18 @@ def test_low_adhesion_is_stated_where_the_forecast_knows_it(wil, tmp_path):
     assert times == {None, "2026-05-17T00:00:00Z"}
 
 
+def test_a_forecast_for_another_day_is_named(wil, tmp_path):
+    """The journey is of 2026-05-17."""
+    given = wil, tmp_path / "low.xml", sfera.SferaOptions(layer="wet")
+    line, table = read_sfera(wil)[0].line.name, tmp_path / "forecast.csv"
+    for day, said in (("17", None), ("18", "2026-05-18, the journey is of 2026-05-17")):
+        table.write_text(
+            "line,layer,from [km],to [km],valid from,valid to,issued,quantile 0.05\n"
+            f"{line},wet,1.0,2.0,2026-05-{day}T04:00Z,2026-05-{day}T09:00Z,2026-05-16T00:00Z,0.06\n"
+        )
+        assert write_sfera([table], *given).get("dated") == said
+
+
 def test_a_forecast_by_conditions_asks_which_one(wil):
     (journey,) = read_sfera(wil)
     forecast = forecast_of(journey.line.name, [0.04, 0.05], ["wet", "dry"])
