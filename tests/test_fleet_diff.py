@@ -151,6 +151,17 @@ def adhesion() -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
+def test_evidence_that_one_side_alone_has_is_listed_by_trip(adhesion):
+    refused_all = outcomes_of(adhesion, refused=tuple(adhesion["key"]))
+    sides = (
+        Results(adhesion, outcomes_of(adhesion)),
+        Results(pd.DataFrame({"key": []}), refused_all),
+    )
+    found = compared(*SIDES, {"adhesion": sides})
+    assert found.verdicts["second"].tolist() == 2 * ["refused: too short"]
+    assert found.places.empty
+
+
 def test_a_place_of_the_map_that_moved_is_named(adhesion):
     def with_more_adhesion(data: bytes) -> bytes:
         """The same evidence, but for more adhesion at the onsets of 18 to 21 km."""
@@ -269,6 +280,12 @@ def test_parameters_that_change_the_bins_of_a_map(place, tmp_path, shell):
     [
         ("no-such-version", "no results of a version 'no-such-version'; it has results of: "),
         ("adhesion.bins=3", "has no parameter 'bins'; it has bin_length"),
+        (
+            "adhesion.bin_length=-5",
+            "adhesion.bin_length is -5; give a positive number, in SI units",
+        ),
+        ("adhesion.bin_length=x", "adhesion.bin_length is 'x'; give a positive number"),
+        ("resistance.speeds=30", "resistance.speeds is 30; give two numbers, as [5, 40]"),
     ],
 )
 def test_what_is_no_version_is_refused(place, side, message, shell):

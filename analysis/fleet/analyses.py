@@ -203,7 +203,7 @@ class FleetAnalysis:
         Raises
         ------
         InputError
-            If it has no such parameter.
+            If it has no such parameter, or the value is not a positive number, or a list of two.
 
         Examples
         --------
@@ -211,11 +211,21 @@ class FleetAnalysis:
         >>> ANALYSES["adhesion"].with_parameters(bin_length=50.0).parameters
         {'bin_length': 50.0}
         """
-        for name in parameters:
+        for name, value in parameters.items():
             if name not in self.parameters:
                 known = ", ".join(self.parameters) or "none"
                 raise InputError(
                     f"analysis '{self.name}' has no parameter '{name}'", remedy=f"it has {known}"
+                )
+            default = self.parameters[name]
+            given = [value] if default is not None else value if isinstance(value, list) else []
+            wrong = not all(isinstance(each, int | float) and 0 <= each < np.inf for each in given)
+            if value != default and (
+                wrong or not any(given) or len(given) != 1 + (default is None)
+            ):
+                numbers = "two numbers, as [5, 40]" if default is None else "a positive number"
+                raise InputError(
+                    f"{self.name}.{name} is {value!r}", remedy=f"give {numbers}, in SI units"
                 )
         return replace(self, parameters={**self.parameters, **parameters})
 

@@ -1039,7 +1039,11 @@ def _differences(
         "verdicts": verdicts,
         "words": pd.concat(words) if words else pd.DataFrame(),
     }
-    if "evidence" in left and not (left["evidence"] == right["evidence"]).all():
+    if (
+        "evidence" in left
+        and "evidence" in right
+        and not (left["evidence"] == right["evidence"]).all()
+    ):
         found["places"] = pd.DataFrame(moved_places(left, right))
     return found, defined
 
