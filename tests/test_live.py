@@ -208,6 +208,26 @@ def test_each_malformed_line_is_kept_with_its_reason_and_of_many_some(tmp_path):
     assert any("50 of them not kept in the log" in each for each in live.sentences())
 
 
+def test_reasons_that_hold_values_of_their_lines_are_bounded(tmp_path):
+    lines = [sample(0.1 * n, speed=f"{n} km/h") for n in range(50)]
+    late = b'{"topic": "/train/state", "time": "2027-13-28T00:00:00Z", "speed": 1}'
+    _, live = recorded(tmp_path / "live.mcap", [sample(0.0, speed=1.0), late, *lines])
+    assert (
+        live.malformed[
+            "time '2027-13-28T00:00:00Z' is not a time; write ISO 8601, or a number since 1970"
+        ]
+        == 1
+    )
+    assert live.malformed["other reasons"] == 41
+
+
+def test_nothing_is_driven_over_a_pause_of_the_stream(tmp_path):
+    """20 s at 20 m/s, one hour without data, 20 s more."""
+    times = [*np.arange(0.0, 20.0, 0.5), *np.arange(3_620.0, 3_640.0, 0.5)]
+    _, live = recorded(tmp_path / "live.mcap", [sample(each, speed=20.0) for each in times])
+    assert live.progress.distance == pytest.approx(2 * 19.5 * 20.0)
+
+
 def test_json_of_a_profile_has_the_profiles_units(tmp_path):
     profile = tmp_path / "bus.toml"
     profile.write_text(

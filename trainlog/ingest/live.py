@@ -301,6 +301,12 @@ FLUSH = 0.5
 MOST_KEPT = 1000
 """Malformed lines that are kept in the log; more are counted."""
 
+MOST_REASONS = 10
+"""Reasons for which malformed lines are counted apart; they may hold a value of the line."""
+
+LONGEST_STEP = 60.0
+"""Over longer pauses of a stream nothing counts as driven [s]."""
+
 
 class Progress:
     """How far a recording is.
@@ -333,7 +339,9 @@ class Progress:
         seconds, speed = time[known] / NANOSECONDS, frame["speed"].to_numpy()[known]
         driven, *last = self._driven.get(topic, (0.0, seconds[0], speed[0]))
         seconds, speed = np.append(last[0], seconds), np.append(last[1], speed)
-        driven += float(np.trapezoid(np.abs(speed), seconds))
+        passed = np.diff(seconds)
+        mean = 0.5 * (np.abs(speed[1:]) + np.abs(speed[:-1]))
+        driven += float(np.sum((mean * passed)[passed <= LONGEST_STEP]))
         self._driven[topic] = driven, float(seconds[-1]), float(speed[-1])
         self.speed = float(speed[-1])
 
@@ -629,7 +637,9 @@ class LiveIngest:
 
     def _refuse(self, each: Malformed) -> None:
         """Count a malformed line, and keep it in the log."""
-        self.malformed[each.reason.partition(":")[0]] += 1
+        reason = each.reason.partition(": ")[0]
+        known = reason in self.malformed or len(self.malformed) < MOST_REASONS
+        self.malformed[reason if known else "other reasons"] += 1
         if sum(self.malformed.values()) <= MOST_KEPT:
             text = each.text if len(each.text) <= LONGEST_TEXT else f"{each.text[:LONGEST_TEXT]} …"
             self._met.say(f"malformed line {each.row}: {each.reason}: {text}")
