@@ -143,6 +143,22 @@ def test_a_stream_on_standard_input_is_kept_as_it_came(tmp_path, monkeypatch, sh
     assert "exists already; choose another name" in " ".join(shell(*words[:-1])[2].split())
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_the_copy_of_the_stream_that_finds_no_space_is_named(tmp_path):
+    file = tmp_path / "in.jsonl"
+    file.write_bytes(sample(0.0, speed=1.0) + b"\n")
+    recording, live = LiveIngest.begun(tmp_path / "a.mcap", Given(None), LiveOptions())
+    with recording, GrowingFile(file) as source, Path("/dev/full").open("wb", buffering=0) as raw:
+        refused(
+            InputError,
+            "/dev/full: cannot be written: no space",
+            live.follow,
+            source,
+            raw=raw,
+            idle=0.1,
+        )
+
+
 def test_sentences_are_epochs_as_in_a_file(tmp_path):
     """Across midnight, with a damaged one between and GGA without a date."""
     pytest.importorskip("pynmeagps")

@@ -21,6 +21,7 @@ import pandas as pd
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, in_file
+from trainlog.formats.files import writing_error
 from trainlog.formats.sfera import SferaJourney
 from trainlog.ingest.clock import gap_beside, same_as_previous
 from trainlog.ingest.motion import MANY
@@ -519,6 +520,11 @@ class LiveIngest:
             Called as often, to show how far the recording is.
         raw : binary file, optional
             Where everything is written as it came.
+
+        Raises
+        ------
+        InputError
+            If that file cannot be written.
         """
         last, self._late = np.inf, int(source.late * NANOSECONDS)
         while True:
@@ -527,9 +533,11 @@ class LiveIngest:
             for block in blocks:
                 self.take(block, whole=source.whole)
                 if raw is not None:
-                    raw.write(block)
-                    if source.whole and self._lines and not block.endswith(b"\n"):
-                        raw.write(b"\n")
+                    ended = not source.whole or not self._lines or block.endswith(b"\n")
+                    try:
+                        raw.write(block if ended else block + b"\n")
+                    except OSError as error:
+                        raise writing_error(raw.name, error) from error
             self.flush(clock.time_ns())
             each()
             if blocks:
