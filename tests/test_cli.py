@@ -213,7 +213,7 @@ REFUSED = {
     "fit stopping.mcap -o x.json --per-trip file": "cannot be made",
     "ingest recorded.mcap -o .": "recorded.mcap: would be overwritten",
     "fit nonstop.mcap -o nonstop.mcap": "",
-    "fit nonstop.mcap -o missing/fit.json": "",
+    "fit nonstop.mcap -o nonstop.mcap/fit.json": "a folder is needed",
     "map update nonstop.mcap --map map": "",
     "estimate nonstop.mcap -o x --slips slips.txt": "not the name of a .csv file",
     "new line --name Aach-Berg -o x.line.toml": "a template states its own name; leave",
@@ -234,6 +234,18 @@ def test_what_cannot_be_done_is_refused_in_one_line(words, said, given, monkeypa
     assert complaint.startswith("trainlog: ")
     assert not re.search("Traceback|Input should|Value error|valid integer", complaint)
     assert state_of(given) == before
+
+
+def test_the_folder_of_a_file_is_made_and_goes_if_nothing_is_written(tmp_path, shell, works):
+    log, new = "sample_logs/nonstop.mcap", tmp_path / "new"
+    works("convert", log, "-o", new / "trips" / "part.mcap", "--to", "10s")
+    assert [each.name for each in (new / "trips").iterdir()] == ["part.mcap"]
+    for words in (
+        ("convert", log, "--km", "90:91", "-o", tmp_path / "none" / "part.mcap"),
+        ("compare", log, "--picture", tmp_path / "none" / "a.png", "--nothing"),
+    ):
+        assert shell(*words)[0] == 2
+        assert not (tmp_path / "none").exists()
 
 
 def test_a_damaged_log_is_reported_once_a_command(tmp_path, shell):

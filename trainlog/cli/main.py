@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 
 from trainlog import __version__
 from trainlog.cli.commands import INTERRUPTED, Words
+from trainlog.cli.options import FOLDERS
 from trainlog.cli.terminal import console, print_error, print_problems, print_warning
 from trainlog.errors import TrainlogError
 from trainlog.extras import naming_missing
@@ -54,7 +55,9 @@ def _main(
 def run(arguments: list[str]) -> int:
     """Run one command in this process and return its exit status; errors are raised."""
     command = typer.main.get_command(app)
-    return command.main(arguments, prog_name="trainlog", standalone_mode=False) or 0
+    with FOLDERS:
+        status: int = command.main(arguments, prog_name="trainlog", standalone_mode=False) or 0
+    return status
 
 
 def main() -> None:

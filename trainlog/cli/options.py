@@ -45,6 +45,7 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -100,6 +101,9 @@ class Written:
         """The file."""
         return destination(Path(given), self.suffix, self.other)
 
+
+FOLDERS = ExitStack()
+"""Those of the files that a command writes; one that was made and stays empty goes at its end."""
 
 POSITIVE = COUNT.between(1.0)
 """At least one."""
@@ -622,15 +626,20 @@ def refuse_rivals(why: str, given: Mapping[str, object], remedy: str = "") -> No
 
 
 def destination(path: Path, suffix: str, other: str = "") -> Path:
-    """A file to be written, checked before any work is done; it may end in another suffix, too."""
+    """A file to be written, checked before any work is done; it may end in another suffix, too.
+
+    Its folder is made if need be.
+    """
     if not path.suffix or path.suffix not in (suffix, other):
         wanted = " or ".join(filter(None, (suffix, other)))
         raise InputError(
             f"is not the name of a {wanted} file", file=path, remedy=f"end it in {wanted}"
         )
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        what = "is a folder" if path.is_dir() else "cannot be written: its folder does not exist"
-        raise InputError(what, file=path, remedy="name a file in a folder that exists")
+    from trainlog.formats.files import output_folder
+
+    if path.is_dir():
+        raise InputError("is a folder", file=path, remedy="name a file in it")
+    FOLDERS.enter_context(output_folder(path.absolute().parent))
     return path
 
 
