@@ -61,6 +61,9 @@ LETTERS = 130
 NARROW = 0.5
 """Share of a figure's width below which a chart has its legend inside."""
 
+LEGEND_LINE = 0.08
+"""Share of a panel of height 1 that a line of such a legend takes."""
+
 MOST_POINTS = 2_500
 """Of a curve in a chart, about: more than there are pixels show nothing more."""
 
@@ -704,6 +707,12 @@ def _draw_legend(axes: Axes, panel: Panel, share: float, known: set[str], above:
     if above and not inside:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 9 if cells else 4,
                  "fontsize": 8}  # fmt: skip
+    elif narrow and panel.limits is not None:
+        # Over what is drawn within fixed limits stands the legend, in space of its own.
+        low, high = panel.limits
+        taken = min(LEGEND_LINE * len(entries) / panel.height, 0.6)
+        axes.set_ylim(low, low + (high - low) / (1.0 - taken))
+        place["loc"] = "upper right"
     axes.legend(entries.values(), entries.keys(), frameon=False, **place)
 
 
@@ -773,8 +782,8 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
 
 
 def _short(name: str) -> str:
-    """A name as it fits into a picture."""
-    return _plain(name if len(name) <= 24 else f"{name[:23]}…")
+    """A name as it fits into a picture, less the middle of a long one: ends tell trains apart."""
+    return _plain(name if len(name) <= 30 else f"{name[:14]}…{name[-15:]}")
 
 
 def _plain(words: str) -> str:

@@ -19,7 +19,8 @@ import analysis
 import trainlog
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.condition_table import bins_table, line_table, sections_table
-from analysis.charts import draw
+from analysis.adhesion.map_plot import map_charts
+from analysis.charts import Chart, Panel, draw, figure_of
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError, MissingExtraError
@@ -326,3 +327,20 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(tmp_path, w
     shown = " ".join(works(*words, "--picture", tmp_path / "wet.png").split())
     assert "states no zone: taken for UTC" in shown
     assert (tmp_path / "wet.png").is_file()
+
+
+def test_the_legend_of_a_narrow_chart_stands_over_what_is_drawn():
+    """Of the detail of the lowest place of a map, by its limits."""
+    charts = map_charts(trainlog.read_map("sample_logs/CH_StGallen_Wil.map"))
+    figure = figure_of(charts)
+    figure.canvas.draw()
+    axes = next(each for each in figure.axes if each.get_ylabel() == "maximum adhesion")
+    box = axes.transData.inverted().transform(axes.get_legend().get_window_extent())
+    assert box[0, 1] > charts[1].panels[0].limits[1]
+
+
+def test_the_end_of_a_long_name_is_drawn_too():
+    rows = [f"CH_Stadler_FLIRT_TPF_{number} (12 trips)" for number in (1, 2)]
+    (axes,) = figure_of(Chart("", [Panel("", [], 1.0, rows=rows)])).axes
+    drawn = [each.get_text() for each in axes.get_yticklabels()]
+    assert [each[-12:] for each in drawn] == ["1 (12 trips)", "2 (12 trips)"]
