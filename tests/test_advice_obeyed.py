@@ -34,7 +34,7 @@ from analysis.trajectory.advice import (
     limits_of,
     write_journey_advice,
 )
-from analysis.trajectory.instructions import Phase
+from analysis.trajectory.instructions import Phase, instructions
 from trainlog import (
     Configuration,
     Line,
@@ -301,6 +301,23 @@ def test_who_obeys_to_the_letter_keeps_limits_time_and_stop(train, reserve):
     assert np.all(late < 0.1 * plan.running_time)  # freight slips at its start
     assert np.all(np.abs(stop) < 0.3)
     assert np.all(energy < 0.03)
+
+
+def test_who_coasts_over_hills_and_dips_does_not_drive_for_a_speed_of_the_next_one():
+    """For 17 km over four hills; between two of them it is faster than it will be on the next."""
+    line, train = read_line(sample("CH_StGallen_Wil.line.json")), TRAINS["freight"]
+    plan = optimised(line, train, observed(train, 1.15), reserve=0.4, cells=200)
+    row = next(each for each in instructions(plan, limits_of(plan, line)) if len(each.course) > 6)
+    assert row.phase is Phase.COASTING
+    assert row.end - row.position > 15e3
+    np.testing.assert_allclose(
+        np.interp(row.turns, plan.positions, plan.speeds[0]), row.course, atol=1e-6
+    )
+    follows = partial(AdvisedDriver, plan, line, train)
+    (scenario,) = trajectory_scenarios(plan, line, train, plan.chosen("all"), follows)
+    late, energy = outcome(scenario, drive(scenario))[:2]
+    assert -0.02 * plan.running_time < late < 0.03 * plan.running_time
+    assert abs(energy) < 0.05
 
 
 def test_a_person_is_further_off_than_who_obeys_to_the_letter():

@@ -8,6 +8,7 @@ configuration. Without reaction, dead band and error he follows the advice to th
 
 from __future__ import annotations
 
+import bisect
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -152,7 +153,6 @@ class AdvisedDriver:
         self._row, self._lever = self._rows[0], Lever()
         self._wanted: float | None = 0.0
         self._looked, self._stopping, self._arrived = -math.inf, False, False
-        self._turn, self._low = 0, False
 
     @property
     def finished(self) -> bool:
@@ -189,8 +189,7 @@ class AdvisedDriver:
             if each.position <= (soon if each.phase > Phase.COASTING else place) + 1e-6
         ]
         row = rows[-1] if rows else self._rows[0]
-        if row is not self._row:
-            self._row, self._turn, self._low = row, 0, False
+        self._row = row
         speed = max(seen.speed + self._error, 0.0)
         rolls = -self._needed(seen) / self._felt.inertia
         asked, most = self._asked(row, seen.position, speed), self._most(row, seen, speed)
@@ -214,26 +213,16 @@ class AdvisedDriver:
         if row.phase is Phase.CRUISING:
             return ahead
         if row.phase is Phase.COASTING:
-            short = self._lowest(row, speed) - self.attention.dead_band - 0.5 / KMH - speed
+            short = self._lowest(row, place) - self.attention.dead_band - 0.5 / KMH - speed
             return STARTING if short > 0.0 else None
         return ahead if off < 0.0 else None
 
-    def _lowest(self, row: Instruction, speed: float) -> float:
-        """Speed [m/s] below which a train that coasts does not fall, by the row at this stage."""
-        course = row.course
-        while self._turn + 1 < len(course):
-            here, following = course[self._turn : self._turn + 2]
-            if following > here:
-                if speed < 0.5 * (here + following) and self._turn + 2 < len(course):
-                    return 0.0
-            else:
-                last = self._turn + 2 == len(course)
-                after = following if last else course[self._turn + 2]
-                self._low |= speed < 0.5 * (following + after)
-                if last or not (self._low and speed > 0.5 * (following + after)):
-                    return following
-            self._turn, self._low = self._turn + 1, False
-        return 0.0
+    def _lowest(self, row: Instruction, place: float) -> float:
+        """Speed [m/s] below which a train that coasts does not fall, by the row at its place."""
+        turn = bisect.bisect_right(row.turns, place)
+        if not 0 < turn < len(row.turns) or row.course[turn] > row.course[turn - 1]:
+            return 0.0
+        return row.course[turn]
 
     def _most(self, row: Instruction, seen: Observation, speed: float) -> float:
         """The largest acceleration below the limits, and the speeds not to exceed of a row."""

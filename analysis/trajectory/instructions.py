@@ -206,6 +206,8 @@ class Instruction:
         Speeds between which it rises and falls, from the first to that at the end.
     caps : tuple of Cap
         Speeds not to exceed on the way.
+    turns : tuple of float [m]
+        Where it has the speeds of its course.
     """
 
     position: float
@@ -220,6 +222,7 @@ class Instruction:
     by: float
     course: tuple[float, ...] = ()
     caps: tuple[Cap, ...] = ()
+    turns: tuple[float, ...] = ()
 
     def words(self, line: Line | None = None) -> str:
         """The instruction as a driver reads it, in the operator's kilometres with the line."""
@@ -316,17 +319,18 @@ def limits_between(limits: StepProfile, first: float, last: float) -> list[Cap]:
     ]
 
 
-def _course(speeds: list[float]) -> tuple[float, ...]:
-    """Speeds between which it rises and falls by more than what is held [m/s]."""
-    found, last, way = [speeds[0]], speeds[0], 0.0
-    for speed in speeds[1:]:
-        if way * (speed - last) > 0.0:
-            last = speed
-        elif abs(speed - last) > HELD:
+def _course(speeds: list[float]) -> list[int]:
+    """The speeds between which it rises and falls by more than what is held, by their numbers."""
+    found, last, way = [0], 0, 0.0
+    for number, speed in enumerate(speeds[1:], 1):
+        if way * (speed - speeds[last]) > 0.0:
+            last = number
+        elif abs(speed - speeds[last]) > HELD:
             found += [last] if way else []
-            last, way = speed, speed - last
+            last, way = number, speed - speeds[last]
     found += [last] if way else []
-    return tuple(found if found[-1] == speeds[-1] else [*found, speeds[-1]])
+    end = len(speeds) - 1
+    return found if speeds[found[-1]] == speeds[end] else [*found, end]
 
 
 def _km(line: Line | None, position: float) -> str:
@@ -476,6 +480,7 @@ class _Plan:
             target = most = follows
         elif drives:
             most = float(self._limit(self.places[[end - 1]], self.places[[end]])[0])
+        course = _course(inside.tolist())
         found = Instruction(
             float(self.places[start]),
             float(self.places[end]),
@@ -487,7 +492,8 @@ class _Plan:
             float(inside.min()),
             float(inside.max()),
             self._by(start, end, target) if phase > Phase.COASTING else float(self.places[end]),
-            _course(inside.tolist()),
+            tuple(inside[course].tolist()),
+            turns=tuple(self.places[start : end + 1][course].tolist()),
         )
         return replace(found, caps=tuple(self._caps(found, after, fastest)))
 
