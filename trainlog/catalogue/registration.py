@@ -24,13 +24,13 @@ import sqlalchemy as sa
 from trainlog.catalogue.database import Database, files, results, trip_edges, trips
 from trainlog.catalogue.querying import conditions
 from trainlog.display import counted
-from trainlog.errors import InputError, LogError, TrainlogError
+from trainlog.errors import InputError, LogError, TrainlogError, in_file
 from trainlog.formats.files import logs_below, sha256_of
 from trainlog.formats.railway import travelled_line
 from trainlog.identity import COLUMNS, Known, TripIdentity, identity_of, same_drives
 from trainlog.mcap.contents import Contents, MisplacedError, check_data_section, contents_used
 from trainlog.mcap.reader import bare_trip, check_readable, position_span
-from trainlog.mcap.records import Source, in_file
+from trainlog.mcap.records import Source
 from trainlog.mcap.tables import frames_in
 from trainlog.presentation import Column, Presented, WordTable, new_table
 from trainlog.processes import in_processes

@@ -28,7 +28,7 @@ from trainlog.cli.options import (
 )
 from trainlog.cli.terminal import console, print_error, say, show, state, wrote
 from trainlog.display import counted
-from trainlog.errors import InputError, TrainlogError
+from trainlog.errors import InputError, TrainlogError, in_file
 from trainlog.progress import task, track
 from trainlog.units import SPEED
 
@@ -146,7 +146,6 @@ def compare_calculated(
     """
     from analysis.charts import draw
     from analysis.comparison.calculated import judged_together, together_words
-    from trainlog.mcap.records import in_file
 
     predicted, trips = _model(model), logs_in(logs)
     names = [log.stem for log in trips]

@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import FloatArray, IntArray, UintArray
 from trainlog.errors import InputError, LogError
-from trainlog.mcap.records import MESSAGE, RECORD_HEAD, shown, unusable
+from trainlog.mcap.records import MESSAGE, RECORD_HEAD, shown, unusable, windows
 from trainlog.topics import EVENTS, RECORDED, TOPICS, Field, Interpolation, Topic, recorded_topic
 
 SEQUENCE, LOG_TIME, PUBLISH_TIME = "#sequence", "#log_time", "#publish_time"
@@ -142,14 +142,14 @@ def gather(buffer: bytes, offsets: NDArray[np.integer], form: Layout) -> NDArray
         # They follow each other and fill the chunk.
         rows = np.frombuffer(buffer, dtype=form.record)
     else:
-        rows = _windows(buffer, form.size)[offsets].view(form.record)
+        rows = windows(buffer, form.size)[offsets].view(form.record)
     return rows if form.matches(rows) else None
 
 
 def scatter(rows: NDArray[np.void], buffer: bytearray | memoryview, offsets: IntArray) -> None:
     """Put the records at `offsets` of a chunk that is being built."""
     size = rows.dtype.itemsize
-    _windows(buffer, size)[offsets] = rows.view(f"V{size}")
+    windows(buffer, size)[offsets] = rows.view(f"V{size}")
 
 
 def varint(number: int) -> bytes:
@@ -160,11 +160,6 @@ def varint(number: int) -> bytes:
         number >>= 7
     encoded.append(number)
     return bytes(encoded)
-
-
-def _windows(buffer: bytes | bytearray | memoryview, size: int) -> NDArray[np.void]:
-    """Every window of `size` bytes: indexing it copies whole messages, wherever they start."""
-    return np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer, 0, (1,))
 
 
 # --------------------------------------------------------------------------------------- codecs
@@ -348,19 +343,15 @@ def table_of(frame: pd.DataFrame, names: Sequence[str]) -> FloatArray:
     table = np.full((len(names), len(frame)), np.nan)
     for row, name in zip(table, names, strict=True):
         if name in frame:
-            row[:] = _doubles(frame, name)
+            try:
+                row[:] = frame[name].to_numpy(dtype=np.float64, na_value=np.nan)
+            except (TypeError, ValueError) as error:
+                raise LogError(
+                    f"column {name} holds something that is not a number",
+                    place=frame.attrs.get("topic"),
+                    remedy="give numbers in SI units, NaN where there is none",
+                ) from error
     return table
-
-
-def _doubles(frame: pd.DataFrame, column: str) -> FloatArray:
-    try:
-        return frame[column].to_numpy(dtype=np.float64, na_value=np.nan)
-    except (TypeError, ValueError) as error:
-        raise LogError(
-            f"column {column} holds something that is not a number",
-            place=frame.attrs.get("topic"),
-            remedy="give numbers in SI units, NaN where there is none",
-        ) from error
 
 
 def accuracies(

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 from mcap.records import Chunk
 
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, in_file
 from trainlog.formats.files import atomic_write, check_kept, sha256_of
 from trainlog.formats.trip_tables import (
     CsvTripIndex,
@@ -41,7 +41,6 @@ from trainlog.mcap.records import (
     attachment_at,
     checksum,
     fills,
-    in_file,
     index_of,
     nothing_of,
     opened,
@@ -127,7 +126,13 @@ def convert(
     Counter({'/gnss/fix': 5379})
     """
     source, target = Path(source), Path(target)
-    _check_target(source, target)
+    if target.suffix not in WRITERS:
+        raise InputError(
+            "is not the name of a log, a measurement file, or a folder of Parquet or CSV files",
+            file=target,
+            remedy="end it in .mcap, .mf4, .parquet or .csv",
+        )
+    check_kept([source], target)
     done = Converted()
     pieces = _pieces(source, target, topics, time, position, done.left_out)
     with WRITERS[target.suffix](target) as writer:
@@ -164,16 +169,6 @@ def span_of(source: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
         return (trip.start, trip.end) if any(map(len, trip.topics.values())) else None
     found = describe(source)
     return None if found.first is None or found.last is None else (found.first, found.last)
-
-
-def _check_target(source: Path, target: Path) -> None:
-    if target.suffix not in WRITERS:
-        raise InputError(
-            "is not the name of a log, a measurement file, or a folder of Parquet or CSV files",
-            file=target,
-            remedy="end it in .mcap, .mf4, .parquet or .csv",
-        )
-    check_kept([source], target)
 
 
 def _pieces(
@@ -281,10 +276,7 @@ class Merged:
 
 
 def merge(
-    sources: Sequence[str | Path],
-    target: str | Path,
-    *,
-    prefer: str | Path | None = None,
+    sources: Sequence[str | Path], target: str | Path, *, prefer: str | Path | None = None
 ) -> Merged:
     """Write logs of one trip as one log, in the order of time; whole or not at all.
 
@@ -327,7 +319,14 @@ def merge(
     _check(paths, Path(target), prefer)
     done = Merged()
     for path in paths:
-        _check_ours(describe(path))
+        held = describe(path)
+        if held.schema_version is None or held.foreign:
+            named = f", with {', '.join(held.foreign[:4])}" if held.foreign else ""
+            raise LogError(
+                f"is a log of another program{named}",
+                file=path,
+                remedy="'trainlog ingest' makes a trip of it",
+            )
     trips = {path: read_log(path) for path in paths}
     about = _joined([*trips.values()], paths, done.notes)
     first = [] if prefer is None else [Path(prefer)]
@@ -349,17 +348,6 @@ def _check(paths: list[Path], target: Path, prefer: str | Path | None) -> None:
     check_kept(paths, target)
     if prefer is not None and Path(prefer) not in paths:
         raise InputError(f"'{prefer}' is not one of the logs", remedy="prefer one of those named")
-
-
-def _check_ours(description: LogDescription) -> None:
-    others = description.foreign
-    if description.schema_version is None or others:
-        named = f", with {', '.join(others[:4])}" if others else ""
-        raise LogError(
-            f"is a log of another program{named}",
-            file=description.path,
-            remedy="'trainlog ingest' makes a trip of it",
-        )
 
 
 def _joined(trips: list[Trip], paths: list[Path], notes: list[str]) -> Trip:
@@ -533,20 +521,16 @@ def recover(path: str | Path, output: str | Path) -> Account:
             sink.finish()
             stream.flush()
             if topic_channels(contents):
-                with in_file(path):
-                    _check_reads(temporary)
+                try:
+                    for _ in stream_log(temporary, rows=ROWS):
+                        pass
+                except LogError as error:
+                    raise LogError(
+                        f"what is readable of it makes no log: {error.problem}",
+                        file=path,
+                        remedy=error.remedy,
+                    ) from error
     return account
-
-
-def _check_reads(path: Path) -> None:
-    """Raise a LogError if a rebuilt log of trainlog cannot be read."""
-    try:
-        for _ in stream_log(path, rows=ROWS):
-            pass
-    except LogError as error:
-        raise LogError(
-            f"what is readable of it makes no log: {error.problem}", remedy=error.remedy
-        ) from error
 
 
 def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Sink) -> None:
@@ -597,17 +581,13 @@ def _chunk(source: Source, place: ChunkPlace) -> tuple[Chunk, Index]:
         index = index_of(content, place.offset)
     kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
     if place.loose or len(kept) < len(index):
-        return _only(content, kept)
+        # Nothing but the messages that the index lists, in the order they had.
+        view = memoryview(content)
+        data = b"".join(
+            view[at : at + RECORD_HEAD + int.from_bytes(view[at + 1 : at + RECORD_HEAD], "little")]
+            for at in sorted(int(at) for entries in kept.values() for at in entries[:, 1])
+        )
+        seconds = [time for entries in kept.values() for time in entries[:, 0].tolist()]
+        return packed(data, min(seconds, default=0), max(seconds, default=0)), index_of(data, 0)
     times = {"message_start_time": place.start, "message_end_time": place.end}
     return replace(chunk, **times, uncompressed_crc=checksum(content)), kept
-
-
-def _only(content: bytes, index: Index) -> tuple[Chunk, Index]:
-    """A chunk of nothing but the messages that the index lists, in the order they had."""
-    view = memoryview(content)
-    data = b"".join(
-        view[at : at + RECORD_HEAD + int.from_bytes(view[at + 1 : at + RECORD_HEAD], "little")]
-        for at in sorted(int(at) for entries in index.values() for at in entries[:, 1])
-    )
-    times = [time for entries in index.values() for time in entries[:, 0].tolist()]
-    return packed(data, min(times, default=0), max(times, default=0)), index_of(data, 0)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,24 +17,17 @@ from mcap.records import Channel
 
 from trainlog.arrays import UintArray
 from trainlog.display import counted, in_brief
-from trainlog.errors import LogError, TrainlogError
+from trainlog.errors import LogError, TrainlogError, in_file
 from trainlog.formats.files import sha256
 from trainlog.formats.railway import travelled_line
 from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, contents_used, index_in
 from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, position_span, read_log
-from trainlog.mcap.records import (
-    FORMAT_RECORD,
-    PROVENANCE_RECORD,
-    TRIP_RECORD,
-    Account,
-    Source,
-    in_file,
-)
+from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Account, Source
 from trainlog.presentation import Presented, WordTable, facts_table, new_table
 from trainlog.railway.line import Line, in_km
-from trainlog.topics import EVENTS, RECORDED, TOPICS, TRAIN_STATE, Field
-from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.topics import EVENTS, RECORDED, TOPICS, TRAIN_STATE, column_field
+from trainlog.trip import LINE_ATTACHMENT
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
@@ -284,7 +277,11 @@ def describe(path: str | Path) -> LogDescription:
     """
     with Source(path) as source, in_file(path):
         contents, (span, refusal) = contents_used(source, lambda found: _span(source, found))
-        trip, problem = _trip(source, contents)
+        trip = line = None
+        try:
+            trip, problem = bare_trip(source, contents), refusal
+        except LogError as error:
+            problem = str(error)
         records = metadata_of(contents)
         found = _intervals(source, contents)
         topics = tuple(
@@ -297,8 +294,11 @@ def describe(path: str | Path) -> LogDescription:
                 AttachmentDescription(each.name, each.media_type, len(each.data), sha256(each.data))
             )
             lines += [each.data] * (each.name == LINE_ATTACHMENT)
+        if lines:
+            backwards = records.get(TRIP_RECORD, {}).get("direction") == "reverse"
+            with suppress(TrainlogError):
+                line = travelled_line(lines[-1], backwards)
     account = contents.account
-    problem = problem or refusal
     if not account.whole:
         first = account.losses[0]
         problem = f"byte {first.start}: {first.reason}"
@@ -317,16 +317,8 @@ def describe(path: str | Path) -> LogDescription:
         compression=tuple(sorted({chunk.compression for chunk in contents.chunks})),
         stored_size=sum(chunk.stored for chunk in contents.chunks),
         content_size=sum(chunk.size for chunk in contents.chunks),
-        line=_travelled(lines[-1], records) if lines else None,
+        line=line,
     )
-
-
-def _travelled(data: bytes, records: dict[str, dict[str, str]]) -> Line | None:
-    """The line attached to a log in the direction of travel; None if it cannot be read."""
-    try:
-        return travelled_line(data, records.get(TRIP_RECORD, {}).get("direction") == "reverse")
-    except TrainlogError:
-        return None
 
 
 def _span(source: Source, contents: Contents) -> tuple[tuple[float, float] | None, str | None]:
@@ -335,14 +327,6 @@ def _span(source: Source, contents: Contents) -> tuple[tuple[float, float] | Non
         return position_span(source, contents, TRAIN_STATE.name), None
     except MisplacedError:
         raise
-    except LogError as error:
-        return None, str(error)
-
-
-def _trip(source: Source, contents: Contents) -> tuple[Trip | None, str | None]:
-    """The trip without its topics, or the problem that reading the file meets."""
-    try:
-        return bare_trip(source, contents), None
     except LogError as error:
         return None, str(error)
 
@@ -505,17 +489,10 @@ def recorded_fields(description: LogDescription) -> dict[str, frozenset[str]]:
     for span in spans:
         for name, frame in read_log(description.path, time=span).topics.items():
             held = {str(column) for column in frame.columns[frame.notna().any()]}
-            fields = TOPICS[name].fields if name in TOPICS else ()
-            known = {each.name for each in fields if _holds(each, held)}
-            found[name] = found.get(name, frozenset()) | (known if fields else held)
+            if name in TOPICS:
+                held = {column_field(TOPICS[name], column).name for column in held}
+            found[name] = found.get(name, frozenset()) | held
     return found
-
-
-def _holds(field: Field, columns: set[str]) -> bool:
-    """Whether one of the columns is of a field; those of several axles end in their numbers."""
-    if not field.each:
-        return field.name in columns
-    return any(re.fullmatch(rf"{field.name}_\d+", each) for each in columns)
 
 
 # -------------------------------------------------------------------------------- for a terminal

@@ -32,7 +32,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from trainlog.arrays import IntArray
 from trainlog.display import few
-from trainlog.errors import LogError
+from trainlog.errors import LogError, in_file
 from trainlog.extras import load
 from trainlog.mcap.contents import (
     Contents,
@@ -48,7 +48,6 @@ from trainlog.mcap.records import (
     RECORD_HEAD,
     Account,
     Source,
-    in_file,
     index_of,
     opened,
     shown,
@@ -259,7 +258,11 @@ class _Column:
             for kind, nullable in _WHOLE if self.kinds != {bool} else _FLAGS:
                 with suppress(OverflowError):
                     whole = np.array(self.values, dtype=kind)
-                    return whole if len(rows) == count else _nullable(whole, rows, count, nullable)
+                    if len(rows) == count:
+                        return whole
+                    column: Any = pd.array([pd.NA] * count, dtype=nullable)
+                    column[rows] = whole
+                    return column
         values = np.full(count, np.nan)
         try:
             values[rows] = np.array(self.values, dtype=np.float64)
@@ -278,13 +281,6 @@ class _Column:
 _WHOLE: tuple[tuple[Any, Any], ...] = ((np.int64, "Int64"), (np.uint64, "UInt64"))
 _FLAGS: tuple[tuple[Any, Any], ...] = ((np.bool_, "boolean"),)
 """Kinds of whole numbers and flags, and those with absent values, which leave them exact."""
-
-
-def _nullable(values: Any, rows: IntArray, count: int, kind: Any) -> Any:
-    """A column of `count` rows with the values at some and NA at the others."""
-    column: Any = pd.array([pd.NA] * count, dtype=kind)
-    column[rows] = values
-    return column
 
 
 def _as_float(value: int | float) -> float:
@@ -607,10 +603,7 @@ _REPEATED = 3
 
 Dialect = Literal["ros1", "ros2"]
 
-_ALIASES = {
-    "ros1": {"byte": "int8", "char": "uint8"},
-    "ros2": {"byte": "uint8", "char": "uint8"},
-}
+_ALIASES = {"ros1": {"byte": "int8", "char": "uint8"}, "ros2": {"byte": "uint8", "char": "uint8"}}
 
 _BUILT_IN = {
     "ros1": {

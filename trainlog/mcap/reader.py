@@ -20,7 +20,7 @@ import numpy as np
 from mcap.records import Attachment, Metadata
 
 from trainlog.display import few
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, in_file
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.codec import Range, decoded, range_of
 from trainlog.mcap.contents import (
@@ -46,7 +46,6 @@ from trainlog.mcap.records import (
     Loss,
     Source,
     attachment_at,
-    in_file,
     shown,
     unusable,
 )

@@ -31,10 +31,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog.arrays import IntArray
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, in_file
 from trainlog.formats.files import writing_error
 from trainlog.mcap.codec import HIGHEST_LEVEL
-from trainlog.mcap.records import RECORDING_RECORD, in_file
+from trainlog.mcap.records import RECORDING_RECORD
 from trainlog.mcap.writer import (
     Sink,
     declared,

@@ -11,7 +11,6 @@ import struct
 import threading
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -35,6 +34,7 @@ from mcap.records import (
     Schema,
     Statistics,
 )
+from numpy.typing import NDArray
 
 from trainlog.arrays import UintArray
 from trainlog.display import counted
@@ -300,15 +300,6 @@ def shown(text: str) -> str:
     """A text from a file, for a message: on one line, of bounded length, in quotes."""
     cut = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
     return repr(cut)
-
-
-@contextmanager
-def in_file(path: str | Path) -> Iterator[None]:
-    """Name the file in any LogError that the block raises."""
-    try:
-        yield
-    except LogError as error:
-        raise LogError(error.problem, file=path, place=error.place, remedy=error.remedy) from error
 
 
 class Source:
@@ -711,6 +702,11 @@ def gone_through(content: bytes, offset: int) -> tuple[Index, list[Schema | Chan
     return index, declared
 
 
+def windows(buffer: bytes | bytearray | memoryview, size: int) -> NDArray[np.void]:
+    """Every window of `size` bytes: indexing it copies whole messages, wherever they start."""
+    return np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer, 0, (1,))
+
+
 def fills(content: bytes, index: Index) -> bool:
     """Whether the messages that an index lists follow each other and fill a chunk's content."""
     if not index:
@@ -721,10 +717,7 @@ def fills(content: bytes, index: Index) -> bool:
     channel, time, start = channel[order], time[order], start[order]
     if not len(start) or start[0] or int(start[-1]) > len(content) - MESSAGE.size:
         return False
-    # Every window of the content that is as long as a message's head.
-    size = _HEAD.itemsize
-    windows = np.ndarray((len(content) - size + 1,), f"V{size}", content, 0, (1,))
-    rows = windows[start.astype(np.int64)].view(_HEAD)
+    rows = windows(content, _HEAD.itemsize)[start.astype(np.int64)].view(_HEAD)
     return bool(
         np.array_equal(start + rows["length"] + RECORD_HEAD, np.append(start[1:], len(content)))
         and np.all(rows["length"] >= MESSAGE.size - RECORD_HEAD)

@@ -211,10 +211,7 @@ class _Table:
 
 
 def frames_in(
-    source: Source,
-    contents: Contents,
-    chunks: Sequence[ChunkPlace],
-    columns: Wanted,
+    source: Source, contents: Contents, chunks: Sequence[ChunkPlace], columns: Wanted
 ) -> dict[str, pd.DataFrame]:
     """The frames of some topics as far as the chunks hold them, in the order of the table.
 

@@ -45,7 +45,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from trainlog.arrays import IntArray, UintArray
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, in_file
 from trainlog.formats.files import atomic_write, check_kind, check_written
 from trainlog.mcap.codec import (
     SEQUENCE,
@@ -68,7 +68,6 @@ from trainlog.mcap.records import (
     TRIP_RECORD,
     Index,
     checksum,
-    in_file,
 )
 from trainlog.topics import (
     EVENTS,
@@ -545,7 +544,12 @@ class LogWriter:
         """Write the chunks that are full; if these are the last messages, all."""
         chunks = parts_of(list(self._pending.values()))
         if self._sink is None and (chunks or last):
-            self._sink = self._opened(self._file)
+            # What explains the file comes first, so that a cut file still has it.
+            streams = self._pending.values()
+            start = min((int(each.time[0]) for each in streams if len(each.time)), default=0)
+            self._sink = Sink(self._file)
+            explained = [*(each.schema for each in streams), *(each.channel for each in streams)]
+            self._sink.explain(explained, self._described or {}, self._attachments, start)
         if self._sink is None:
             return
         self._sink.declare(*declared(self._pending.values()))
@@ -564,15 +568,6 @@ class LogWriter:
             if later:
                 self._sink.put_metadata(PROVENANCE_RECORD, later)
             self._sink.finish()
-
-    def _opened(self, file: BinaryIO) -> Sink:
-        """The file begun: what explains it comes first, so that a cut file still has it."""
-        streams = self._pending.values()
-        start = min((int(each.time[0]) for each in streams if len(each.time)), default=0)
-        sink = Sink(file)
-        explained = [*(each.schema for each in streams), *(each.channel for each in streams)]
-        sink.explain(explained, self._described or {}, self._attachments, start)
-        return sink
 
 
 def declared(streams: Iterable[Stream]) -> Iterator[Schema | Channel]:
