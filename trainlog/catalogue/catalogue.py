@@ -50,10 +50,7 @@ _DEFAULT = "catalogue"
 
 
 def open_catalogue(
-    where: str | Path | None = None,
-    *,
-    results: str | Path | None = None,
-    create: bool = True,
+    where: str | Path | None = None, *, results: str | Path | None = None, create: bool = True
 ) -> Catalogue:
     """Open the catalogue of a fleet; a new one is made where there is none.
 
@@ -282,9 +279,7 @@ def _columns_of(connection: duckdb.DuckDBPyConnection, statement: str) -> frozen
 
 @contextmanager
 def _connection(
-    database: Database,
-    analyses: dict[str, str],
-    tables: list[str],
+    database: Database, analyses: dict[str, str], tables: list[str]
 ) -> Iterator[duckdb.DuckDBPyConnection]:
     """A connection with some tables; those of the database are without rows."""
     import duckdb

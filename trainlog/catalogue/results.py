@@ -413,12 +413,7 @@ class Computed(Database):
             rows = connection.execute(asked.order_by(trips.c.key)).all()
         return pd.DataFrame(columns_of(rows, ["key", "sha256", "path", "name"]), dtype=object)
 
-    def standing(
-        self,
-        of: Computation | str,
-        *,
-        where: str | None = None,
-    ) -> dict[str, int]:
+    def standing(self, of: Computation | str, *, where: str | None = None) -> dict[str, int]:
         """How many trips of an analysis are ``done``, ``refused``, ``failed`` and ``pending``.
 
         Parameters are those of `pending`.
@@ -497,10 +492,7 @@ class Computed(Database):
             return set(connection.execute(left.where(own)).scalars())
 
     def record(
-        self,
-        of: Computation,
-        outcomes: Sequence[ResultOutcome],
-        table: pa.Table | None = None,
+        self, of: Computation, outcomes: Sequence[ResultOutcome], table: pa.Table | None = None
     ) -> int:
         """Keep what was computed of a batch of trips: the table first, then all rows at once.
 
@@ -578,12 +570,7 @@ class Computed(Database):
             connection.execute(sa.insert(results), rows)
             return len(rows)
 
-    def results(
-        self,
-        of: Computation | str,
-        *,
-        where: str | None = None,
-    ) -> pd.DataFrame:
+    def results(self, of: Computation | str, *, where: str | None = None) -> pd.DataFrame:
         """The tables of all trips together, in the order of trip, with what is known of these.
 
         Parameters

@@ -87,18 +87,10 @@ class Chart:
         return np.asarray(scaled)
 
     def strips(
-        self,
-        recording: Any,
-        entity: str,
-        parts: Sequence[FloatArray],
-        colour: Colour,
-        width: float,
+        self, recording: Any, entity: str, parts: Sequence[FloatArray], colour: Colour, width: float
     ) -> None:
         """Draw lines through latitudes and longitudes, (n, 2) each, for all times."""
-        style = {
-            "radii": rr.Radius.ui_points(width),
-            "colors": np.array([colour], dtype=np.uint8),
-        }
+        style = {"radii": rr.Radius.ui_points(width), "colors": np.array([colour], dtype=np.uint8)}
         if self.tiles:
             send_static(recording, entity, rr.GeoLineStrings(lat_lon=list(parts), **style))
             return
@@ -536,8 +528,14 @@ def draw_lanes(recording: Any, root: str, line: Line | None, clock: Clock) -> se
     places, names = _kilometre_blocks(line, *clock.covered)
     _send_lane(recording, f"{root}/kilometre", passages(clock, places), names, KILOMETRES)
     if line is not None and len(line.stations) > 1:
-        sections, titles = _section_blocks(line, *clock.covered)
-        _send_lane(recording, f"{root}/section", passages(clock, sections), titles, SECTIONS)
+        first, last = clock.covered
+        stations = np.sort([station.position for station in line.stations])
+        row, end = section_of(stations, np.array([first, last - 1e-6]))
+        rows = np.arange(row, end + 1)
+        titles = section_names(line)
+        names = [titles[each + 1] for each in rows]
+        sections = np.maximum(stations[np.maximum(rows, 0)], first)
+        _send_lane(recording, f"{root}/section", passages(clock, sections), names, SECTIONS)
         drawn.add("section")
     return drawn
 
@@ -555,16 +553,6 @@ def _kilometre_blocks(line: Line | None, first: float, last: float) -> tuple[Flo
     if ends[0] - first < SHORTEST_NAMED * 1e3 * length and len(names) > 1:
         names[0] = ""
     return places[begins], names
-
-
-def _section_blocks(line: Line, first: float, last: float) -> tuple[FloatArray, list[str]]:
-    stations = sorted(line.stations, key=lambda station: station.position)
-    places = np.array([station.position for station in stations])
-    row = section_of(places, np.array([first]))[0]
-    end = section_of(places, np.array([last - 1e-6]))[0]
-    rows = np.arange(row, end + 1)
-    names = section_names(line)
-    return np.maximum(places[np.maximum(rows, 0)], first), [names[each + 1] for each in rows]
 
 
 def section_names(line: Line) -> list[str]:
@@ -707,8 +695,8 @@ def speed_of(piece: Trip) -> tuple[Nanoseconds, FloatArray] | None:
 
 TRACK: Colour = (95, 100, 115)
 STATION: Colour = (160, 160, 160)
-SECOND, OUTAGE = NANOSECONDS, 15_000_000_000
-"""A second, and how long fixes are missing until the line along them is interrupted [ns]."""
+OUTAGE = 15_000_000_000
+"""How long fixes are missing until the line along them is interrupted [ns]."""
 
 TRACK_WIDTH, STATION_SIZE = 2.5, 6.0
 """Half width of the track and radius of a station on the map, in points."""
@@ -736,7 +724,7 @@ def fixed_path(time: Nanoseconds, fixes: FloatArray) -> list[FloatArray]:
 
 def each_second(time: Nanoseconds) -> IntArray:
     """Index of the first instant [ns] of each second: often enough to see a train move."""
-    return np.asarray(np.unique(time // SECOND, return_index=True)[1])
+    return np.asarray(np.unique(time // NANOSECONDS, return_index=True)[1])
 
 
 def draw_trajectory(recording: Any, trajectory: Trajectory, start: int) -> None:

@@ -152,13 +152,18 @@ def blueprint(trips: Sequence[Shown], contents: Contents, view: str | None = Non
             remedy=f"they have the views {', '.join(views)}",
         )
     tabs = [views[name] for name in VIEWS if name in views]
+    # Trips lie over each other by position; one alone, or one after the other, run in time.
+    several = len(trips) > 1
+    timeline = ELAPSED if several else TIME
+    if shown == "map" or (shown == "overview" and several):
+        timeline = POSITION
     made = rrb.Blueprint(
         rrb.Tabs(*tabs, active_tab=list(views).index(shown)),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(
             state="collapsed",
-            timeline=_timeline(trips, shown),
+            timeline=timeline,
             playback_speed=PLAYBACK_SPEED,
             fps=PLAYBACK_POSITION,
             play_state="following" if contents.live else "paused",
@@ -177,14 +182,6 @@ def check_view(view: str) -> None:
     """
     if view not in VIEWS:
         raise InputError(f"there is no view '{view}'", remedy=f"views are {', '.join(VIEWS)}")
-
-
-def _timeline(trips: Sequence[Shown], view: str) -> str:
-    """Trips lie over each other by position; one alone, or one after the other, run in time."""
-    several = len(trips) > 1
-    if view == "map" or (view == "overview" and several):
-        return POSITION
-    return ELAPSED if several else TIME
 
 
 def _views(trips: Sequence[Shown], contents: Contents) -> dict[str, Any]:

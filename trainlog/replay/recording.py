@@ -356,9 +356,7 @@ def _distinct(names: Sequence[str]) -> list[str]:
 
 
 def _lines(
-    surveys: Sequence[Survey],
-    trajectory: Trajectory | None,
-    condition: TrackConditionMap | None,
+    surveys: Sequence[Survey], trajectory: Trajectory | None, condition: TrackConditionMap | None
 ) -> list[int]:
     """Which is the first trip on each line; refuses trajectory or map of another line."""
     found: dict[str, int] = {}

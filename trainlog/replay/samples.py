@@ -108,12 +108,7 @@ COLOURS: dict[str, Colour] = {
 }
 """Of each kind of curve (`trainlog.topics.Drawn`)."""
 
-AXLES: tuple[Colour, ...] = (
-    (90, 180, 240),
-    (245, 160, 50),
-    (0, 200, 140),
-    (225, 130, 205),
-)
+AXLES: tuple[Colour, ...] = ((90, 180, 240), (245, 160, 50), (0, 200, 140), (225, 130, 205))
 TRIPS: tuple[Colour, ...] = (
     *AXLES,
     COLOURS["estimated"],
@@ -394,7 +389,9 @@ def shown_values(curve: Curve, trip: Trip) -> FloatArray | None:
     if curve.topic.name not in trip or trip[curve.topic.name].empty:
         return None
     frame = trip[curve.topic.name]
-    names = _columns(curve, frame)
+    names = list(curve.fields)
+    if curve.per_axle:
+        names = [name for name in frame.columns if name.startswith(f"{names[0]}_")]
     if not names:
         return None
     values = _block(frame, names) * curve.scales + curve.offsets
@@ -437,9 +434,7 @@ def thinned(points: Samples) -> Samples:
     every = points.ordinates if variances is None else np.hstack((points.ordinates, variances))
     kept = changes(every)
     return Samples(
-        points.time[kept],
-        points.ordinates[kept],
-        None if variances is None else variances[kept],
+        points.time[kept], points.ordinates[kept], None if variances is None else variances[kept]
     )
 
 
@@ -516,13 +511,6 @@ def _pulls(frame: pd.DataFrame) -> tuple[FloatArray, ...]:
     return tuple(each.to_numpy(dtype=np.float64) for each in (full["lever"], demand, given))
 
 
-def _columns(curve: Curve, frame: pd.DataFrame) -> list[str]:
-    if not curve.per_axle:
-        return list(curve.fields)
-    prefix = f"{curve.fields[0]}_"
-    return [name for name in frame.columns if name.startswith(prefix)]
-
-
 def _block(frame: pd.DataFrame, names: list[str]) -> FloatArray:
     """Columns side by side; those that an older log does not have are unknown."""
     return frame.reindex(columns=names).to_numpy(dtype=np.float64)
@@ -543,10 +531,7 @@ def send_static(recording: Any, entity: str, what: Any) -> None:
 
 
 def send_rows(
-    recording: Any,
-    entity: str,
-    instants: Instants,
-    columns: Callable[[slice], Any],
+    recording: Any, entity: str, instants: Instants, columns: Callable[[slice], Any]
 ) -> None:
     """Send the rows of an entity; `columns` makes Rerun's columns of a slice of them."""
     for first in range(0, len(instants), ROWS):

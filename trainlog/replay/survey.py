@@ -162,9 +162,10 @@ def survey(pieces: Pieces) -> Survey:
     bare: Trip | None = None
     start: int | None = None
     digest = hashlib.sha256()
-    places = {candidate: Sparse() for candidate in POSITION_SOURCES}
+    speeds = [(name, "speed") for name in SPEEDS]
+    series = {source: Sparse() for source in (*POSITION_SOURCES, *speeds)}
     values: dict[str, Sparse] = {}
-    pulls, speeds = np.zeros(3), {name: Sparse() for name in SPEEDS}
+    pulls = np.zeros(3)
     for piece, state in neighboured(pieces()):
         if bare is None:
             bare = replace(
@@ -174,12 +175,8 @@ def survey(pieces: Pieces) -> Survey:
         if start is None and any(map(len, piece.topics.values())):
             start = int(piece.start.as_unit("ns").value)
         _digest(digest, piece)
-        for (topic, *names), kept in places.items():
-            found = known_rows(piece, topic, *names)
-            if found is not None:
-                kept.add(*found)
-        for name, kept in speeds.items():
-            found = known_rows(piece, name, "speed")
+        for source, kept in series.items():
+            found = known_rows(piece, *source)
             if found is not None:
                 kept.add(*found)
         drawn = with_slip(piece, state)
@@ -192,10 +189,11 @@ def survey(pieces: Pieces) -> Survey:
     if bare is None or start is None:
         bare = bare or Trip({})
         start = int(bare.start.as_unit("ns").value)
-    known = {candidate: kept.rows() for candidate, kept in places.items() if len(kept)}
+    rows = {source: kept.rows() for source, kept in series.items() if len(kept)}
+    known = {source: rows[source] for source in POSITION_SOURCES if source in rows}
     seen = known.get((GNSS_FIX.name, "latitude", "longitude"))
     clock = clock_from(start, known)
-    speed = next((kept.rows() for kept in speeds.values() if len(kept)), None)
+    speed = next((rows[source] for source in speeds if source in rows), None)
     return Survey(
         bare=bare,
         line=line_of(bare) if LINE_ATTACHMENT in bare.attachments else None,
@@ -439,7 +437,16 @@ def _thinned(source: Pieces) -> tuple[Survey, Trip]:
         for name in dict.fromkeys(name for part in parts for name in part)
     }
     trip = replace(known.bare, topics=topics)
-    return replace(known, clock=_thinned_clock(known.clock), fixes=_thinned_fixes(known)), trip
+    clock, fixes = known.clock, known.fixes
+    if clock.time.size:
+        # Between the ends of moments it is nearly a line.
+        begins = np.unique(clock.time // MOMENT, return_index=True)[1]
+        kept = np.unique(np.concatenate((begins, begins[1:] - 1, [clock.time.size - 1])))
+        clock = Clock(clock.start, clock.time[kept], clock.position[kept])
+    if fixes is not None:
+        kept = np.unique(fixes[0] // NANOSECONDS, return_index=True)[1]
+        fixes = fixes[0][kept], fixes[1][kept]
+    return replace(known, clock=clock, fixes=fixes), trip
 
 
 def _part(source: Pieces, wanted: dict[str, list[str]]) -> Iterator[Trip]:
@@ -507,20 +514,3 @@ def _joined(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     joined = pd.concat(frames)
     joined.attrs = frames[0].attrs
     return joined
-
-
-def _thinned_clock(clock: Clock) -> Clock:
-    """The clock at the ends of moments, in which it is nearly a line."""
-    if clock.time.size == 0:
-        return clock
-    begins = np.unique(clock.time // MOMENT, return_index=True)[1]
-    kept = np.unique(np.concatenate((begins, begins[1:] - 1, [clock.time.size - 1])))
-    return Clock(clock.start, clock.time[kept], clock.position[kept])
-
-
-def _thinned_fixes(known: Survey) -> Any:
-    if known.fixes is None:
-        return None
-    time, fixes = known.fixes
-    kept = np.unique(time // NANOSECONDS, return_index=True)[1]
-    return time[kept], fixes[kept]

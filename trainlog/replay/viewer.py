@@ -213,25 +213,16 @@ def end_viewer(process: subprocess.Popen[bytes]) -> None:
         subprocess.run(command, capture_output=True, check=False)
         process.wait(ENDING)
         return
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        # The wrapper may have ended before the viewer: the group is asked, not the process.
-        try:
+    # The wrapper may have ended before the viewer: the group is asked, not the process.
+    with suppress(ProcessLookupError, PermissionError):
+        for number in (signal.SIGTERM, signal.SIGKILL):
             os.killpg(process.pid, number)
-        except (ProcessLookupError, PermissionError):
-            break
-        deadline = time.monotonic() + ENDING
-        while time.monotonic() < deadline and _group_lives(process):
-            time.sleep(0.02)
+            deadline = time.monotonic() + ENDING
+            while time.monotonic() < deadline:
+                process.poll()
+                os.killpg(process.pid, 0)
+                time.sleep(0.02)
     process.wait(ENDING)
-
-
-def _group_lives(process: subprocess.Popen[bytes]) -> bool:
-    process.poll()
-    try:
-        os.killpg(process.pid, 0)
-    except (ProcessLookupError, PermissionError):
-        return False
-    return True
 
 
 def free_port() -> int:
@@ -555,22 +546,11 @@ def headless_viewer(
     ...         viewer.show(view)
     ...         viewer.picture(f"{view}.png")
     """
-    if not Path(recording).is_file():
-        raise InputError("does not exist", file=recording, remedy="write it with write_replay")
-    with _headless(Path(recording).resolve(), size, layout) as client:
-        yield HeadlessViewer(client, settle)
-
-
-@contextmanager
-def _headless(
-    recording: Path, size: tuple[int, int], layout: str | Path | None
-) -> Iterator[ViewerClient]:
-    """A client of a viewer that has loaded the recording; the viewer ends with the block."""
-    port = free_port()
-    files, fed = [str(recording)], Path(os.devnull)
-    if layout is not None and recording.suffix == ".mcap":
+    given, port = _existing(recording), free_port()
+    files, fed = [str(given)], Path(os.devnull)
+    if layout is not None and given.suffix == ".mcap":
         # A layout that is named beside a log is not applied to it; one that is fed in is.
-        files, fed = [str(recording), "-"], Path(layout)
+        files, fed = [str(given), "-"], Path(layout)
     elif layout is not None:
         files.append(str(layout))
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -585,7 +565,7 @@ def _headless(
                 output=output,
             )
             try:
-                yield _connected(process, port, recording, log)
+                yield HeadlessViewer(_connected(process, port, given, log), settle)
             finally:
                 end_viewer(process)
 
@@ -603,15 +583,10 @@ def _connected(process: subprocess.Popen[bytes], port: int, recording: Path, log
         if loaded and state.views and not state.loading:
             return viewer
         time.sleep(0.25)
+    lines = log.read_text("utf-8", "replace").splitlines()
+    reasons = [line.strip() for line in lines if "graphics adapter" in line or "panicked" in line]
     raise InputError(
-        f"the Rerun viewer does not show it{_last_words(log)}",
+        f"the Rerun viewer does not show it{f': {reasons[-1]}' if reasons else ''}",
         file=recording,
         remedy="it needs a Vulkan driver, in software too (Debian: mesa-vulkan-drivers)",
     )
-
-
-def _last_words(log: Path) -> str:
-    """Why the viewer gave up, if it said so."""
-    lines = log.read_text("utf-8", "replace").splitlines()
-    reasons = [line.strip() for line in lines if "graphics adapter" in line or "panicked" in line]
-    return f": {reasons[-1]}" if reasons else ""
