@@ -422,7 +422,9 @@ def _refused(
     statement: str, error: Exception, columns: dict[str, dict[str, str]], tables: str
 ) -> InputError:
     """That a statement is refused, in one sentence, with the columns of its tables."""
-    problem = _first_line(error)
+    # The first line of the message, without the kind of the error and colours of a terminal.
+    line = re.sub(r"\x1b\[[\d;]*m", "", str(error)).strip().splitlines()[0]
+    problem = re.sub(r"^[A-Z]\w+ Error: ", "", line).rstrip(".!")
     known = "; ".join(f"{table} has {', '.join(names)}" for table, names in columns.items())
     every = {
         "column": [each for names in columns.values() for each in names],
@@ -445,12 +447,6 @@ _MISSING = {
     "table": r"Table with name (.+) does not exist",
 }
 """What DuckDB says of a column or a table that there is not."""
-
-
-def _first_line(error: Exception) -> str:
-    """The first line of a message, without the kind of the error and colours of a terminal."""
-    line = re.sub(r"\x1b\[[\d;]*m", "", str(error)).strip().splitlines()[0]
-    return re.sub(r"^[A-Z]\w+ Error: ", "", line).rstrip(".!")
 
 
 def _shown(statement: str) -> str:

@@ -250,10 +250,6 @@ class Step:
     breaking: bool = False
 
 
-def _nothing(_: sa.Connection) -> None:
-    """The first version was made as it is."""
-
-
 def _index_counting_trips(connection: sa.Connection) -> None:
     """What is pending, and how many trips count, is found in indices, without reading trips."""
     for statement in (
@@ -265,7 +261,7 @@ def _index_counting_trips(connection: sa.Connection) -> None:
 
 
 STEPS: tuple[Step, ...] = (
-    Step(1, "0.1.0", _nothing, breaking=True),
+    Step(1, "0.1.0", lambda _: None, breaking=True),
     Step(2, "0.1.0", _index_counting_trips),
 )
 """From the first version to the latest."""

@@ -388,8 +388,12 @@ def register(
     new = [each for sha256, each in read.items() if sha256 not in ids]
     ids |= _inserted(connection, new, now)
     unseen, touched, found = {each.sha256 for each in new}, set(ids.values()), []
-    seen = _seen(connection, files.c.path, {each.path for each in entries})
-    seen |= _seen(connection, files.c.sha256, {each.sha256 for each in entries})
+    seen = set[str]()
+    for column, values in (
+        (files.c.path, {each.path for each in entries}),
+        (files.c.sha256, {each.sha256 for each in entries}),
+    ):
+        seen |= {row[column] for row in matching(connection, sa.select(column), column, values)}
     for each in entries:
         trip = ids[each.sha256] if each.entry is not None else None
         state = _place_file(connection, each, trip, seen, touched)
@@ -398,14 +402,6 @@ def register(
         unseen -= {each.sha256} if trip is not None and state != "version" else set()
         found.append(FileOutcome(each.path, state, each.reason))
     settle(connection, touched)
-    return found
-
-
-def _seen(connection: sa.Connection, column: Any, values: set[str]) -> set[str]:
-    """Those of the values that a column has."""
-    found = set[str]()
-    for part in parts(sorted(values)):
-        found |= set(connection.execute(sa.select(column).where(column.in_(part))).scalars())
     return found
 
 
@@ -457,11 +453,9 @@ def _place_file(
 
 def _ids(connection: sa.Connection, digests: Iterable[str]) -> dict[str, int]:
     """The rows of trips by content."""
-    found: dict[str, int] = {}
-    for part in parts(sorted(digests)):
-        asked = sa.select(trips.c.sha256, trips.c.id).where(trips.c.sha256.in_(part))
-        found |= {row.sha256: row.id for row in connection.execute(asked)}
-    return found
+    asked = sa.select(trips.c.sha256, trips.c.id)
+    found = matching(connection, asked, trips.c.sha256, digests)
+    return {row["sha256"]: row["id"] for row in found}
 
 
 def _inserted(connection: sa.Connection, entries: Sequence[FileEntry], now: int) -> dict[str, int]:
@@ -515,6 +509,14 @@ def parts(values: Sequence[Any]) -> Iterable[Sequence[Any]]:
     return (values[at : at + _AT_ONCE] for at in range(0, len(values), _AT_ONCE))
 
 
+def matching(
+    connection: sa.Connection, asked: sa.Select[Any], column: Any, values: Iterable[Any]
+) -> Iterator[_Row]:
+    """The rows of a statement in which a column has one of some values, however many these are."""
+    for part in parts(sorted(values)):
+        yield from connection.execute(asked.where(column.in_(part))).mappings()
+
+
 # ------------------------------------------------------------------------ which recording counts
 
 _ASKED = [
@@ -542,11 +544,9 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
     if not touched:
         return
     drives = _drives(connection, touched)
-    older, present = dict[int, int](), set[int]()
-    for part in parts(sorted(drives)):
-        older |= _older_versions(connection, part)
-        asked = sa.select(files.c.trip).where(files.c.trip.in_(part), files.c.state == "present")
-        present |= set(connection.execute(asked).scalars())
+    older = _older_versions(connection, drives)
+    there = sa.select(files.c.trip).where(files.c.state == "present")
+    present = {row["trip"] for row in matching(connection, there, files.c.trip, drives)}
     rows = [drives[number] for number in sorted(drives) if number not in older]
     known = []
     for row in rows:
@@ -578,24 +578,20 @@ def _drives(connection: sa.Connection, touched: set[int]) -> dict[int, _Row]:
     while new:
         found |= new
         # The same minutes of a drive were recorded at the same time.
-        one, beside = trips.alias(), set[int]()
+        one = trips.alias()
         met = sa.select(trips.c.id).join(
             one,
             trips.c.start.between(one.c.start - int(longest * 1e9) - 1, one.c.end)
             & (trips.c.end >= one.c.start),
         )
-        for part in parts(sorted(new)):
-            beside |= set(connection.execute(met.where(one.c.id.in_(part)).distinct()).scalars())
+        beside = {row["id"] for row in matching(connection, met.distinct(), one.c.id, new)}
         new = _sharing(new, _rows(connection, beside - found.keys()))
     return found
 
 
 def _rows(connection: sa.Connection, numbers: set[int]) -> dict[int, _Row]:
-    found: dict[int, _Row] = {}
-    for part in parts(sorted(numbers)):
-        asked = sa.select(*_ASKED).where(trips.c.id.in_(part))
-        found |= {row["id"]: row for row in connection.execute(asked).mappings()}
-    return found
+    found = matching(connection, sa.select(*_ASKED), trips.c.id, numbers)
+    return {row["id"]: row for row in found}
 
 
 def _sharing(rows: Mapping[int, _Row], others: Mapping[int, _Row]) -> dict[int, _Row]:
@@ -624,18 +620,19 @@ def _identity(row: _Row) -> TripIdentity | None:
     return TripIdentity(first, last, row["samples"], blocks, row["source"])
 
 
-def _older_versions(connection: sa.Connection, numbers: Sequence[int]) -> dict[int, int]:
+def _older_versions(connection: sa.Connection, numbers: Iterable[int]) -> dict[int, int]:
     """Trips whose files were all overwritten by logs of trips, each with one that stands there."""
     there = ("present", "vanished")
     now, own = files.alias(), files.alias()
     stands = sa.exists().where(own.c.trip == files.c.trip, own.c.state.in_(there))
     asked = (
-        sa.select(files.c.trip, sa.func.min(now.c.trip))
+        sa.select(files.c.trip, sa.func.min(now.c.trip).label("now"))
         .join(now, (now.c.path == files.c.path) & now.c.state.in_(there))
-        .where(files.c.trip.in_(numbers), files.c.state == "replaced", ~stands)
-        .where(now.c.trip.is_not(None))
+        .where(files.c.state == "replaced", ~stands, now.c.trip.is_not(None))
+        .group_by(files.c.trip)
     )
-    return {row[0]: row[1] for row in connection.execute(asked.group_by(files.c.trip))}
+    found = matching(connection, asked, files.c.trip, numbers)
+    return {row["trip"]: row["now"] for row in found}
 
 
 BATCH = 200
@@ -760,12 +757,9 @@ def _settled(database: Database, outcomes: Sequence[FileOutcome]) -> tuple[FileO
     found: dict[str, tuple[bool, str]] = {}
     new = [each.path for each in outcomes if each.state in ("new", "recording")]
     with database.reading() as connection:
-        for part in parts(new):
-            for path, standing, quality, damage in connection.execute(
-                asked.where(files.c.path.in_(part))
-            ):
-                lost = damage if quality == "damaged" else ""
-                found[path] = (standing == "same drive", lost)
+        for row in matching(connection, asked, files.c.path, new):
+            lost = row["damage"] if row["quality"] == "damaged" else ""
+            found[row["path"]] = (row["standing"] == "same drive", lost)
     settled = []
     for each in outcomes:
         if each.state in ("new", "recording") and each.path in found:

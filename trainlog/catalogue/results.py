@@ -31,7 +31,7 @@ from trainlog.catalogue.database import (
     trips,
 )
 from trainlog.catalogue.querying import conditions
-from trainlog.catalogue.registration import parts
+from trainlog.catalogue.registration import matching, parts
 from trainlog.errors import InputError
 from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
 
@@ -541,10 +541,9 @@ class Computed(Database):
             number = made_computation(connection, of)
             there = sa.exists().where(results.c.computation == number, results.c.trip == trips.c.id)
             asked = sa.select(trips.c.sha256, trips.c.id).where(~there)
-            ids: dict[str, int] = {}
-            for part in parts(sorted({each.sha256 for each in outcomes})):
-                rows_left = connection.execute(asked.where(trips.c.sha256.in_(part)))
-                ids |= {row.sha256: row.id for row in rows_left}
+            digests = {each.sha256 for each in outcomes}
+            left = matching(connection, asked, trips.c.sha256, digests)
+            ids = {row["sha256"]: row["id"] for row in left}
             new = [each for each in outcomes if each.sha256 in ids]
             if not new:
                 return 0
