@@ -251,7 +251,11 @@ def joined(
     found: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
     for name in [columns] if isinstance(columns, str) else columns:
-        topic, frame = _frame_of(trip, name)
+        topic, dot, column = name.rpartition(".")
+        if not (dot and topic and column):
+            remedy = "write it as /train/state.speed"
+            raise InputError(f"'{name}' is not a column of a topic", remedy=remedy)
+        frame = trip[topic]
         for column in _columns_of(frame, name):
             full = f"{topic}.{column}"
             if full in found:
@@ -346,16 +350,6 @@ def check_max_gap(max_gap: object) -> None:
 
 def _named(time: pd.DatetimeIndex) -> pd.DatetimeIndex:
     return time.as_unit("ns").rename("time")
-
-
-def _frame_of(trip: Trip, name: str) -> tuple[str, pd.DataFrame]:
-    """Topic and frame that a name like ``/train/state.speed`` belongs to."""
-    topic, dot, column = name.rpartition(".")
-    if not (dot and topic and column):
-        raise InputError(
-            f"'{name}' is not a column of a topic", remedy="write it as /train/state.speed"
-        )
-    return topic, trip[topic]
 
 
 def _columns_of(frame: pd.DataFrame, name: str) -> list[str]:

@@ -7,7 +7,7 @@ Bringing topics onto one clock is in `trainlog.resampling`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
@@ -320,6 +320,15 @@ def _rate(frame: pd.DataFrame) -> str:
     usual = float(np.median(step)) if step.size > 1 else 0.0
     regular = usual > 0.0 and np.mean(np.abs(step - usual) < 0.1 * usual) > 0.5
     return f" at {NANOSECONDS / usual:.3g} Hz" if regular else ""
+
+
+def stacked(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Frames of one topic below each other, with the attributes of the first."""
+    if len(frames) == 1:
+        return frames[0]
+    found = pd.concat(frames)
+    found.attrs = frames[0].attrs
+    return found
 
 
 def frame_of(

@@ -26,7 +26,6 @@ from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_bytes
 from trainlog.formats.tracks import (
-    NOT_WGS84,
     SAME_PLACE,
     Infrastructure,
     Limit,
@@ -236,8 +235,9 @@ def read_railml(path: str | Path, limits: LimitChoice) -> Infrastructure:
         refers to what it does not have.
     """
     root = read_xml(path)
-    version = _version_of(root)
-    if version is None:
+    own = root.namespace.rstrip("/").rpartition("/")[2]
+    version = root.text("version") or VERSIONS.get(own, own)
+    if root.tag.lower() != "railml" or not version.startswith(("2.", "3.")):
         raise InputError(
             f"is not railML 2 or 3: its root is '{root.tag}'"
             + (f" of version {root.text('version')}" if root.text("version") else ""),
@@ -248,16 +248,10 @@ def read_railml(path: str | Path, limits: LimitChoice) -> Infrastructure:
     return built(lambda: reader.of(root, version, Path(path).stem).networks(limits), path)
 
 
-def _version_of(root: Element) -> str | None:
-    """The version of railML that a file states, or that its namespace is of; None of others."""
-    if root.tag.lower() != "railml":
-        return None
-    own = root.namespace.rstrip("/").rpartition("/")[2]
-    version = root.text("version") or VERSIONS.get(own, own)
-    return version if version.startswith(("2.", "3.")) else None
-
-
 QUALITY = "coordinates of railML"
+
+NOT_WGS84 = "coordinates that are not those of WGS 84"
+"""What is left out of a file with coordinates of another system."""
 
 ELEMENTS_HELD = {
     "speedChanges", "gradientChanges", "radiusChanges", "geoMappings", "tunnels",

@@ -395,7 +395,9 @@ def _journey(
     _check_status(element, "JP_Status")
     name = _train_number(element)
     account.assumed["times without a zone, taken as UTC"] += sum(
-        _without_zone(each.text(time)) for each in element.every() for time in _TIMES
+        "T" in each.text(time) and re.search(r"(Z|[+-]\d\d:?\d\d)$", each.text(time)) is None
+        for each in element.every()
+        for time in _TIMES
     )
     references = list(element.all("SegmentProfileReference"))
     if not references:
@@ -501,10 +503,6 @@ def _time(element: Element | None, name: str) -> float:
             f"{name} '{text}' is not a time", "write it as 2026-05-17T06:30:00Z"
         ) from None
     return (found if found.tzinfo else found.replace(tzinfo=datetime.UTC)).timestamp()
-
-
-def _without_zone(text: str) -> bool:
-    return "T" in text and re.search(r"(Z|[+-]\d\d:?\d\d)$", text) is None
 
 
 def _duration(element: Element, name: str) -> float:
@@ -800,15 +798,11 @@ def _reference(segment: Element, length: float, account: Account) -> LineReferen
     ends = np.concatenate(([km[0]], end, [km[-1] + rising * (length - at[-1])]))
     begin = np.concatenate(([0.0], at))
     kept = np.diff(np.append(begin, length)) > 0.0
-    name = _line_name(segment)
-    return LineReference(name, begin[kept], start[kept], ends[kept])
-
-
-def _line_name(segment: Element) -> str:
     own = segment.first(
         "SP_ContextInformation", "LineAndTrackIdentifier", "LineAndTrackIdentifierStart"
     )
-    return (own.text("lineIdentifier") if own is not None else "") or segment.text("SP_ID")
+    name = (own.text("lineIdentifier") if own is not None else "") or segment.text("SP_ID")
+    return LineReference(name, begin[kept], start[kept], ends[kept])
 
 
 def _unused(document: Element) -> Counter[str]:

@@ -163,7 +163,12 @@ def with_constraints(
         stated["temporaryConstraintType"] = constraint.kind
         for each, extent in _reached(constraint, segments):
             what = new(constraint.tag or constraint.kind, constraint.attributes)
-            _insert(each.reference, new("TemporaryConstraints", extent | stated, what))
+            found = new("TemporaryConstraints", extent | stated, what)
+            # Behind those that are there, as the schema orders the parts of a reference.
+            before = ("SP_Zone", "TimingPointConstraints", "TemporaryConstraints")
+            parts = each.reference.children
+            at = [n for n, part in enumerate(parts, 1) if part.tag in before]
+            parts.insert(max(at, default=0), found)
     version = int(journey.number("JP_Version", 0.0)) + 1
     journey.attributes["JP_Version"] = str(version)
     return journey
@@ -185,13 +190,6 @@ def _reached(
         if ends:
             extent["endLocation"] = f"{segment.location(constraint.end):.10g}"
         yield segment, extent
-
-
-def _insert(reference: Element, constraint: Element) -> None:
-    """Put a constraint behind those of a reference, as the schema orders its parts."""
-    before = ("SP_Zone", "TimingPointConstraints", "TemporaryConstraints")
-    at = [n for n, each in enumerate(reference.children, 1) if each.tag in before]
-    reference.children.insert(max(at, default=0), constraint)
 
 
 def advice_message(

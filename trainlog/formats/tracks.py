@@ -45,10 +45,6 @@ SAME_PLACE = 1e-6
 """Positions [m] that lie nearer together are one: files have rounded sums."""
 
 
-NOT_WGS84 = "coordinates that are not those of WGS 84"
-"""What is left out of a file with coordinates of another system."""
-
-
 def not_in_file(what: str, name: str, place: str | None = None) -> InputError:
     """The error for a reference to something that the file does not have."""
     return InputError(

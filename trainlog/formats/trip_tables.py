@@ -51,7 +51,7 @@ from trainlog.topics import (
     column_field,
     topic_of_frame,
 )
-from trainlog.trip import Trip, nanoseconds
+from trainlog.trip import Trip, nanoseconds, stacked
 from trainlog.units import NANOSECONDS
 
 INDEX_FILE = "trip.json"
@@ -720,11 +720,9 @@ class MdfWriter:
     @property
     def trip(self) -> Trip:
         """The whole trip."""
-        joined = {topic: pd.concat(pieces) for topic, pieces in self._frames.items()}
-        for topic, pieces in self._frames.items():
-            joined[topic].attrs = pieces[0].attrs
         head = Trip({}) if self._head is None else self._head
-        return replace(head, topics=joined)
+        whole = {topic: stacked(pieces) for topic, pieces in self._frames.items()}
+        return replace(head, topics=whole)
 
 
 def _fill(mdf: Any, signal: Callable[..., Any], trip: Trip, path: Path) -> None:

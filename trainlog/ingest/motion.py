@@ -56,9 +56,6 @@ unit or direction are wrong."""
 STEEPEST = 1.5
 """No train on wheels gains or loses speed faster than this [m/s²]; slipping wheels do."""
 
-FEW = 0.01
-"""Share of the steps up to which those that nothing explains are single ones; by which steps that
-are written down are off."""
 
 ALIKE, SUSPECT = 0.1, 1.15
 """Relative difference up to which two columns say the same; their ratio from which on a unit is

@@ -33,7 +33,6 @@ from trainlog.ingest.motion import (
     EFFORTS,
     ENOUGH,
     FAR,
-    FEW,
     GNSS_SPEED,
     HOLD,
     INLIER,
@@ -75,6 +74,10 @@ from trainlog.ingest.recording import (
 )
 from trainlog.spans import runs_of
 from trainlog.topics import Bounds
+
+FEW = 0.01
+"""Share of the steps up to which those that nothing explains are single ones; by which steps that
+are written down are off."""
 
 
 def blank_without_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG001

@@ -48,7 +48,7 @@ from trainlog.mcap.records import (
 from trainlog.mcap.tables import topic_channels
 from trainlog.mcap.writer import LogWriter, Sink, packed, write_log
 from trainlog.topics import EVENTS
-from trainlog.trip import Trip
+from trainlog.trip import Trip, stacked
 from trainlog.version import __version__
 
 ROWS = 100_000
@@ -399,12 +399,9 @@ def _frames(trips: dict[Path, Trip], preferring: bool, done: Merged) -> dict[str
                     kept = _apart(name, before, (path, kept), preferring, done)
                 parts.append((path, kept))
         filled = [frame for _, frame in parts if len(frame)]
-        joined = filled[0] if filled else parts[0][1]
+        found[name] = stacked(filled or [parts[0][1]])
         if len(filled) > 1:
-            joined = pd.concat(filled)
-            joined = joined.iloc[joined.index.argsort(kind="stable")]
-            joined.attrs = filled[0].attrs
-        found[name] = joined
+            found[name] = found[name].iloc[found[name].index.argsort(kind="stable")]
     return found
 
 

@@ -31,7 +31,6 @@ from trainlog.railway.line import StepProfile, in_km, km_words
 from trainlog.replay.samples import (
     COLOURS,
     PANELS,
-    PHASES,
     SPEEDS,
     SPEEDS_SHOWN,
     Clock,
@@ -769,6 +768,14 @@ def _send_span(
         colours=[COLOURS["planned"]],
     )
 
+
+PHASES: dict[str, Colour] = {
+    "traction": (45, 140, 75),
+    "coasting": (95, 100, 120),
+    "braking": (185, 85, 45),
+    "standstill": (45, 45, 50),
+}
+"""Driving phases and their colours."""
 
 PHASE_LETTERS = {phase: phase[0].upper() for phase in PHASES}
 """What stands in the blocks of the driving phases: many are too short for their names."""

@@ -13,7 +13,7 @@ that of `trainlog.resampling.TimeDistance`, which never decreases.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.resampling import Nanoseconds, TimeDistance, interpolated, time_distance
+from trainlog.resampling import Nanoseconds, TimeDistance, interpolated
 from trainlog.topics import (
     ESTIMATED_ADHESION,
     ESTIMATED_STATE,
@@ -83,12 +83,6 @@ class Clock(TimeDistance):
         return Instants(self.start, time, self.position_at(time))
 
 
-def clock_from(start: int, known: Mapping[tuple[str, ...], tuple[Any, ...]]) -> Clock:
-    """The clock of a trip that began at `start`; see `trainlog.resampling.time_distance`."""
-    curve = time_distance(start, known)
-    return Clock(curve.start, curve.time, curve.position)
-
-
 Colour = tuple[int, int, int]
 """Red, green, blue, each 0 to 255."""
 
@@ -120,15 +114,6 @@ TRIPS: tuple[Colour, ...] = (
     (205, 170, 125),
     (180, 180, 190),
 )
-
-
-PHASES: dict[str, Colour] = {
-    "traction": (45, 140, 75),
-    "coasting": (95, 100, 120),
-    "braking": (185, 85, 45),
-    "standstill": (45, 45, 50),
-}
-"""Driving phases and their colours."""
 
 
 @dataclass(frozen=True, slots=True)

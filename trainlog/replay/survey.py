@@ -35,7 +35,6 @@ from trainlog.replay.samples import (
     Instants,
     Samples,
     changes,
-    clock_from,
     curves_of,
     largest_pulls,
     send_curve,
@@ -51,6 +50,7 @@ from trainlog.resampling import (
     known_rows,
     on_grid,
     planned_time_distance,
+    time_distance,
 )
 from trainlog.topics import (
     ENVIRONMENT,
@@ -60,7 +60,7 @@ from trainlog.topics import (
     TRAIN_CONTROLS,
     TRAIN_STATE,
 )
-from trainlog.trip import LINE_ATTACHMENT, Trip, nanoseconds
+from trainlog.trip import LINE_ATTACHMENT, Trip, nanoseconds, stacked
 from trainlog.units import KMH, NANOSECONDS
 
 Pieces = Callable[..., Iterable[Trip]]
@@ -192,7 +192,8 @@ def survey(pieces: Pieces) -> Survey:
     rows = {source: kept.rows() for source, kept in series.items() if len(kept)}
     known = {source: rows[source] for source in POSITION_SOURCES if source in rows}
     seen = known.get((GNSS_FIX.name, "latitude", "longitude"))
-    clock = clock_from(start, known)
+    curve = time_distance(start, known)
+    clock = Clock(start, curve.time, curve.position)
     speed = next((rows[source] for source in speeds if source in rows), None)
     return Survey(
         bare=bare,
@@ -237,7 +238,7 @@ def neighboured(pieces: Iterable[Trip]) -> Iterator[tuple[Trip, pd.DataFrame | N
             continue
         around = (before, state, None if behind is None else behind.iloc[:1])
         parts = [part for part in around if part is not None and len(part)]
-        joined = pd.concat(parts) if len(parts) > 1 else parts[0] if parts else state
+        joined = stacked(parts or [state])
         joined.attrs = state.attrs
         yield piece, joined
         before = state.iloc[-1:] if len(state) else before
@@ -433,7 +434,7 @@ def _thinned(source: Pieces) -> tuple[Survey, Trip]:
     known = survey(lambda: pieces)
     parts = list(map(thinned_trip, pieces))
     topics = {
-        name: _joined([part[name] for part in parts if name in part])
+        name: stacked([part[name] for part in parts if name in part])
         for name in dict.fromkeys(name for part in parts for name in part)
     }
     trip = replace(known.bare, topics=topics)
@@ -506,11 +507,3 @@ def extremes(values: FloatArray, piece: IntArray) -> IntArray:
         for rows in map(np.flatnonzero, (values == low, values == high, unknown))
     ]
     return np.unique(np.concatenate(kept))
-
-
-def _joined(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    if len(frames) == 1:
-        return frames[0]
-    joined = pd.concat(frames)
-    joined.attrs = frames[0].attrs
-    return joined
