@@ -145,11 +145,6 @@ def numbers_in(containers: Iterable[Element], held: Collection[str]) -> Counter[
     return counts
 
 
-def read_xml(path: str | Path) -> Element:
-    """The root element of an XML file; errors as `parsed_xml`."""
-    return parsed_xml(read_bytes(path), path)
-
-
 def parsed_xml(data: bytes, path: str | Path) -> Element:
     """The root element of XML that stands in a file.
 
@@ -234,7 +229,7 @@ def read_railml(path: str | Path, limits: LimitChoice) -> Infrastructure:
         If the file is no railML 2 or 3, has no infrastructure, or no limits of a category, or
         refers to what it does not have.
     """
-    root = read_xml(path)
+    root = parsed_xml(read_bytes(path), path)
     own = root.namespace.rstrip("/").rpartition("/")[2]
     version = root.text("version") or VERSIONS.get(own, own)
     if root.tag.lower() != "railml" or not version.startswith(("2.", "3.")):

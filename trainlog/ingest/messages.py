@@ -438,7 +438,7 @@ def read_tagged(path: Path, profile: Profile | None) -> Recording:
         offset = _Offset(*anchors)
         tables = [table.at(offset.utc(table.time)) for table in tables]
         metadata["clock.anchors"] = str(offset.count)
-    damaged = lines.of_other_kinds(kinds)
+    damaged = ~np.isin(lines.kind, list(kinds))
     for _, cut in numbers:
         damaged |= cut
     constants: dict[str, float | str] = {}
@@ -481,10 +481,6 @@ class _Lines:
     def cut(self) -> int:
         """Lines that could not be split into cells."""
         return self.cells.rows_read - self.rows.size
-
-    def of_other_kinds(self, kinds: dict[str, Payload]) -> BoolArray:
-        """Lines of kinds that the profile does not name."""
-        return ~np.isin(self.kind, list(kinds))
 
     def octets(self, mine: BoolArray, size: int) -> tuple[IntArray, NDArray[np.uint8]]:
         """Which of the lines hold `size` octets and no others, and these (n, size)."""

@@ -290,7 +290,8 @@ def routed(
     InputError
         If nothing shows a route.
     """
-    places = stated_stations(routes, recording, metadata)
+    stated = metadata.get(STATIONS) or recording.metadata.get(STATIONS, "")
+    places = routes.stations or places_in(stated)
     if places:
         route = routes.network.route(*places)
         return [(recording, OnRoute(route, f"stated: {', '.join(places)}"))]
@@ -573,14 +574,6 @@ def _between(
     part = part_of(recording, rows, metadata)
     first = bool(rows[0]) if rows.size else False
     return with_cut_lines(part, recording) if first else part
-
-
-def stated_stations(
-    routes: NetworkRoutes, recording: Recording, metadata: Mapping[str, str]
-) -> tuple[str, ...]:
-    """Places of the route, where they are stated: for all recordings, or by this one."""
-    words = metadata.get(STATIONS) or recording.metadata.get(STATIONS, "")
-    return routes.stations or places_in(words)
 
 
 def places_in(words: str) -> tuple[str, ...]:
