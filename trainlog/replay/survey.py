@@ -192,8 +192,8 @@ def survey(pieces: Pieces) -> Survey:
     rows = {source: kept.rows() for source, kept in series.items() if len(kept)}
     known = {source: rows[source] for source in POSITION_SOURCES if source in rows}
     seen = known.get((GNSS_FIX.name, "latitude", "longitude"))
-    curve = time_distance(start, known)
-    clock = Clock(start, curve.time, curve.position)
+    passed = time_distance(start, known)
+    clock = Clock(start, passed.time, passed.position)
     speed = next((rows[source] for source in speeds if source in rows), None)
     return Survey(
         bare=bare,
