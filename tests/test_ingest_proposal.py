@@ -451,6 +451,11 @@ def drive(count: int = 600, step: float = 1.0) -> pd.DataFrame:
     return pd.DataFrame({"t": seconds, "v": speed, "s": np.cumsum(speed) * step, "F": effort})
 
 
+RUN = drive()
+TRAIN = read_train(sample(DEFAULT_TRAIN))
+STAMPS = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(RUN.t, unit="s")
+
+
 def written(folder: Path, columns: dict[str, object], name: str = "run.csv") -> Path:
     path = folder / name
     pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9g")
@@ -499,9 +504,9 @@ def test_the_sample_recorder_is_ingested_as_with_its_own_profile():
     assert [question.split(":")[0] for question in proposal.open] == ["time zone"]
     assert "# open: or local time" in proposal.text
     zoned = replace(proposal.profile, time=replace(proposal.profile.time, timezone="Europe/Zurich"))
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    line = read_line(sample(DEFAULT_LINE))
     proposed, true = (
-        ingest(RECORDER, profile, line=line, train=train, metadata={"load": "12000"})
+        ingest(RECORDER, profile, line=line, train=TRAIN, metadata={"load": "12000"})
         for profile in (zoned, "sample_logs/recorder.profile.toml")
     )
     assert list(proposed.topics) == list(true.topics)
@@ -509,32 +514,32 @@ def test_the_sample_recorder_is_ingested_as_with_its_own_profile():
         pd.testing.assert_frame_equal(proposed[name], frame)
 
 
-def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path):
-    run = drive()
-    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F [kN]": run.F})
-    effort = field(propose_profile(path), "/train/controls.tractive_effort")
-    assert effort["unit"] == "N"
-    assert effort["alternative"] == "kN, as the file states"
-
-
-def test_the_train_decides_between_units(tmp_path):
-    run = drive()
-    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F": run.F})
-    unknown = field(propose_profile(path), "/train/controls.tractive_effort")
-    assert (unknown["unit"], unknown["alternative"]) == ("N", "daN or lbf")
-    train = read_train(sample(DEFAULT_TRAIN))
-    known = field(propose_profile(path, train), "/train/controls.tractive_effort")
-    assert (known["unit"], known["alternative"]) == ("N", "")
-
-
-def test_a_train_that_fits_imperial_units_alone_leaves_all_of_them_open(tmp_path):
-    """Miles, mph and pounds are one choice: in km, km/h and newtons the train is too light."""
-    run, train = drive(), read_train(sample(DEFAULT_TRAIN))
-    columns = {"distance": run.s / 1609.344, "speed": run.v / 0.44704, "TE": 0.8 * run.F / 4.448}
-    proposal = propose_profile(written(tmp_path, {"t [s]": run.t, **columns}), train)
-    for name, unit in {"state.position": "mile", "state.speed": "mph"}.items():
-        assert field(proposal, f"/train/{name}")["alternative"] == unit
-    assert field(proposal, "/train/controls.tractive_effort")["alternative"] == "lbf"
+@pytest.mark.parametrize(
+    ("columns", "train", "expected"),
+    [
+        ({"v [km/h]": 3.6 * RUN.v, "F [kN]": RUN.F}, None, ["N", "kN, as the file states"]),
+        ({"v [km/h]": 3.6 * RUN.v, "F": RUN.F}, None, ["N", "daN or lbf"]),
+        ({"v [km/h]": 3.6 * RUN.v, "F": RUN.F}, TRAIN, ["N", ""]),
+        # Miles, mph and pounds are one choice: in km, km/h and newtons the train is too light.
+        (
+            {"TE": 0.18 * RUN.F, "speed": RUN.v / 0.44704, "distance": RUN.s / 1609.344},
+            TRAIN,
+            ["N", "lbf", "km", "mile", "km/h", "mph"],
+        ),
+        (
+            {"TE": 0.1 * RUN.F, "speed": RUN.v, "distance": RUN.s / 1609.344},
+            None,
+            ["daN", "lbf or N", "mile", "", "m/s", ""],
+        ),
+    ],
+)
+def test_a_unit_is_open_as_far_as_mechanics_and_the_train_leave_it(
+    tmp_path, columns, train, expected
+):
+    proposal = propose_profile(written(tmp_path, {"t [s]": RUN.t, **columns}), train)
+    names = ["controls.tractive_effort", "state.position", "state.speed"][: len(expected) // 2]
+    found = [field(proposal, f"/train/{name}") for name in names]
+    assert [row[key] for row in found for key in ("unit", "alternative")] == expected
 
 
 @pytest.mark.parametrize("name", ["Zeit", "Zeit (local)", "time (local)"])
@@ -550,20 +555,10 @@ def test_a_trip_in_the_night_in_which_the_clocks_change_is_read(tmp_path, name, 
     assert any(each.startswith("time zone: ") for each in proposal.open)
 
 
-def test_pounds_are_not_proposed_beside_metres_per_second(tmp_path):
-    run = drive()
-    columns = {"t [s]": run.t, "speed": run.v, "distance": run.s / 1609.344, "TE": 0.1 * run.F}
-    proposal = propose_profile(written(tmp_path, columns))
-    assert field(proposal, "/train/state.speed")["unit"] == "m/s"
-    effort = field(proposal, "/train/controls.tractive_effort")
-    assert effort["unit"] == "daN"
-    assert "lbf" in effort["alternative"]
-
-
 def test_a_distance_that_falls_ends_at_0_of_a_line_that_is_known(tmp_path):
-    run, line = drive(), read_line(sample(DEFAULT_LINE))
-    columns = {"km": (line.length - 4e3 - run.s) / 1e3, "v [m/s]": run.v}
-    path = written(tmp_path, {"t [s]": run.t, **columns})
+    line = read_line(sample(DEFAULT_LINE))
+    columns = {"km": (line.length - 4e3 - RUN.s) / 1e3, "v [m/s]": RUN.v}
+    path = written(tmp_path, {"t [s]": RUN.t, **columns})
     for known, start, opened in ((line, 4e3, False), (None, 443.9, True)):
         proposal = propose_profile(path, line=known)
         trip = ingest(path, proposal.profile)
@@ -573,10 +568,9 @@ def test_a_distance_that_falls_ends_at_0_of_a_line_that_is_known(tmp_path):
 
 @pytest.mark.parametrize("word", ["65535", "65535.000", "6553.50", "-32768.0", "327.670"])
 def test_a_number_for_no_value_is_known_with_any_zeros_behind_it(tmp_path, word):
-    run = drive()
-    speed = [f"{value:.3f}" for value in 3.6 * run.v]
+    speed = [f"{value:.3f}" for value in 3.6 * RUN.v]
     speed[100:600:100] = [word] * 5
-    path = written(tmp_path, {"t [s]": run.t, "s [m]": run.s, "v [km/h]": speed})
+    path = written(tmp_path, {"t [s]": RUN.t, "s [m]": RUN.s, "v [km/h]": speed})
     proposal = propose_profile(path)
     assert field(proposal, "/train/state.speed")["unit"] == "km/h"
     trip = ingest(path, proposal.profile)
@@ -584,48 +578,43 @@ def test_a_number_for_no_value_is_known_with_any_zeros_behind_it(tmp_path, word)
 
 
 def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path):
-    run = drive()
-    stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
-    frame = pd.DataFrame({"t": stamps, "x": run.v * 3.6, "y": run.s})
+    frame = pd.DataFrame({"t": STAMPS.dt.tz_localize(None), "x": RUN.v * 3.6, "y": RUN.s})
     path = tmp_path / "bare.csv"
     frame.to_csv(path, index=False, header=False, float_format="%.6g")
     trip = ingest(path, propose_profile(path).profile)
-    np.testing.assert_allclose(trip["/train/state"]["speed"], run.v, atol=1e-3)
-    np.testing.assert_allclose(trip["/train/state"]["position"], run.s, atol=0.1)
+    np.testing.assert_allclose(trip["/train/state"]["speed"], RUN.v, atol=1e-3)
+    np.testing.assert_allclose(trip["/train/state"]["position"], RUN.s, atol=0.1)
 
 
 def test_south_west_in_degrees_and_minutes(tmp_path):
-    run = drive()
-    stamps = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(run.t, unit="s")
-    places = {"lat": 3330.0 + run.s / 1853.25, "NS": "S", "lon": 7040.0, "EW": "W"}
-    path = written(tmp_path, {"time": stamps, **places, "speed [kn]": run.v * 1.943844})
+    places = {"lat": 3330.0 + RUN.s / 1853.25, "NS": "S", "lon": 7040.0, "EW": "W"}
+    path = written(tmp_path, {"time": STAMPS, **places, "speed [kn]": RUN.v * 1.943844})
     fix = ingest(path, propose_profile(path).profile)["/gnss/fix"]
     assert fix["latitude"].iloc[0] == pytest.approx(-33.5)
     assert fix["longitude"].iloc[0] == pytest.approx(-70.0 - 40.0 / 60.0)
 
 
-def test_an_acceleration_beside_a_speed_that_never_changes_is_not_used(tmp_path):
-    time = np.arange(600.0)
-    table = {"Time [s]": time, "speed [m/s]": 15.0, "acceleration [m/s2]": np.sin(time / 9.0)}
-    proposal = propose_profile(written(tmp_path, table))
-    assert "/train/state.acceleration" not in proposal.profile.columns
-    assert "not the speed's" in proposal.not_used["acceleration [m/s2]"]
-
-
-def test_a_speed_of_the_opposite_sign_is_not_used(tmp_path):
-    run = drive()
-    table = {"Time [s]": run.t, "speed [m/s]": run.v, "wheel speed": -run.v}
-    proposal = propose_profile(written(tmp_path, table))
-    assert "-1 times the train's speed" in str(proposal.not_used)
-
-
-def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path):
-    run = drive()
-    noise = np.random.default_rng(1).uniform(0.0, 9_000.0, len(run))
-    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "Weg [m]": noise})
-    proposal = propose_profile(path)
-    assert "/train/state.position" not in proposal.profile.columns
-    assert "does not follow the speed" in proposal.not_used["Weg [m]"]
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [
+        (
+            {"speed [m/s]": 15.0 + 0.0 * RUN.t, "acceleration [m/s2]": np.sin(RUN.t / 9.0)},
+            "not the speed's",
+        ),
+        ({"speed [m/s]": RUN.v, "wheel speed": -RUN.v}, "-1 times the train's speed"),
+        (
+            {
+                "v [km/h]": RUN.v * 3.6,
+                "Weg [m]": np.random.default_rng(1).uniform(0.0, 9_000.0, len(RUN)),
+            },
+            "does not follow the speed",
+        ),
+    ],
+)
+def test_a_column_that_contradicts_the_speed_is_not_used(tmp_path, columns, reason):
+    proposal = propose_profile(written(tmp_path, {"Time [s]": RUN.t, **columns}))
+    assert len(proposal.profile.columns) == 1
+    assert reason in proposal.not_used[list(columns)[1]]
 
 
 @pytest.mark.parametrize(
@@ -639,16 +628,12 @@ def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path):
     ],
 )
 def test_day_and_month(tmp_path, days, pattern, opened):
-    run = drive()
-    half = len(run) // len(days)
-    stamps = pd.Timestamp("2024-01-01T23:55:00") + pd.to_timedelta(run.t, unit="s")
-    day = [days[min(row // half, len(days) - 1)] for row in range(len(run))]
-    if len(days) > 1:
-        day = [days[int(stamp.day > 1)] for stamp in stamps]
-    else:
-        stamps = stamps - pd.Timedelta(hours=5)
+    stamps = pd.Timestamp("2024-01-01T23:55:00") + pd.to_timedelta(RUN.t, unit="s")
+    if len(days) == 1:
+        stamps -= pd.Timedelta(hours=5)
+    day = [days[int(stamp.day > 1)] for stamp in stamps]
     path = written(
-        tmp_path, {"Date": day, "Time": stamps.dt.strftime("%H:%M:%S"), "Speed [km/h]": run.v * 3.6}
+        tmp_path, {"Date": day, "Time": stamps.dt.strftime("%H:%M:%S"), "Speed [km/h]": RUN.v * 3.6}
     )
     proposal = propose_profile(path)
     assert proposal.profile.time.format == f"{pattern} %H:%M:%S"
@@ -700,27 +685,24 @@ def test_the_run_time_of_an_engine_is_a_time(tmp_path, name, rows):
 
 
 def test_parquet_with_typed_times(tmp_path):
-    run = drive()
     path = tmp_path / "run.parquet"
-    stamps = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(run.t, unit="s")
-    pd.DataFrame({"stamp": stamps, "vitesse": run.v * 3.6, "distance": run.s}).to_parquet(path)
+    pd.DataFrame({"stamp": STAMPS, "vitesse": RUN.v * 3.6, "distance": RUN.s}).to_parquet(path)
     proposal = propose_profile(path)
     assert field(proposal, "/train/state.speed")["unit"] == "km/h"
     trip = ingest(path, proposal.profile)
-    np.testing.assert_allclose(trip["/train/state"]["speed"], run.v, atol=1e-9)
+    np.testing.assert_allclose(trip["/train/state"]["speed"], RUN.v, atol=1e-9)
 
 
 @pytest.mark.parametrize("beside", ["fixes", "distance"])
 @pytest.mark.parametrize(("unit", "size"), [("km/h", 3.6), ("rpm", 60.0 / (2.0 * np.pi * 0.43))])
 def test_wheel_speeds_are_kept_where_no_speed_is_recorded(tmp_path, beside, unit, size):
-    run = drive()
-    where = {"lat": 47.0 + run.s / 111_195.0, "lon": 9.0}
-    where = where if beside == "fixes" else {"distance [m]": run.s}
-    wheels = {f"wheel speed {axle} [{unit}]": run.v * size for axle in (1, 2)}
-    path = written(tmp_path, {"t [s]": run.t, **where, **wheels})
+    where = {"lat": 47.0 + RUN.s / 111_195.0, "lon": 9.0}
+    where = where if beside == "fixes" else {"distance [m]": RUN.s}
+    wheels = {f"wheel speed {axle} [{unit}]": RUN.v * size for axle in (1, 2)}
+    path = written(tmp_path, {"t [s]": RUN.t, **where, **wheels})
     trip = ingest(path, propose_profile(path).profile)
     found = trip["/train/axles"][["wheel_speed_1", "wheel_speed_2"]].to_numpy()
-    assert np.abs(found - run.v.to_numpy()[:, None]).max() < 0.02 * run.v.max()
+    assert np.abs(found - RUN.v.to_numpy()[:, None]).max() < 0.02 * RUN.v.max()
 
 
 @pytest.mark.parametrize(
@@ -728,26 +710,24 @@ def test_wheel_speeds_are_kept_where_no_speed_is_recorded(tmp_path, beside, unit
     [(",", ",", ".", 1), (";", ".", ",", 1), (";", "'", ".", 0), ("\t", ".", ",", 0)],
 )
 def test_marks_between_thousands_are_read(tmp_path, delimiter, thousands, decimal, digits):
-    run = drive()
     marks = str.maketrans({",": thousands, ".": decimal})
     lines = [delimiter.join(["t [s]", "Speed [km/h]", "Distance [m]"])]
-    for second, speed, way in zip(run.t, 3.6 * run.v, run.s, strict=True):
+    for second, speed, way in zip(RUN.t, 3.6 * RUN.v, RUN.s, strict=True):
         cells = f"{speed:.1f}".translate(marks), f"{way:,.{digits}f}".translate(marks)
         lines.append(delimiter.join([f"{second:.0f}", cells[0], f'"{cells[1]}"']))
     path = put(tmp_path / "run.csv", lines)
     profile = propose_profile(path).profile
     position = ingest(path, profile)["/train/state"]["position"]
-    assert run.s.max() > 1_000.0
-    assert np.abs(position.to_numpy() - run.s.to_numpy()).max() < 0.51
+    assert RUN.s.max() > 1_000.0
+    assert np.abs(position.to_numpy() - RUN.s.to_numpy()).max() < 0.51
     wrong = replace(profile, file=replace(profile.file, thousands=""))
     if (thousands, digits) != (".", 0):  # else they are read as decimals
         refused(InputError, f"thousands = .{re.escape(thousands)}. under", ingest, path, wrong)
 
 
 def test_a_unit_that_no_other_column_shows_is_unproven(tmp_path):
-    run = drive()
-    alone = {"t [s]": run.t, "Speed [mph]": 2.23694 * run.v}
-    for columns, unproven in ((alone, "/train/state.speed [mph]"), (alone | {"s [m]": run.s}, "")):
+    alone = {"t [s]": RUN.t, "Speed [mph]": 2.23694 * RUN.v}
+    for columns, unproven in ((alone, "/train/state.speed [mph]"), (alone | {"s [m]": RUN.s}, "")):
         path = written(tmp_path, columns)
         trip = ingest(path, propose_profile(path).profile)
         assert trip.metadata.get("unproven_units", "") == unproven
@@ -789,8 +769,7 @@ def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path):
 
 
 def test_a_user_at_a_terminal_is_asked(tmp_path, monkeypatch):
-    run = drive()
-    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "s [m]": run.s})
+    path = written(tmp_path, {"t [s]": RUN.t, "v [km/h]": RUN.v * 3.6, "s [m]": RUN.s})
     monkeypatch.setattr("trainlog.cli.ingest._at_terminal", lambda: True)
     refused = CliRunner().invoke(app, ["ingest", str(path), "-o", str(tmp_path / "out")], "n\n")
     assert refused.exit_code == 1
@@ -812,12 +791,10 @@ def test_public_tables_that_are_no_trip():
 
 
 def test_the_command_proposes_and_then_ingests(tmp_path, shell, works):
-    run = drive()
     (tmp_path / "in").mkdir()
-    stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
     for number in (1, 2):
-        day = stamps + pd.Timedelta(days=number)
-        columns = {"Zeit (UTC)": day, "v [km/h]": run.v * 3.6, "Weg [m]": run.s + number}
+        day = STAMPS.dt.tz_localize(None) + pd.Timedelta(days=number)
+        columns = {"Zeit (UTC)": day, "v [km/h]": RUN.v * 3.6, "Weg [m]": RUN.s + number}
         path = written(tmp_path / "in", columns, f"run-{number}.csv")
     output = tmp_path / "out"
     given = ["ingest", path, "-o", output]
