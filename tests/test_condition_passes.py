@@ -1,14 +1,30 @@
-"""Passes over the places of a line, and what a day shows: beside sums written out in full."""
+"""Passes, spots and changes of a line's condition: sums written out in full, drawn truths."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
+import pandas as pd
 import pytest
+from hypothesis import given, strategies as st
+from pandas import Timestamp
+from refusals import refused
 from scipy.special import logit
 from scipy.stats import multivariate_normal, norm
+from simulated_line import flirt, level_line
+from trajectory_cases import observed
 
+from analysis.adhesion.condition_map import LEVELS, SETTINGS, empty_map
+from analysis.adhesion.map_state import (
+    demonstrated_adhesion,
+    risk_of_run,
+    typical_adhesion,
+    usable_adhesion,
+)
+from analysis.trajectory.problem import TrajectoryProblem
+from analysis.verification.forecasts import rolling_forecast
 from estimators.condition_passes import (
     OFTEN,
     WIDE,
@@ -19,6 +35,10 @@ from estimators.condition_passes import (
     emissions,
     over_days,
 )
+from trainlog.condition import estimated, layer_before
+from trainlog.errors import InputError
+from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 
 FRESH = np.array([[False, False, True], [False, False, True], [True, True, False]])
 
@@ -65,7 +85,7 @@ def test_the_pass_along_a_line_adds_up_all_ways_through_it(left_out):
     assert not any(each.any() for each in alone[1:])
 
 
-LEVELS = np.log([0.05, 0.1, 0.2, 0.3])
+STEPS = np.log([0.05, 0.1, 0.2, 0.3])
 SPOT = np.array([0.4, 0.3, 0.1, 0.1])
 TRIP_STD, MET, ASTRAY = 0.12, 0.01, 0.3
 NEAR = np.array([[0.1, 0.2, 0.3, 0.4]])
@@ -76,7 +96,7 @@ def said(count: int, mean: float, scatter: float, error: float) -> tuple[np.ndar
     nothing = np.zeros(0, dtype=np.int64)
     return emissions(
         np.array([[count, mean, scatter, error]]), np.zeros(2, dtype=np.int64), nothing,
-        np.zeros(0), np.zeros((1, LEVELS.size)), LEVELS, SPOT, TRIP_STD, MET, NEAR,
+        np.zeros(0), np.zeros((1, STEPS.size)), STEPS, SPOT, TRIP_STD, MET, NEAR,
         np.zeros(1, dtype=np.int64), ASTRAY,
     )  # fmt: skip
 
@@ -85,8 +105,8 @@ def test_one_onset_is_of_the_level_or_wide_of_it_or_astray_or_of_a_spot():
     mean, error = np.log(0.12), 0.02
     plain, short, number = said(1, mean, 0.0, error)
     std, wide = (np.sqrt((factor * TRIP_STD) ** 2 + error) for factor in (1.0, WIDE))
-    here = norm.pdf(mean, LEVELS, std)
-    own = (1.0 - OFTEN) * here + OFTEN * norm.pdf(mean, LEVELS, wide)
+    here = norm.pdf(mean, STEPS, std)
+    own = (1.0 - OFTEN) * here + OFTEN * norm.pdf(mean, STEPS, wide)
     np.testing.assert_allclose(np.exp(plain[0]), own + ASTRAY * NEAR[0] @ here, rtol=1e-9)
     # A spot bears less than what lasts, or it is not met; of its own, or one of all onsets.
     beyond = 1.0 - np.cumsum(SPOT)
@@ -105,14 +125,14 @@ def test_two_onsets_are_shared_out_between_the_level_its_neighbours_and_spots():
     # Of the second row; the first one holds what was used without slip alone.
     plain, short, number = emissions(
         np.array([[0.0, 0.0, 0.0, 0.0], [2.0, mean, scatter, error]]), np.array([0, 1, 3]),
-        np.array([1, 0, 1]), np.array([2.0, borne - 1.0, 1.0]), tail, LEVELS, SPOT, TRIP_STD, MET,
+        np.array([1, 0, 1]), np.array([2.0, borne - 1.0, 1.0]), tail, STEPS, SPOT, TRIP_STD, MET,
         NEAR, np.zeros(2, dtype=np.int64), ASTRAY,
     )  # fmt: skip
     np.testing.assert_allclose(plain[0], 2.0 * tail[1])
     assert np.all(short[0] == -np.inf)
     bears = np.exp((borne - 1.0) * tail[0] + tail[1])
-    low, middle, high = (norm.pdf(x, LEVELS, np.sqrt(variance)) for x in (lower, mean, higher))
-    scattered = norm.pdf(lower, LEVELS, np.sqrt(wide)) * norm.pdf(higher, LEVELS, np.sqrt(wide))
+    low, middle, high = (norm.pdf(x, STEPS, np.sqrt(variance)) for x in (lower, mean, higher))
+    scattered = norm.pdf(lower, STEPS, np.sqrt(wide)) * norm.pdf(higher, STEPS, np.sqrt(wide))
     own = (1.0 - OFTEN) * low * high + OFTEN * scattered
     one_astray, both_astray = ASTRAY * NEAR[0] @ low * high, (ASTRAY * NEAR[0] @ middle) ** 2
     np.testing.assert_allclose(np.exp(plain[1]), bears * (own + one_astray + both_astray))
@@ -136,7 +156,7 @@ def test_the_pass_over_days_adds_up_all_that_may_have_been():
     plain, short = rng.uniform(-2.0, 0.0, (4, 4)), rng.uniform(-4.0, 0.0, (4, 4))
     message, lasting = rng.uniform(-1.0, 1.0, 4), rng.dirichlet(np.ones(4))
     cavity = rng.dirichlet(np.ones(4), 2)
-    given = (starts, day, plain, short, message, cavity, LEVELS, cells, share, occupied, life)
+    given = (starts, day, plain, short, message, cavity, STEPS, cells, share, occupied, life)
     found, present, lasts, state, turnover, cut = over_days(*given, lasting, True)
     likelihood, turns = np.zeros((2, 4)), np.zeros((2, 4, 4))
     of_spot, of_any, ended = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((2, 4, 2))
@@ -231,8 +251,277 @@ def test_a_normal_error_blurs_each_cell_over_those_of_the_grid():
     probability = np.random.default_rng(3).dirichlet(np.ones(9), 2)
     std, step = np.array([0.02, 0.3]), 0.1
     cells = step * np.arange(9)
-    for row, given in enumerate(probability):
+    for row, own in enumerate(probability):
         kernel = norm.pdf(cells[:, None], cells, std[row])
         kernel /= kernel.sum(axis=0)
         found = blurred(probability, std, step)[row]
-        np.testing.assert_allclose(found, kernel @ given, rtol=1e-4)
+        np.testing.assert_allclose(found, kernel @ own, rtol=1e-4)
+
+
+LINE = level_line(2_500.0)
+BINS = 100
+DAY = 20_000
+OF_TRIP = 0.12
+"""With which the evidence is weighted."""
+
+
+def met(
+    day: int, place: int, level: float, borne: float, bins: int = 3, std: float = 0.03
+) -> DailyEvidence:
+    """A trip with onsets at `level` in a few bins; everywhere else it used `borne` without slip."""
+    weight, logs = np.zeros(BINS), np.zeros(BINS)
+    slipped = slice(place, place + bins)
+    weight[slipped] = 1.0 / (OF_TRIP**2 + std**2)
+    logs[slipped] = weight[slipped] * np.log(level)
+    used = np.zeros((BINS, LEVELS.size))
+    used[:, int(np.searchsorted(LEVELS, borne))] = weight == 0.0
+    return DailyEvidence.of_bins(day, weight > 0.0, weight, logs, used)
+
+
+def calm(day: int, borne: float) -> DailyEvidence:
+    return met(day, 0, 0.1, borne, bins=0)
+
+
+def layer_of(pieces: list[DailyEvidence]) -> ConditionLayer:
+    known = ConditionLayer.unestimated(DailyEvidence.total(pieces))
+    return estimated(replace(empty_map(LINE), layers={"wet": known})).layer("wet")
+
+
+def day(number: int) -> pd.Timestamp:
+    return pd.Timestamp(0, tz="UTC") + pd.Timedelta(days=DAY + number, hours=6)
+
+
+class TestWhatPasses:
+    def test_a_spot_has_its_place_and_days_and_is_not_the_lasting_condition(self):
+        """Thirty days of trips that bear 0.15; on the last three a spot of 0.07 in three bins."""
+        pieces = [calm(DAY + number, 0.15) for number in range(27)]
+        visited = layer_of(pieces + [met(DAY + n, 40, 0.07, 0.15) for n in range(27, 30)])
+        assert np.all(visited.quantile(0.5)[40:43] > 0.14)
+        # Yesterday counts, last month hardly.
+        assert visited.expected(day(30)).below(0.1)[41] > 0.3
+        assert visited.expected(day(75)).below(0.1)[41] < 0.1
+        assert visited.expected(day(30)).below(0.1)[80] < 0.1
+        (spot,) = visited.spots
+        assert (spot.start, spot.end) == (1000.0, 1075.0)
+        assert (spot.first - DAY, spot.last - DAY) == (27, 29)
+        assert spot.low < 0.07 < spot.high
+        assert spot.alive(day(30)) > 10.0 * spot.alive(day(75))
+
+    def test_a_place_that_is_always_low_is_lasting(self):
+        layer = layer_of([met(DAY + number, 40, 0.08, 0.15) for number in range(0, 30, 3)])
+        assert np.all(np.abs(layer.log_mean[40:43] - np.log(0.08)) < 0.1)
+        assert layer.spots == ()
+        assert layer.changes == ()
+
+
+class TestChanges:
+    @pytest.mark.parametrize(("before", "after"), [(0.08, 0.16), (0.16, 0.08)])
+    def test_a_change_is_dated_and_not_averaged_away(self, before, after):
+        """Slip at one level for twenty days, then at another: ground, or grown over."""
+        pieces = [met(DAY + number, 38, before, 0.06, bins=6) for number in range(0, 40, 2)]
+        pieces += [met(DAY + number, 38, after, 0.06, bins=6) for number in range(40, 56, 2)]
+        layer = layer_of(pieces)
+        (change,) = layer.changes
+        assert abs(change.day - DAY - 40) <= 2
+        assert change.earliest <= change.day <= change.latest
+        assert change.before == pytest.approx(before, rel=0.1)
+        assert change.after == pytest.approx(after, rel=0.1)
+        assert change.significance > 3.0
+        assert np.all(np.abs(layer.log_mean[38:44] - np.log(after)) < 1.96 * layer.log_std[38:44])
+
+
+def test_what_one_day_alone_showed_may_have_passed():
+    normal = [met(DAY + n, 4 + 12 * n, 0.16, 0.05, bins=8) for n in range(7)]
+    once = layer_of([*normal, *(met(DAY + 3, 90, 0.08, 0.05) for _ in range(6))])
+    assert once.quantile(0.5)[91] < 0.1
+    assert once.quantile(0.975)[91] > 0.14, "a spot of that day is in the band, too"
+    often = [met(DAY + 3 * n, 90, 0.08, 0.05) for n in range(6)]
+    assert layer_of([*normal, *often]).quantile(0.975)[91] < 0.11
+
+
+@pytest.mark.parametrize("place_from", [pytest.param(None, marks=pytest.mark.long), 7])
+def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from):
+    """Every trip bears 0.13 and all slip is at 0.16, but for a place that is slippery later.
+
+    What was borne without slip allows any level above: a spread between trips that grows with it
+    must not lift the levels above all onsets. Days are asked for from the last to the first.
+    """
+    pieces = []
+    for number in range(16):
+        pieces += [calm(DAY + number, 0.13), met(DAY + number, 20 + 3 * number, 0.16, 0.13)]
+        if place_from is not None and number >= place_from:
+            pieces.append(met(DAY + number, 10, 0.07, 0.13))
+    known = ConditionLayer.unestimated(DailyEvidence.total(pieces))
+    track = replace(empty_map(LINE), layers={"wet": known})
+    forecast = rolling_forecast(track)
+    for number in (15, 8):
+        whole, found = layer_before(track, DAY + number, "wet"), forecast("wet", day(number))
+        level = whole.quantile(0.5)[20:]
+        assert np.all((level > 0.145) & (level < 0.18)), number
+        assert found.quantile(0.5).tobytes() == whole.expected(day(number)).quantile(0.5).tobytes()
+        assert whole.model["trip_std"].value < 0.12
+
+
+def test_without_evidence_parameters_are_assumed_and_with_it_estimated():
+    """Levels of places and trips are drawn with numbers that the map does not know."""
+    generator = np.random.default_rng(4)
+    places = np.log(0.2) + 0.1 * generator.standard_normal(BINS)
+    pieces = []
+    for number in range(30):
+        weight = np.zeros(BINS)
+        seen = generator.uniform(size=BINS) < 0.5
+        weight[seen] = 1.0 / (OF_TRIP**2 + 0.03**2)
+        logs = weight * (places + 0.06 * generator.standard_normal(BINS))
+        none = np.zeros((BINS, LEVELS.size))
+        pieces.append(DailyEvidence.of_bins(DAY + number, seen, weight, logs, none))
+    model = layer_of(pieces).model
+    trip = model["trip_std"]
+    assert trip.source == "estimated"
+    assert trip.value == pytest.approx(0.05, abs=0.015)
+    assert model["mean"].value == pytest.approx(np.log(0.2), abs=0.1)
+    assert model["spot_life"].source == "assumed"
+    empty = layer_of([calm(DAY, 0.02)]).model
+    assert {each.source for each in empty.values()} == {"assumed"}
+
+
+@pytest.mark.parametrize("length", [300.0, 1_000.0, 2_500.0])
+def test_bins_longer_than_a_slippery_place_have_the_level_of_their_onsets(length):
+    """Of ten bins one was met at 0.06, the others at 0.12, on each of twenty days."""
+    levels = np.where(np.arange(10) == 2, 0.06, 0.12)
+    weight, unused = np.full(10, 1.0 / OF_TRIP**2), np.zeros((10, LEVELS.size))
+    pieces = [
+        DailyEvidence.of_bins(DAY + n, weight > 0.0, weight, weight * np.log(levels), unused)
+        for n in range(20)
+    ]
+    known = ConditionLayer.unestimated(DailyEvidence.total(pieces))
+    line = level_line(10.0 * length)
+    found = estimated(replace(empty_map(line, length), layers={"wet": known})).layer("wet")
+    assert found.quantile(0.5) == pytest.approx(levels, rel=0.1)
+    assert found.model["slippery_length"].value > 0.0
+
+
+FEW_LEVELS = np.array([0.04, 0.06, 0.08, 0.10])
+FEW_BINS = 40
+
+
+def made(
+    seen: dict[int, float] | None = None, demonstrated: dict[tuple[int, int], float] | None = None
+) -> TrackConditionMap:
+    """A map with estimates of 10 per cent where seen, and trips that bore levels."""
+    observed, mean, censored = (
+        np.zeros(FEW_BINS, bool),
+        np.zeros(FEW_BINS),
+        np.zeros((FEW_BINS, FEW_LEVELS.size)),
+    )
+    for index, adhesion in (seen or {}).items():
+        observed[index], mean[index] = True, np.log(adhesion)
+    for place, trips in (demonstrated or {}).items():
+        censored[place] = trips
+    nothing = np.zeros(FEW_BINS)
+    known = DailyEvidence.of_bins(0, nothing, nothing, nothing, censored)
+    layer = ConditionLayer(mean, np.full(FEW_BINS, 0.1), observed, evidence=known)
+    return TrackConditionMap(
+        "line", 25.0 * FEW_BINS, 25.0, FEW_LEVELS, {"wet": layer}, settings=dict(SETTINGS)
+    )
+
+
+def test_each_bin_is_seen_demonstrated_or_assumed():
+    track = made({3: 0.07}, {(8, 3): 4.0, (9, 0): 4.0})
+    found = usable_adhesion(track, "wet", assumed=0.05)
+    assert np.flatnonzero(found.seen).tolist() == [3]
+    assert np.flatnonzero(found.demonstrated).tolist() == [8]
+    assert np.all(found.seen.astype(int) + found.demonstrated + found.assumed == 1)
+    assert found.values[3] == pytest.approx(0.07 * np.exp(-0.1))
+    assert np.all(found.values[found.assumed] == 0.05)
+    assert found.profile(210.0) == found.values[8] > 0.05
+
+
+@given(st.lists(st.integers(0, 5), min_size=4, max_size=4), st.floats(0.0, 3.0), st.integers(0, 3))
+def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_nothing_away(
+    trips, sigmas, further
+):
+    demonstrated = {(5, k): float(count) for k, count in enumerate(trips)}
+    before = demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5]
+    highest = max((FEW_LEVELS[k] for k, count in enumerate(trips) if count), default=0.0)
+    assert before <= highest
+    demonstrated[5, further] += 1.0
+    assert demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5] >= before
+
+
+@pytest.mark.parametrize(
+    ("settings", "assumed", "words"),
+    [(SETTINGS, 0.0, "above 0 and at most 1, not 0"), ({}, 0.05, "lacks the setting 'trip_std'")],
+)
+def test_what_cannot_be_counted_on_is_refused(settings, assumed, words):
+    track = replace(made(), settings=settings)
+    refused(InputError, words, usable_adhesion, track, "wet", assumed=assumed)
+
+
+def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place():
+    track = made({3: 0.07, 9: 0.1})
+    generator = np.random.default_rng(1)
+    for risk in (0.05, 0.2):
+        found = usable_adhesion(track, "wet", risk=risk)
+        assert np.flatnonzero(found.seen).tolist() == [3, 9]
+        met = 0.07 * np.exp(0.1 * generator.standard_normal(20_000))
+        assert np.mean(met < found.values[3]) == pytest.approx(risk, abs=0.01)
+    # What was demonstrated is read with the same caution, and so is what is typical.
+    bold, careful = (
+        usable_adhesion(made({3: 0.07}, {(8, 3): 4.0}), "wet", risk=risk, assumed=0.01)
+        for risk in (0.3, 0.01)
+    )
+    assert careful.values[8] < bold.values[8] < 0.1
+    typical = [typical_adhesion(track, "wet", risk=risk) for risk in (0.01, 0.05, 0.5)]
+    assert typical == sorted(typical)
+    for risk in (0.0, 1.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="a risk must be between 0 and 1"):
+            usable_adhesion(track, "wet", risk=risk)
+
+
+def test_a_risk_is_read_for_the_time_of_the_run():
+    class Fading(ConditionLayer):
+        """Expects half of the adhesion until a time."""
+
+        def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:
+            worse = time is None or time < Timestamp("2026-11-22", tz="UTC")
+            mean = self.log_mean - (np.log(2.0) if worse else 0.0)
+            return AdhesionEstimate(mean, self.log_std, self.observed)
+
+    known = made({3: 0.07})
+    layer = known.layer("wet")
+    fading = Fading(layer.log_mean, layer.log_std, layer.observed, evidence=layer.evidence)
+    track = replace(known, layers={"wet": fading})
+    early, late = Timestamp("2026-11-21T06:00Z"), Timestamp("2026-11-23T06:00Z")
+    for options in ({"risk": 0.05}, {"sigmas": 1.0}):
+        now, then = (
+            usable_adhesion(track, "wet", time=time, **options).values[3] for time in (early, late)
+        )
+        assert then == pytest.approx(2.0 * now)
+    # Without a time a risk is that right after the last evidence; deviations are of what lasts.
+    assert usable_adhesion(track, "wet", risk=0.05).values[3] < 0.04
+    assert usable_adhesion(track, "wet", sigmas=1.0).values[3] > 0.06
+    line = replace(level_line(track.length), name=track.line)
+    options = {"end": 1_000.0, "condition_map": track, "risk": 0.05}
+    cells = np.linspace(0.0, 1_000.0, FEW_BINS + 1)
+    runs = [
+        TrajectoryProblem(line, flirt(), observed(flirt(), 1.0), time=time, **options)
+        for time in (early, late)
+    ]
+    assert runs[1].adhesion(cells)[3] == pytest.approx(2.0 * runs[0].adhesion(cells)[3])
+
+
+@pytest.mark.parametrize("together", [0.0, 0.5, 0.95])
+def test_the_risk_of_a_run_lies_between_its_bounds_however_places_hang_together(together):
+    generator = np.random.default_rng(2)
+    places = np.arange(10, 200, 20)
+    rail = AdhesionEstimate(np.full(200, np.log(0.1)), np.full(200, 0.15), np.ones(200, bool))
+    demand = np.zeros(200)
+    demand[places] = rail.quantile(0.05)[0] * np.linspace(0.9, 1.0, places.size)
+    least, most = risk_of_run(rail, demand, 25.0, 100.0)
+    shared, own = generator.standard_normal((50_000, 1)), generator.standard_normal((50_000, 10))
+    deviation = np.sqrt(together) * shared + np.sqrt(1.0 - together) * own
+    met = 0.1 * np.exp(0.15 * deviation)
+    failed = np.mean(np.any(met < demand[places], axis=1))
+    assert least - 0.003 <= failed <= most + 0.003
+    assert least == pytest.approx(0.05)
+    assert risk_of_run(rail, np.zeros(200), 25.0, 100.0) == (0.0, 0.0)

@@ -1,22 +1,26 @@
-"""Advice to a driver for a whole journey: stations, times in the clock of the timetable, places."""
+"""Advice to a driver: phases and energy, stations, times in the clock of the timetable, places."""
 
 from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
+from hypothesis import given, settings, strategies as st
 from refusals import refused
+from trajectory_cases import FLIRT, hilly_line, level_line, observed, optimised, slippery
 
 from analysis.reports.results import write_driver_advice
-from analysis.trajectory.advice import journey_advice, time_of_day, with_times
-from analysis.trajectory.instructions import Cap, Instruction, Phase
-from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.advice import journey_advice, time_of_day, with_advice, with_times
+from analysis.trajectory.instructions import LETTERS, Cap, Instruction, Phase, _Plan, instructions
+from analysis.trajectory.optimiser import energy_against_time, optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-from trainlog.errors import InputError
+from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railway import (
     line_of_plan,
     line_to_bytes,
@@ -26,7 +30,11 @@ from trainlog.formats.railway import (
     write_trajectory,
 )
 from trainlog.formats.samples import sample
-from trainlog.railway import Configuration, Line, Trajectory
+from trainlog.mcap import read_log, write_log
+from trainlog.railway import Configuration, Line, StepProfile, Trajectory
+from trainlog.topics import ESTIMATED_STATE
+from trainlog.trip import frame_of
+from trainlog.units import KMH
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
 
@@ -222,3 +230,356 @@ def test_the_table_of_another_command_is_not_overwritten(sections, tmp_path):
     assert not (tmp_path / "plan.html").exists()
     for _ in range(2):
         write_driver_advice([plan], tmp_path / "advice.html", tmp_path / "advice.csv")
+
+
+@pytest.fixture(scope="module")
+def hilly() -> Trajectory:
+    return optimised(hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.0, 1.05), reserve=0.1, cells=200)
+
+
+@pytest.fixture(scope="module")
+def sampled() -> Trajectory:
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    return optimised(line, train, [Configuration.of(train)], reserve=0.1, cells=100)
+
+
+def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly):
+    points = instructions(hilly, hilly_line().speed_limits)
+    assert (points[0].position, points[0].phase) == (0.0, Phase.MAXIMUM_TRACTION)
+    assert points[-1].phase is Phase.MAXIMUM_BRAKING
+    assert points[-1].until == 0.0
+    for before, point in pairwise(points):
+        assert before.end == point.position
+        assert before.words() != point.words()
+        assert before.until == point.speed
+
+
+def test_advice_goes_with_the_chainage_of_satellites(sampled):
+    trip = read_log(sample("nonstop.mcap"))
+    state = trip["/train/state"]
+    known = {"position": state["position"].to_numpy()}
+    found = frame_of(ESTIMATED_STATE, pd.DatetimeIndex(state.index), known)
+    without = state.assign(position=np.nan)
+    without.attrs = state.attrs
+    located = with_advice(trip.with_topic(without).with_topic(found), sampled)
+    recorded = with_advice(trip, sampled)["/reference"]
+    pd.testing.assert_frame_equal(located["/reference"], recorded)
+
+
+def _with_phases(letters: str, speeds: Sequence[float]) -> Trajectory:
+    """A trajectory of given phases, 20 s a cell; speeds in km/h at the nodes."""
+    n, speed = len(letters), np.array(speeds) / 3.6
+    efforts = [
+        np.array([sizes.get(each, 0.0) for each in letters])
+        for sizes in ({"T": 60e3, "P": 10e3}, {"B": 60e3, "H": 30e3})
+    ]
+    return Trajectory(
+        "L", "T", 300.0 * np.arange(n + 1), (Configuration.of(FLIRT),), speed[None],
+        20.0 * np.arange(n + 1)[None], efforts[0], efforts[1][None], 20.0 * n,
+        certificate={"phases": [letters]},
+    )  # fmt: skip
+
+
+FREE = StepProfile(np.array([0.0]), np.array([200.0 / 3.6]))
+"""No limit that a train reaches [m/s]."""
+
+
+def words_of(trajectory: Trajectory) -> list[str]:
+    return [each.words() for each in instructions(trajectory, FREE)]
+
+
+def test_at_one_speed_the_advice_is_to_hold_it():
+    speeds = [0, 100, 100.5, 101, 100.2, 101.1, 100.5, 60, 0]
+    assert words_of(_with_phases("TPHPCPCB", speeds)) == [
+        "full traction to 101 km/h",
+        "hold 101 km/h",
+        "coast to km 2.100: speed falls to 60 km/h",
+        "brake to a stand",
+    ]
+    # A dip between two equal speeds is coasting all the same.
+    dip = instructions(_with_phases("TPCCPB", [0, 100, 100, 80, 100, 100, 0]), FREE)
+    assert [LETTERS[each.phase] for each in dip] == list("TPCPB")
+    assert dip[2].course == pytest.approx(np.array([100.0, 80.0, 100.0]) / 3.6)
+
+
+def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake():
+    """Braking downhill at one speed, then to a lower one: two speeds to hold, and a brake."""
+    speeds = [0, 99, 100, 100, 100, 100, 85, 80, 80.5, 80, 60, 0]
+    assert words_of(_with_phases("TPPPPHHPPCB", speeds)) == [
+        "full traction to 100 km/h",
+        "hold 100 km/h",
+        "brake gently to 80 km/h by km 2.100",
+        "hold 80 km/h",
+        "coast to km 3.000: speed falls to 60 km/h",
+        "brake to a stand",
+    ]
+    # Partial traction at a falling speed is no speed to hold.
+    falling = words_of(_with_phases("TPPPCB", [0, 100, 100, 100, 80, 60, 0]))
+    assert falling[1:3] == ["hold 100 km/h", "partial traction to 80 km/h by km 1.200"]
+
+
+def test_a_short_full_brake_to_a_lower_speed_is_advice():
+    given = _with_phases("TPBPB", [0, 115, 115, 105, 105, 0])
+    times = np.array([0.0, 60.0, 120.0, 122.5, 200.0, 240.0])[None]
+    assert words_of(replace(given, times=times)) == [
+        "full traction to 115 km/h", "hold 115 km/h", "brake to 105 km/h by km 0.900",
+        "hold 105 km/h", "brake to a stand",
+    ]  # fmt: skip
+
+
+def test_braking_is_advised_only_where_a_configuration_brakes():
+    """One coasts below a limit that the other has to brake for; further on both coast below one."""
+    slow = np.array([0, 100, 92, 88, 80, 70, 0]) / 3.6
+    fast = np.array([0, 100, 100, 90, 84, 75, 0]) / 3.6
+    one = Configuration.of(FLIRT)
+    given = _with_phases("TCCCCB", (3.6 * slow).tolist())
+    plan = replace(
+        given,
+        configurations=(one, replace(one, name="light")),
+        speeds=np.stack((slow, fast)),
+        times=np.stack((given.times[0], given.times[0] - 1e-3)),
+        braking_effort=np.array([[0, 0, 0, 0, 0, 60e3], [0, 0, 50e3, 0, 0, 60e3]]),
+        certificate={"phases": ["TCCCCB", "TCBCCB"]},
+    )
+    limits = StepProfile(np.array([0.0, 900.0, 1_200.0]), np.array([120.0, 90.0, 85.0]) / 3.6)
+    found = [each.words() for each in instructions(plan, limits)]
+    assert found == [
+        "full traction to 100 km/h",
+        "coast to km 0.600: speed falls to 92 km/h; at most 100 km/h at km 0.600",
+        "brake, if faster, to 90 km/h by km 0.900",
+        "coast to km 1.500: speed falls to 70 km/h; at most 85 km/h from km 1.200, 75 km/h at km"
+        " 1.500",
+        "brake to a stand",
+    ]
+
+
+def test_a_speed_is_held_only_where_the_plan_drives_or_brakes():
+    """Downhill one brakes for a limit below which the other coasts: nobody is to drive."""
+    slow = np.array([0, 104, 107, 109.6, 109.7, 109.8, 109.9, 110, 110, 60, 0]) / 3.6
+    fast = np.array([0, 104, 108, 109.9, 110, 110, 110, 110, 110, 60, 0]) / 3.6
+    given = _with_phases("TCCCCCPPCB", (3.6 * slow).tolist())
+    plan = replace(
+        given,
+        configurations=(given.configurations[0], replace(given.configurations[0], name="heavy")),
+        speeds=np.stack((slow, fast)),
+        times=np.stack((given.times[0], given.times[0] - 1e-3)),
+        braking_effort=1e3 * np.array([[0] * 9 + [60], [0, 0, 0, 4, 4, 4, 0, 0, 0, 60]]),
+        certificate={"phases": ["TCCCCCPPCB", "TCCHHHPPCB"]},
+    )
+    line = level_line(3_000.0, (0.0, 120.0), (600.0, 110.0))
+    assert [each.words() for each in instructions(plan, line.speed_limits)][:4] == [
+        "full traction to 104 km/h",
+        "coast to km 0.900: speed rises to 110 km/h",
+        "brake, if faster, to 110 km/h by km 1.800",
+        "hold 110 km/h",
+    ]
+
+
+BRAKES = {"H": 30e3, "B": 60e3}
+STEPS = {
+    "T": (-9.0, 40.0),
+    "P": (-2.0, 4.0),
+    "C": (-9.0, 5.0),
+    "H": (-8.0, 1.0),
+    "B": (-40.0, -5.0),
+}
+"""By how much the speed changes in a cell of each phase [km/h]."""
+
+
+@st.composite
+def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
+    """A plan of two configurations, of which one may brake where the other coasts, and limits."""
+    letters, speeds, more, others = "T", [0.0, draw(st.floats(40.0, 90.0))], [0.0, 0.0], "T"
+    for letter in draw(st.lists(st.sampled_from("TPPCCCHB"), min_size=3, max_size=14)):
+        after = speeds[-1] + draw(st.floats(*STEPS[letter]))
+        if 20.0 < after < 140.0:
+            letters, speeds = letters + letter, [*speeds, after]
+            more.append(min(draw(st.sampled_from([0.0, 0.5, 3.0, 9.0])), more[-1] + 5.0))
+            others += "B" if letter == "C" and more[-1] < more[-2] - 2.0 else letter
+    pieces = np.cumsum([draw(st.booleans()) for _ in letters] + [True])
+    slack = draw(st.lists(st.sampled_from([0.0, 0.3, 4.0, 60.0]), min_size=16, max_size=16))
+    plan = _of_two(letters + "B", others + "B", speeds, more)
+    fastest = np.maximum(plan.speeds[1, 1:], plan.speeds[1, :-1])
+    values = [fastest[pieces == each].max() + slack[each] / 3.6 for each in np.unique(pieces)]
+    starts = np.flatnonzero(np.diff(pieces, prepend=-1))
+    return plan, StepProfile(plan.positions[starts], np.array(values))
+
+
+def _of_two(letters: str, others: str, speeds: list[float], more: list[float]) -> Trajectory:
+    """A plan of one configuration, and another that is so much faster at each place [km/h]."""
+    plan, phases = _with_phases(letters, [*speeds, 0.0]), [letters, others]
+    every = np.column_stack((np.array([speeds, np.add(speeds, more)]) / 3.6, np.zeros(2)))
+    one = plan.configurations[0]
+    return replace(
+        plan, configurations=(one, replace(one, name="faster")), speeds=every,
+        times=np.stack((plan.times[0], plan.times[0] - 1e-3)), certificate={"phases": phases},
+        braking_effort=np.array([[BRAKES.get(x, 0.0) for x in each] for each in phases]),
+    )  # fmt: skip
+
+
+@settings(max_examples=200)
+@given(drawn_plans())
+def test_rows_say_what_any_plan_does(drawn):
+    _check_rows(*drawn)
+
+
+@pytest.mark.parametrize(
+    ("letters", "speeds", "more", "limits"),
+    [
+        ("TTTTTTTB", [40] * 6 + [41], {4: 3.0}, {0.0: 43.0, 1500.0: 40.0, 1800.0: 41.0}),
+        ("T" * 10 + "CCCCB", [40] * 14, {11: 0.5, 13: 0.5, 14: 3.0}, {0.0: 40.5, 3600.0: 43.0}),
+        (
+            "TTTTTCTTTB", [66, 66, 66, 91, 131, 136, 136, 136, 136], {6: 3.0},
+            {0.0: 139.0, 2100.0: 136.0},
+        ),
+        ("TCCCB", [40, 39, 39, 39], {3: 0.5}, {0.0: 40.0, 1200.0: 39.0}),
+    ],
+    ids=["a lower limit later", "a higher limit later", "a limit ahead", "rises after a fall"],
+)  # fmt: skip
+def test_a_speed_not_to_exceed_is_below_no_configuration(letters, speeds, more, limits):
+    speeds = [0.0, *map(float, speeds)]
+    plan = _of_two(letters, letters, speeds, [more.get(k, 0.0) for k in range(len(speeds))])
+    _check_rows(plan, StepProfile(np.array([*limits]), np.array([*limits.values()]) / KMH))
+
+
+def _check_rows(plan: Trajectory, limits: StepProfile) -> None:
+    places, speeds, top = plan.positions, plan.speeds[0], 1.0 / KMH
+    phases = np.array([["TPCHB".index(x) for x in each] for each in plan.certificate["phases"]])
+    rows = instructions(plan, limits)
+    assert (rows[0].position, rows[-1].end) == (0.0, places[-1])
+    for row, after in zip(rows, [*rows[1:], None], strict=True):
+        first, last = np.searchsorted(places, [row.position, row.end]).tolist()
+        own, inside = phases[:, first:last], speeds[first : last + 1]
+        assert after is None or (row.end, row.until) == (after.position, after.speed)
+        assert (row.speed, row.until) == (inside[0], inside[-1])
+        assert (row.lowest, row.highest) == (inside.min(), inside.max())
+        assert abs(3.6 * row.target - round(3.6 * row.target)) < 1e-6
+        if row.hold:
+            assert row.stated_until == row.stated_target == row.target
+            assert np.all(np.abs(inside - row.target) <= 2.0 * top + 1e-9)
+            assert row.target <= limits(places[first:last]).min() + 0.01
+            assert row.caps == ()
+            continue
+        drives, brakes = row.phase <= Phase.CRUISING, row.phase > Phase.COASTING
+        assert not drives or np.all(own[0] <= Phase.CRUISING)
+        assert not brakes or np.all((own >= Phase.PARTIAL_BRAKING).any(axis=0))
+        assert row.phase is not Phase.MAXIMUM_TRACTION or own[0].min() == 0
+        assert (row.phase is Phase.PARTIAL_BRAKING) == (brakes and own[0].max() == 3)
+        # It leads to a speed that is held, or to one of the plan: of who brakes.
+        slows = row.phase is Phase.MAXIMUM_TRACTION and row.highest > row.until + top
+        alone = brakes and own[0].max() < Phase.PARTIAL_BRAKING
+        goal = row.highest if slows else plan.speeds[1, last] if alone else row.until
+        if after is not None and after.hold and not slows and row.phase is not Phase.COASTING:
+            assert row.target == after.target
+        else:
+            most = goal if not drives else min(goal + 0.5 * top, limits(row.end - 1e-3))
+            assert min(goal, most) - top < row.target + 1e-6 <= most + 0.01
+        if row.phase is Phase.COASTING or slows:
+            capped = {each.speed for each in row.caps if each.speed > row.until - top}
+            assert min(abs(row.stated_until - each) for each in {row.until, *capped}) < 1e-9
+            assert row.until - top < row.stated_until < row.until + 1e-9
+        assert row.by == row.end if not brakes else row.position < row.by <= row.end
+        turns = np.diff(row.course)
+        assert (row.course[0], row.course[-1]) == (row.speed, row.until)
+        assert row.lowest <= min(row.course) <= max(row.course) <= row.highest
+        assert np.all(turns[1:-1] * turns[:-2] < 0.0)
+        assert row.highest - max(row.course) <= 2.0 * top + 1e-9
+        # No configuration is asked to be slower than it is planned, or led over a limit.
+        stated = np.full(places.size, np.inf)
+        for cap in row.caps:
+            assert row.position <= cap.start <= cap.end <= row.end
+            some = (places >= cap.start) & (places <= cap.end)
+            assert plan.speeds[:, some].max() <= cap.speed + top + 1e-9
+            stated[some] = np.minimum(stated[some], cap.speed)
+        for cell in range(first, last - 1):
+            here, after = float(limits(places[cell] + 1.0)), plan.speeds[1, cell + 1]
+            near, rises = after > here - 8.0 * top, after > plan.speeds[1, cell] + 0.2 * top
+            coasts = row.phase is Phase.COASTING and places[cell + 1] not in limits.positions
+            if near and ((coasts and rises) or (drives and here < row.target - top)):
+                assert stated[cell + 1] <= here + 1e-9
+
+
+@given(drawn_plans())
+def test_no_other_rows_leave_less_unsaid(drawn):
+    plan = _Plan(*drawn)
+    costs, chosen, change = plan._costs(), plan.chosen(), 2.5 / 3.6
+    least = costs[:, 0]
+    for column in costs[:, 1:].T:
+        least = np.minimum(least, least.min() + change) + column
+    own = costs[chosen, np.arange(chosen.size)].sum() + change * np.count_nonzero(np.diff(chosen))
+    assert own == pytest.approx(least.min())
+
+
+def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(sampled, tmp_path):
+    trip = read_log(sample("nonstop.mcap"))
+    write_log(with_advice(trip, sampled), tmp_path / "advised.mcap")
+    advised = read_log(tmp_path / "advised.mcap")
+    frame = advised["/reference"]
+    position = advised["/train/state"]["position"].reindex(frame.index).to_numpy()
+    assert frame["speed"].to_numpy() == pytest.approx(sampled.speed_at(0, position))
+    # At its end a trip is as late as it took longer than the trajectory allows.
+    seconds = (frame.index[-1] - frame.index[0]).total_seconds()
+    assert frame["lateness"].iloc[-1] == pytest.approx(seconds - sampled.running_time, abs=60.0)
+    assert advised.provenance[-1]["step"] == "advise"
+    refused(InputError, "carries a reference already", with_advice, advised, sampled)
+    with pytest.raises(InputError, match=r"is for line 'CH_StGallen_Wil' reverse, trip '.*forward"):
+        with_advice(trip, replace(sampled, direction="reverse"))
+    beyond = replace(sampled, positions=sampled.positions + 1e6)
+    refused(InputError, r"is never between km 1000\.000 and", with_advice, trip, beyond)
+
+
+def test_the_slope_of_the_front_is_the_price_of_a_second():
+    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05))
+    front = energy_against_time(problem, (0.2, 0.05, 0.1, 0.15), OptimiserOptions(80))
+    assert np.all(np.diff(front.times) > 0.0)
+    assert np.all(np.diff(front.energies) < 0.0)
+    assert all(run.certificate["lower_bound"] <= run.certificate["energy"] for run in front.runs)
+    slopes = -np.diff(front.energies) / np.diff(front.times)
+    # The front is convex: each secant lies between the prices at its ends.
+    assert np.all(slopes <= 1.01 * front.prices[:-1])
+    assert np.all(slopes >= 0.99 * front.prices[1:])
+
+
+def test_a_front_of_nothing_is_refused():
+    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0))
+    refused(InputError, "no reserves", energy_against_time, problem, ())
+    with pytest.raises(InfeasibleError, match="under one common traction"):
+        energy_against_time(problem, (1e-7,), OptimiserOptions(40))
+
+
+def test_against_the_chainage_the_map_is_read_backwards():
+    line = hilly_line()
+    condition = slippery(line, (7_000.0, 8_000.0, 0.08))
+    configurations = tuple(observed(FLIRT, 1.0))
+    run = TrajectoryProblem(
+        line.reversed(), FLIRT, configurations,
+        condition_map=condition, direction="reverse",
+    )  # fmt: skip
+    forward = TrajectoryProblem(line, FLIRT, configurations, condition_map=condition)
+    points = np.linspace(0.0, line.length, 401)
+    assert run.adhesion_at(points) == pytest.approx(forward.adhesion_at(line.length - points))
+    assert run.adhesion(points) == pytest.approx(forward.adhesion(line.length - points[::-1])[::-1])
+    found = optimised(
+        line.reversed(), FLIRT, configurations, reserve=0.15, condition_map=condition,
+        direction="reverse", cells=150,
+    )  # fmt: skip
+    assert found.direction == "reverse"
+    assert found.certificate["audit"]["adhesion"] <= 1.0 + 1e-6
+    # It starts where the rail is slippery.
+    least = 0.08 * np.exp(-0.1) * FLIRT.adhesive_weight()
+    assert found.tractive_effort[0] == pytest.approx(least, rel=1e-6)
+
+
+def test_coasting_for_a_moment_while_cruising_is_no_advice():
+    """Nor is a little braking at a speed that stays."""
+    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
+    count = found.positions.size - 1
+    times = np.linspace(0.0, 10.0 * count, count + 1)[None]
+    speeds = np.full((1, count + 1), 20.0)
+    for letter in "CH":
+        phases = "P" * 50 + letter + "P" * (count - 51)
+        given = replace(
+            found, speeds=speeds, times=times, certificate={**found.certificate, "phases": [phases]}
+        )
+        assert words_of(given) == ["hold 72 km/h"]

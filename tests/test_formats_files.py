@@ -1,17 +1,28 @@
-"""Files appear whole or not at all, and say where they cannot be read."""
+"""Files appear whole or not at all; keys are documented; libraries of others are read."""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
+import sqlite3
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from contents import put
+from format_examples import TRAINS, assert_same, journeys, lines
+from hypothesis import assume, given, settings
 from refusals import refused
 
 import trainlog
+from trainlog.cli import main as cli
+from trainlog.declaration import Declared, entries
 from trainlog.errors import InputError
+from trainlog.formats import ttobench
 from trainlog.formats.declared import parse_toml
 from trainlog.formats.files import (
     atomic_write,
@@ -23,6 +34,44 @@ from trainlog.formats.files import (
     sha256_of,
     write_bytes,
 )
+from trainlog.formats.imports import import_file
+from trainlog.formats.railtoolkit import (
+    RollingVehicle,
+    coupled,
+    read_any,
+    read_rolling_stock,
+    read_running_paths,
+)
+from trainlog.formats.railway import (
+    CoastDownResult,
+    DragCurve,
+    Identified,
+    read_journey,
+    read_line,
+    read_train,
+)
+from trainlog.formats.samples import sample
+from trainlog.formats.ttobench import JourneyLayout, TrackLayout, TrainLayout
+from trainlog.railway import BrakingCurves, EffortCurve, Line, Station, Train
+from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.line import Geometry, LineReference, Survey
+from trainlog.railway.motion import timetable_run
+from trainlog.railway.network import Edge, Network
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import (
+    BRAKING_PARAMETERS,
+    AxleGeometry,
+    Axles,
+    Brake,
+    Configuration,
+    Consist,
+    ConsistBrake,
+    Coupler,
+    ParameterSet,
+    Vehicle,
+)
+from trainlog.railway.trajectory import Journey, Trajectory
+from trainlog.units import GRAVITY
 
 
 def write_half(target: Path, failure: BaseException) -> None:
@@ -198,3 +247,432 @@ def test_what_a_file_cannot_hold_is_named(name, kind, tmp_path):
 )
 def test_toml_that_its_parser_gives_up_is_refused(data, message):
     assert str(refused(InputError, "", parse_toml, data, file="a.toml")).startswith(message)
+
+
+TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
+SECTIONS: list[tuple[str, tuple[type, ...]]] = [
+    ("## Line", (Line, Survey, Geometry, LineReference)),
+    ("## Network", (Network, Edge)),
+    ("## Train", (Train, Axles, AxleGeometry, Brake, BrakingCurves)),
+    ("## Consist", (Consist, ConsistBrake, Vehicle, Coupler)),
+    ("## Journey", (Journey,)),
+    ("## Parameters", (ParameterSet, Configuration, RunningResistance)),
+    ("## Trajectory", (Trajectory,)),
+    ("## Coast-down", (CoastDownResult, Identified, DragCurve)),
+]
+
+
+@pytest.mark.parametrize(("title", "models"), SECTIONS, ids=[title for title, _ in SECTIONS])
+def test_every_key_is_described(title, models):
+    section = TEXT.split(f"{title}\n")[1].split("\n## ")[0]
+    for model in models:
+        for entry in entries(model):
+            assert f"`{entry.key}`" in section, entry.key
+            if issubclass(model, Declared) and model.FORMAT:
+                assert (f"*`{entry.key}`*" in section) is not entry.required, entry.key
+    if title == "## Train":
+        assert all(f"`{name}`" in section for name in BRAKING_PARAMETERS)
+
+
+def test_every_format_is_in_the_list():
+    for _, (model, *_others) in SECTIONS:
+        assert issubclass(model, Declared)
+        assert f"`{model.FORMAT}`" in TEXT
+        assert (2 if model.FORMAT in ("trainlog/line", "trainlog/network") else 1) == model.VERSION
+
+
+def test_every_table_and_column_of_a_map_is_described():
+    section = TEXT.split("## Track-condition map\n")[1].split("\n## ")[0]
+    database = sqlite3.connect(sample("CH_StGallen_Wil.map"))
+    tables = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    assert len(tables) == 6
+    for (table,) in tables:
+        assert f"`{table}`" in section, table
+        for _, column, *_others in database.execute(f"PRAGMA table_info({table})"):
+            assert f"`{column}`" in section, (table, column)
+    for (key,) in database.execute("SELECT key FROM header"):
+        assert f"`{key}`" in section, key
+    for name in (each.name for each in fields(DailyEvidence)):
+        assert f"`{name}`" in section, name
+
+
+LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
+FILES = sorted(LIBRARY.glob("*/*.json"))
+needs_library = pytest.mark.skipif(not FILES, reason="the TTOBench library is not here")
+quick = settings(max_examples=15)
+
+TRACK: dict[str, Any] = {
+    "metadata": {"id": "T", "library version": "TTOBench v1.5", "created by": "A"},
+    "stops": {"unit": "km", "values": [0, 1.5, 4]},
+    "speed limits": {
+        "units": {"position": "km", "velocity": "m/s"},
+        "values": [[0, 20], [2, 25.5]],
+    },
+    "curvatures": {
+        "units": {"position": "m", "radius at start": "km", "radius at end": "m"},
+        "values": [[0, "infinity", 500], [50, 0.5, -400]],
+    },
+    "ETCS braking data": {"Kt_int": {"unit": "-", "value": 1.15}},
+}
+TRAIN: dict[str, Any] = {
+    "metadata": {"id": "V", "library version": "TTOBench v1.5"},
+    "mass": {"unit": "t", "value": 100},
+    "max traction power": {"unit": "MW", "value": 2},
+    "max reg braking power": {"unit": "W", "value": 1e6},
+    "max traction force": {"unit": "N", "value": 150e3},
+    "max reg braking force": {"unit": "kN", "value": 100},
+    "max speed": {"unit": "m/s", "value": 40},
+    "rolling resistance r0": {"unit": "N", "value": 2000},
+    "rolling resistance r1": {"unit": "N/(m/s)", "value": 60},
+    "rolling resistance r2": {"unit": "kN/(m/s)^2", "value": 0.012},
+    "num seats": {"unit": "-", "value": 1},
+}
+
+
+def written(tmp_path: Path, content: Any) -> Path:
+    return put(tmp_path / "file.json", json.dumps(content))
+
+
+@needs_library
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_every_file_is_read_written_back_unchanged_and_converted(file, tmp_path):
+    kind = ttobench.detect(file)
+    assert file.parent.name == f"{kind}s"
+    found = ttobench.import_file(file)
+    copy = tmp_path / file.name
+    write: Callable[[Any, Path], None] = getattr(ttobench, f"write_{kind}")
+    write(found, copy)
+    assert json.loads(copy.read_bytes()) == json.loads(file.read_bytes())
+    target = import_file(file, tmp_path)[0].path
+    suffix = {"track": "line"}.get(kind, kind)
+    assert target.name == f"{file.stem}.{suffix}.json"
+    reader: Any = {"line": read_line, "train": read_train, "journey": read_journey}[suffix]
+    assert reader(target) == found
+
+
+def test_declared_units_are_honoured(tmp_path):
+    line = ttobench.read_track(written(tmp_path, TRACK))
+    assert line.length == 4000.0
+    assert [station.name for station in line.stations] == ["km 0.000", "km 1.500", "km 4.000"]
+    assert line.speed_limits.positions.tolist() == [0.0, 2000.0]
+    assert line.speed_limits.values.tolist() == [20.0, 25.5]
+    assert line.gradient(np.array([0.0, 4000.0])).tolist() == [0.0, 0.0]
+    assert line.curvatures.start.tolist() == [0.0, 1 / 500]
+    assert line.curvatures.end.tolist() == [1 / 500, -1 / 400]
+    assert line.braking_parameters == {"Kt_int": 1.15}
+    train = ttobench.read_train(written(tmp_path, TRAIN))
+    assert (train.mass, train.max_traction_power, train.max_speed) == (100e3, 2e6, 40.0)
+    assert train.resistance.r2 == 12.0
+    assert train.rotating_mass_factor == 0.0
+    assert train.seats == 1
+    assert "rotating_mass_factor" in train.assumed
+
+
+def changed(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+    copy = json.loads(json.dumps(content))
+    *way, last = [int(part) if part.isdigit() else part for part in path.split("/")]
+    target = copy
+    for part in way:
+        target = target[part]
+    target[last] = value
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("content", "path", "value", "message"),
+    [
+        (TRACK, "cant", 1, ", cant: unknown key 'cant'; correct its spelling or remove it"),
+        (TRACK, "metadata/version", "1", ", metadata.version: unknown key 'version'; did you mean"),
+        (TRACK, "ETCS braking data/Kv", 1, ", ETCS braking data.Kv: unknown key 'Kv'; correct"),
+        (TRACK, "stops/unit", "s", ", stops.unit: unit 's' cannot be read as m; declare a unit"),
+        (TRACK, "stops/values", [0, 2, 2], ", stops.values[2]: stop at 2000 m follows stop at"),
+        (TRACK, "stops/values", [1, 2], ", stops.values: needs at least two stops, the first at 0"),
+        (TRACK, "speed limits/values/1/1", 0, ": line 'T': speed limit at km 2.000 is not positi"),
+        (TRACK, "speed limits/values/1/0", 0, ", speed limits.values[1]: position 0 m follows 0 m"),
+        (TRACK, "curvatures/values/0/1", "inf", ", curvatures.values[0][1]: must be a finite nu"),
+        (TRAIN, "mass/value", 0, ", mass: 0 kg is not positive"),
+        (
+            TRAIN,
+            "rho",
+            {"unit": "-", "value": -1},
+            ", rho: the rotating parts would weigh -1 ",
+        ),
+        (TRAIN, "mass/unit", "m", ", mass.unit: unit 'm' cannot be read as kg"),
+        (TRAIN, "rho", {"unit": "-", "value": 1.06}, ", rho: the rotating parts would weigh 1.06"),
+        (TRAIN, "num seats", {"unit": "-", "value": 1.5}, ", num seats: 1.5 is not a count; give"),
+        (
+            TRAIN,
+            "efficiency traction",
+            {"units": {"load": "%"}, "values": [[0, 1]]},
+            ": 4 problems: (1) efficiency traction.units: unknown key 'units'; did you mean",
+        ),
+    ],
+)
+def test_nonsense_is_refused_at_its_place(content, path, value, message, tmp_path):
+    file = written(tmp_path, changed(content, path, value))
+    caught = refused(InputError, "", ttobench.import_file, file)
+    assert str(caught).startswith(f"{file}{message}")
+    assert "\n" not in str(caught)
+
+
+def test_files_of_no_kind_or_of_another_kind_are_reported(tmp_path):
+    journey = {"metadata": {"id": "J", "library version": "1"}, "timing points": {}}
+    for read, content, said in (
+        (ttobench.detect, {"a": 1}, "is neither a track nor a train nor a journey"),
+        (ttobench.detect, [1], "is neither a track nor a train nor a journey"),
+        (ttobench.detect, {"format": "trainlog/line"}, "is a trainlog/line file already; use it"),
+        (ttobench.read_track, TRAIN, "is a TTOBench train, expected a track"),
+        (ttobench.read_journey, journey, r"timing points\.units: 'units' is missing"),
+    ):
+        refused(InputError, said, read, written(tmp_path, content))
+
+
+@quick
+@given(lines())
+def test_lines_survive_but_for_names_and_coordinates(line):
+    ends = (Station("km 0.000", 0.0), Station(f"km {line.length / 1e3:.3f}", line.length))
+    lost = dict.fromkeys(("geometry", "survey", "reference", "speed_limits_reverse"))
+    plain = replace(line, stations=ends, source="", **lost)
+    assert_same(TrackLayout.of(plain).thing(), plain, 5e-14)
+
+
+@quick
+@given(TRAINS)
+def test_trains_survive_but_for_what_the_layout_has_not(train):
+    # The layout takes a rotating mass of the whole train's for a factor of the wrong kind.
+    assume(train.rotating_mass_factor < 1.0)
+    unknown = ("max_load", "axles", "brake")
+    lost = dict.fromkeys(("traction_curve", "dynamic_braking_curve"))
+    plain = replace(train, assumed=unknown, source="", length=train.length + 1.0, **lost)
+    found = TrainLayout.of(plain).thing()
+    kept = {name: getattr(found, name) for name in unknown}
+    assert_same(found, replace(plain, **kept), 5e-14)
+
+
+@quick
+@given(journeys())
+def test_journeys_survive(journey):
+    plain = replace(journey, source="")
+    assert_same(JourneyLayout.of(plain).thing(), plain, 5e-14)
+
+
+def test_what_the_layout_cannot_say_is_refused(tmp_path):
+    line = ttobench.read_track(written(tmp_path, TRACK))
+    short, copy = replace(line, stations=line.stations[:-1]), tmp_path / "copy.json"
+    refused(InputError, "not begin and end at a station", ttobench.write_track, short, copy)
+    train = ttobench.read_train(written(tmp_path, TRAIN))
+    odd = replace(train, braking_curves=BrakingCurves(parameters={"T_new": 1.0}))
+    refused(InputError, "'T_new' is not known to TTOBench", ttobench.write_train, odd, copy)
+    assert not copy.exists()
+
+
+def test_what_an_export_leaves_out_is_listed(tmp_path):
+    """Another curve resistance or another mass model changes energies by per cents."""
+    line = ttobench.read_track(written(tmp_path, TRACK))
+    assert ttobench.write_track(line, tmp_path / "copy.json") == []
+    roeckl = replace(line, curve_resistance="roeckl")
+    (words,) = ttobench.write_track(roeckl, tmp_path / "copy.json")
+    assert "curve resistance 'roeckl'" in words
+    train = ttobench.read_train(written(tmp_path, TRAIN))
+    assert ttobench.write_train(train, tmp_path / "copy.json") == []
+    strip = replace(train, mass_model="homogeneous_strip", length=75.0, acceleration_limits="net")
+    words = ", ".join(ttobench.write_train(strip, tmp_path / "copy.json"))
+    assert "mass model 'homogeneous_strip'" in words
+    assert "acceleration limits 'net'" in words
+
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+SHARED = pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
+
+CASES = [
+    (train, path)
+    for train in ("local", "freight", "longdistance")
+    for path in ("const", "slope", "speed")
+]
+
+EFFORT = EffortCurve(np.array([0.0, 10.0, 30.0]), np.array([100e3, 80e3, 20e3]))
+UNIT = RollingVehicle(
+    name="unit",
+    vehicle_type="multiple unit",
+    length=40.0,
+    mass=60e3,
+    mass_traction=40e3,
+    rotation_mass=1.1,
+    base_resistance=0.003,
+    rolling_resistance=0.0015,
+    air_resistance=0.004,
+    effort=EFFORT,
+)
+
+WAGON = RollingVehicle(
+    name="wagon", vehicle_type="freight", length=19.0, mass=25e3, load_limit=59e3,
+    base_resistance=0.0014, air_resistance=0.0039,
+)  # fmt: skip
+
+
+def train_of(file: str, loaded: float = 1.0) -> Train:
+    """The train of one of the files of TrainRuns, loaded to a share."""
+    ((_, train, _),) = read_any(DATA / "trainruns" / "trains" / f"{file}.yaml", loaded)
+    assert isinstance(train, Train)
+    return train
+
+
+def shortest_time(line: Line, train: Train, step: float) -> float:
+    """Running time [s] at full effort, in steps of about so many metres."""
+    run = timetable_run(
+        line, train, 0.0, line.length, deceleration=train.max_deceleration, lever=1.0, step=step
+    )
+    return run.running_time
+
+
+@SHARED
+@pytest.mark.parametrize(("train", "path"), CASES)
+def test_running_times_of_trainruns(train, path):
+    line = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")[path]
+    snapshot = (DATA / "trainruns" / "snapshots" / f"{train}_{path}.csv").read_text()
+    expected, given = float(snapshot.split()[1]), train_of(train)
+    # With the step of 20 m that TrainRuns takes.
+    assert shortest_time(line, given, 20.0) == pytest.approx(expected, rel=2e-3)
+    # Its steps begin with their acceleration and so gain a little: the limit lies higher.
+    assert 0.0 < shortest_time(line, given, 0.5) / expected - 1.0 < 6e-3
+
+
+@SHARED
+def test_a_share_of_the_load_beyond_all_of_it_is_refused():
+    with pytest.raises(InputError, match=r"a share of 1\.5 of the load is not between 0 and 1"):
+        train_of("local", 1.5)
+
+
+@SHARED
+@pytest.mark.parametrize(
+    "file", sorted((DATA / "railtoolkit_schema" / "test").glob("*/invalid/*.yaml")), ids=str
+)
+def test_every_invalid_case_is_refused_with_what_is_wrong(file):
+    read = read_rolling_stock if "rolling-stock" in file.parts else read_running_paths
+    expected = {
+        "length": "'length' is missing",
+        "mass": "'mass' is missing",
+        "formation_empty": "trains[0].formation",
+        "formation_missing": "'formation' is missing",
+        "train_id": "'id' is missing",
+        "train_name": "'name' is missing",
+        "vehicle_id": "'id' is missing",
+        "vehicle_name": "'name' is missing",
+        "vehicle_type": "vehicles[0].vehicle_type",
+        "minimal": "neither trains nor vehicles",
+        "not_unique_CS": "two sections begin at 0 m",
+        "missing_sections": "'characteristic_sections' is missing",
+        "not_null_speed": "is not positive",
+        "missing_id": "'id' is missing",
+        "not_unique_path": "path '1' comes twice",
+        "no_two_items_section": "at least 2 items",
+        "incomplete_section": "neither speed nor resistance",
+    }[file.stem]
+    refusal = refused(InputError, "", read, file)
+    assert expected in str(refusal)
+    assert file.name in str(refusal)
+
+
+@SHARED
+def test_every_valid_case_is_read():
+    folder = DATA / "railtoolkit_schema"
+    for file in sorted((folder / "test" / "rolling-stock" / "valid").glob("*.yaml")):
+        read_rolling_stock(file)
+    for file in sorted((folder / "test" / "running-path" / "valid").glob("*.yaml")):
+        assert read_running_paths(file)
+    vehicles, formations = read_rolling_stock(folder / "rolling-stock.example.yaml")
+    assert coupled(*formations["RB50-1"], 0.0).mass == 2 * 68e3
+    assert vehicles["BR642"].a_braking == -0.4253
+    line = read_running_paths(folder / "running-path.example.yaml")["example"]
+    assert line.speed_limit(0.0) == pytest.approx(160 / 3.6)
+    assert line.gradient(2_500.0) == pytest.approx(2e-3)
+
+
+def test_strahl_and_sauthoff_say_what_wende_prints():
+    speed = np.linspace(0.0, 50.0, 11)
+    strahl = GRAVITY * 84e3 * (1.4 + 3.9 * (3.6 * speed / 100.0) ** 2) / 1e3
+    assert WAGON.resistance(59e3)(speed) == pytest.approx(strahl)
+    coach = RollingVehicle(
+        name="coach",
+        vehicle_type="passenger",
+        length=26.8,
+        mass=50e3,
+        load_limit=20e3,
+        base_resistance=0.002,
+        rolling_resistance=0.000715,
+        air_resistance=0.00364,
+    )
+    sauthoff = 2.0 + 0.715 * 3.6 * speed / 100.0 + 3.64 * ((3.6 * speed + 15.0) / 100.0) ** 2
+    assert coach.resistance(0.0)(speed) == pytest.approx(GRAVITY * 50e3 * sauthoff / 1e3)
+    air = 4.0 * ((3.6 * speed + 15.0) / 100.0) ** 2
+    expected = GRAVITY * (3.0 * 40e3 + 1.5 * 20e3 + air * 60e3) / 1e3
+    assert UNIT.resistance(0.0)(speed) == pytest.approx(expected)
+
+
+def test_a_formation_adds_its_vehicles_up():
+    wagon = replace(WAGON, speed_limit=27.0)
+    empty, half = (coupled("train", (UNIT, wagon, wagon), share) for share in (0.0, 0.5))
+    assert empty.length == 78.0
+    assert empty.mass == 110e3
+    assert half.mass == 169e3
+    assert empty.max_speed == 27.0
+    assert empty.mass + empty.rotating_mass == pytest.approx(60e3 * 1.1 + 50e3 * 1.06)
+    assert empty.tractive_effort_limit(20.0) == pytest.approx(50e3)
+    assert empty.max_deceleration == 0.375
+    refused(InputError, "no vehicle has tractive effort", coupled, "wagons", (wagon,))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: [1", "is not YAML.*line 1|is not YAML"),
+        ("", "is not a running path of railtoolkit"),
+        ("schema: x", "is not a running path"),
+        (
+            "schema: https://railtoolkit.org/schema/running-path.json\nschema_version: '1999.01'",
+            "version '1999.01' is not known",
+        ),
+        ("\x00\x01", "is not YAML"),
+        ("[" * 1_000, "is not YAML"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, text, words):
+    refused(InputError, words, read_running_paths, put(tmp_path / "odd.yaml", text))
+
+
+STOCK = """
+schema: https://railtoolkit.org/schema/rolling-stock.json
+schema_version: "2022.05"
+vehicles:
+"""
+LOCOMOTIVE = (
+    STOCK + "  - {id: V90, name: V90, vehicle_type: traction unit, length: 14, mass: 80,"
+    " mass_traction: 80, speed_limit: 80, rotation_mass: 1.09, base_resistance: 2.2,"
+    " air_resistance: 10, tractive_effort: [[0, 180000], [20, 100000], [80, 25000]]}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("v90.yaml", "--formation", "V90, 3 Fals"), "no vehicle 'Fals' in the files given"),
+        (("v90.yaml", "--formation", "V90, 0 V90"), "no vehicle 'V90' in the files"),
+        (("v90.yaml", "--set", "curve-resistance=roeckl"), "is not a line: curve resistance"),
+        (("path.yaml", "--set", "mass-model=mass_point"), "is not a train: mass model cannot go"),
+        (("train.yaml",), "the vehicles of train 'ore' are not in the file.*--formation 'V90, F'"),
+    ],
+    ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",
+)
+def test_what_an_import_cannot_use_is_refused(words, message, tmp_path):
+    (tmp_path / "v90.yaml").write_text(LOCOMOTIVE)
+    (tmp_path / "train.yaml").write_text(
+        STOCK.replace("vehicles:", "trains: [{id: ore, name: ore, formation: [V90, F]}]")
+    )
+    rows = (f"      - {{position: {at}, speed: 80}}\n" for at in (0, 900))
+    (tmp_path / "path.yaml").write_text(
+        "schema: https://railtoolkit.org/schema/running-path.json\nschema_version: '2024.07'\n"
+        f"paths:\n  - id: here\n    characteristic_sections:\n{''.join(rows)}"
+    )
+    with pytest.raises(InputError, match=message):
+        cli.run(["import", str(tmp_path / words[0]), *words[1:], "-o", str(tmp_path / "out")])
+    assert not list(tmp_path.glob("out/*"))

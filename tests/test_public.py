@@ -1,17 +1,33 @@
-"""The public names: what users import, and nothing deeper."""
+"""The installed package: public names, errors, extras, versions of code, the wheel."""
 
 from __future__ import annotations
 
+import ast
 import builtins
+import copy
 import doctest
 import importlib
 import inspect
+import json
+import os
+import pickle
+import re
 import subprocess
 import symtable
 import sys
+import sysconfig
+import venv
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+import analysis
+from trainlog import version
+from trainlog.errors import TrainlogError
+from trainlog.extras import EXTRAS
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
+from trainlog.mcap import read_log
 
 PACKAGES = ("trainlog", "analysis")
 HEAVY = ("pandas", "cvxpy", "rerun", "numba")
@@ -69,3 +85,323 @@ def test_examples_use_only_public_names_and_what_they_import():
         if unknown:
             wrong[name] = unknown
     assert wrong == {}
+
+
+CHECKOUT = Path(__file__).parents[1]
+GIVEN: dict[str, Any] = {
+    "problem": "is wrong",
+    "file": "a.mcap",
+    "place": "byte 3",
+    "remedy": "mend it",
+    "reason": "too short",
+    "refused": {"run": analysis.TripRefusedError("too short", "only 90 s", place="km 1.0")},
+}
+
+
+def kinds() -> list[type[TrainlogError]]:
+    """Every error of the three packages."""
+    for package in ("trainlog", "analysis", "estimators"):
+        for path in (CHECKOUT / package).rglob("*.py"):
+            if re.search(r"^class \w+Error\(", path.read_text("utf-8"), re.MULTILINE):
+                module = path.relative_to(CHECKOUT).with_suffix("").parts
+                importlib.import_module(".".join(module))
+    waiting, seen = [TrainlogError], []
+    while waiting:
+        kind = waiting.pop()
+        seen.append(kind)
+        waiting += kind.__subclasses__()
+    return seen
+
+
+def an_error(kind: type[TrainlogError]) -> TrainlogError:
+    """Of a kind, with all that its constructor takes."""
+    arguments = []
+    named = {}
+    for name, parameter in inspect.signature(kind).parameters.items():
+        if parameter.kind is parameter.KEYWORD_ONLY:
+            if name in GIVEN:
+                named[name] = GIVEN[name]
+        else:
+            arguments.append(GIVEN.get(name, name))
+    return kind(*arguments, **named)
+
+
+def test_every_error_survives_pickling_and_copying():
+    found = kinds()
+    assert len(found) >= 11
+    for kind in found:
+        error = an_error(kind)
+        for again in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
+            assert type(again) is kind
+            assert str(again) == str(error)
+            assert list(vars(again)) == list(vars(error))
+            assert again.place == error.place
+            assert again.remedy == error.remedy
+
+
+def test_a_message_is_one_line_whatever_it_names():
+    error = TrainlogError("trip 'a\nb' has no speed", file="c\r\nd.mcap", remedy="record it")
+    assert str(error) == "c d.mcap: trip 'a b' has no speed; record it"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def without_remedy() -> list[str]:
+    """Places where the product raises an `InputError` that states no remedy."""
+    return [
+        f"{path.relative_to(CHECKOUT)}:{node.lineno}"
+        for package in ("trainlog", "analysis")
+        for path in sorted((CHECKOUT / package).rglob("*.py"))
+        if re.search(r"\b(Input|Log)Error\(", text := path.read_text("utf-8"))
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in ("InputError", "LogError")
+        and not any(each.arg in ("remedy", None) for each in node.keywords)
+    ]
+
+
+def test_input_errors_state_a_remedy():
+    """Those of a form state in the problem what a value must be; those of studies are few."""
+    found = without_remedy()
+    forms = [each for each in found if "/studies/" not in each]
+    assert len(forms) <= 7, forms
+    assert len(found) <= 18
+
+
+WITHOUT = """
+import sys
+class Absent:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] in {modules}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Absent())
+import importlib.util
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *_: None if name in {modules} else found(name)
+{program}
+"""
+
+COMMANDS = """
+import io, json
+from contextlib import redirect_stderr
+from trainlog.cli.main import main
+ended = []
+for words in {commands}:
+    sys.argv = ["trainlog", *words]
+    with redirect_stderr(io.StringIO()) as said:
+        try:
+            main()
+        except SystemExit as error:
+            ended.append((error.code, said.getvalue()))
+print(json.dumps(ended))
+"""
+
+SAMPLES = ["--line", "sample", "--train", "sample"]
+
+
+def without_extras(program: str, folder: Path, kept: str = "") -> subprocess.CompletedProcess[str]:
+    """Run a program in a Python that has none of the extras' packages but one's."""
+    absent = sorted(module for module, extra in EXTRAS.items() if extra != kept)
+    code = WITHOUT.format(modules=absent, program=program)
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
+
+
+def test_logs_are_read_recorded_converted_and_shown_without_any_extra(tmp_path):
+    log = str(sample("nonstop.mcap"))
+    shown = [log, str(sample("CH_StGallen_Wil.line.json")), str(sample(DEFAULT_TRAIN))]
+    commands = [["show", each] for each in shown]
+    commands += [["convert", "copy.mcap", "-o", "table.parquet"]]
+    commands += [["convert", "table.parquet", "-o", "again.mcap", "--from", "60s"]]
+    program = f"""
+import numpy as np, trainlog
+trip = trainlog.read({log!r})
+trainlog.write(trip, "copy.mcap")
+assert trainlog.read("copy.mcap") == trip
+with trainlog.record("recorded.mcap") as recording:
+    recording.write("/train/state", 1_700_000_000_000_000_000, speed=3.0)
+assert len(trainlog.read("recorded.mcap")["/train/state"]) == 1
+import analysis, estimators
+from trainlog.errors import MissingExtraError
+for get in (lambda: analysis.fit, lambda: estimators.SlipDetector, lambda: trainlog.simulate):
+    try:
+        get()
+    except MissingExtraError as error:
+        assert str(error).endswith("pip install 'trainlog[learn]'"), error
+    else:
+        raise AssertionError
+{COMMANDS.format(commands=commands)}
+"""
+    ended = without_extras(program, tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout.splitlines()[-1]) == [[0, ""]] * len(commands)
+    assert len(read_log(tmp_path / "again.mcap")["/train/state"]) > 0
+
+
+LEARN = (
+    ["fit", str(sample("nonstop.mcap")), "-o", "fitted.json"],
+    ["ingest", str(sample("recorder.csv")), "-o", "logs"],
+    ["demo", "-o", "demo"],
+)
+
+MISSING = (
+    (["replay", str(sample("nonstop.mcap")), "-o", "out.rrd"], "replay"),
+    (["plan", "fit.json", "-o", "out.json"], "plan"),
+    (["simulate", "follow", "out.json", *SAMPLES, "-o", "driven"], "plan"),
+    (["study", "robust-minimax", "-o", "study"], "plan"),
+)
+"""Commands that need a package, and its extra."""
+
+
+@pytest.mark.parametrize("kept", [pytest.param("", marks=pytest.mark.long), "learn"])
+def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(kept, tmp_path):
+    missing = MISSING if kept else [(words, "learn") for words in LEARN]
+    (tmp_path / "fit.json").write_text("{}")
+    (tmp_path / "out.json").write_text("{}")
+    program = COMMANDS.format(commands=[words for words, _ in missing])
+    done = without_extras(program, tmp_path, kept)
+    assert done.returncode == 0, done.stderr
+    ended = json.loads(done.stdout.splitlines()[-1])
+    for (status, said), (words, extra) in zip(ended, missing, strict=True):
+        assert status == 2, words
+        (line,) = said.strip().splitlines()
+        assert line.endswith(f"which is not installed; pip install 'trainlog[{extra}]'"), words
+    assert not list(tmp_path.glob("*.rrd"))
+
+
+def test_each_extra_lists_its_packages():
+    text = (Path(__file__).parents[1] / "pyproject.toml").read_text("utf-8")
+    for module, extra in EXTRAS.items():
+        section = text.partition(f"\n{extra} = [")[2].partition("]\n")[0]
+        assert module in section, f"{module} is not in the extra {extra}"
+
+
+def test_all_modules_that_are_loaded_where_analyses_run_are_part_of_the_version():
+    script = """
+import sys
+from pathlib import Path
+from analysis.fleet.work import Batch, Job, computed
+from analysis.fleet.analyses import ANALYSES
+from trainlog.formats.files import sha256_of
+analyses = tuple(ANALYSES.values())
+path = Path("sample_logs/nonstop.mcap").absolute()
+job = Job("nonstop", sha256_of(path), str(path), tuple(range(len(analyses))))
+result = computed(Batch((job,), analyses))
+assert not result.unread
+assert all(each.state == "done" for part in result.outcomes for each in part)
+print(*(name for name in sys.modules if name.startswith(("trainlog", "analysis", "estimators"))))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    loaded = {name for name in done.stdout.split() if version._file_of(name)}
+    assert len(loaded) > 80
+    known = version._modules_behind("analysis.fleet.work")
+    assert loaded <= known
+
+
+WRITTEN = {
+    "def use():\n    import trainlog.other  # noqa: F401\n": True,
+    "import os, trainlog.other as short\n": True,
+    "try: import trainlog.other\nexcept ImportError: pass\n": True,
+    "from .other import one\n": True,
+    "from . import (\n    other,  # (see there)\n)\n": True,
+    "from trainlog.rest import (\n    rest,  # a (note)\n    one,\n)\nfrom .other import*\n": True,
+    "from trainlog \\\n    import other\n": True,
+    "x = 'it\\'s'  # it's\nif x: from trainlog import other; x = 1\n": True,
+    "from trainlog.rest import first\n": True,
+    "from trainlog.rest import *\n": True,
+    "import trainlog.rest as rest\n": True,
+    '"""\nfrom trainlog import other\n"""\n': False,
+    "# import trainlog.other\nx = 'import trainlog.other'\n": False,
+    "if TYPE_CHECKING:  # cycle\n    from trainlog.other import (\n        one,\n    )\n": False,
+    "from trainlog.rest import second\n": False,
+}
+
+
+@pytest.mark.parametrize("text", WRITTEN)
+def test_an_import_counts_however_it_is_written(text, tmp_path, monkeypatch):
+    package = tmp_path / "trainlog"
+    (package / "rest").mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "rest" / "__init__.py").write_text(
+        "from trainlog.extras import names_on_first_use\n"
+        "if TYPE_CHECKING:\n    from trainlog.other import one\n"
+        "    from trainlog.third import second as second\n    first = one\n"
+        "__all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)\n"
+    )
+    (package / "other.py").write_text("one = 1\n")
+    (package / "third.py").write_text("second = 1\n")
+    (package / "user.py").write_text(text)
+    monkeypatch.setattr(version, "_SOURCE", tmp_path)
+    monkeypatch.setattr(version, "_on_first_use", version._on_first_use.__wrapped__)
+    before = version.code_version_of.__wrapped__("trainlog.user")
+    (package / "other.py").write_text("one = 2\n")
+    assert (version.code_version_of.__wrapped__("trainlog.user") != before) is WRITTEN[text]
+
+
+INSIDE = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE")
+OUTSIDE = {key: value for key, value in os.environ.items() if key not in INSIDE}
+"""The environment of somebody who knows nothing of the checkout."""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory"]
+    subprocess.run([*command, folder], cwd=CHECKOUT, check=True, capture_output=True, timeout=300)
+    (built,) = folder.glob("trainlog-*.whl")
+    return built
+
+
+def environment(folder: Path) -> tuple[Path, Path]:
+    """A fresh environment, without pip: its Python and its site-packages."""
+    venv.create(folder)
+    scripts = folder / ("Scripts" if os.name == "nt" else "bin")
+    python = scripts / ("python.exe" if os.name == "nt" else "python")
+    base = {"base": str(folder), "platbase": str(folder)}
+    return python, Path(sysconfig.get_path("purelib", "venv", base))
+
+
+def install(python: Path, *arguments: str, timeout: float) -> None:
+    """Install into the environment of `python`, by the pip that runs here."""
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet"]
+    subprocess.run([*pip, *arguments], check=True, capture_output=True, timeout=timeout)
+
+
+def trainlog(python: Path, *arguments: str, cwd: Path) -> str:
+    done = subprocess.run(
+        [python.with_name("trainlog" + python.suffix), *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=300,
+        env=OUTSIDE,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def installed_works(python: Path, folder: Path) -> None:
+    trainlog(python, "new", "samples", "-o", "samples", cwd=folder)
+    logs = sorted((folder / "samples").glob("*.mcap"))
+    assert logs
+    assert "/train/state" in trainlog(python, "show", str(logs[0]), cwd=folder)
+    page, *rest = trainlog(python, "docs", "planner", "--path", cwd=folder).splitlines()
+    assert Path(page).is_relative_to(python.parents[1])
+    assert "# Planner: " in Path(page).read_text("utf-8") or page.endswith(".html")
+    assert page.endswith(".html") != any("make docs" in line for line in rest)
+
+
+def test_the_wheel_runs_outside_the_checkout(wheel, tmp_path):
+    python, site = environment(tmp_path / "environment")
+    install(python, "--no-deps", "--no-index", "--no-compile", str(wheel), timeout=300)
+    # Third-party packages come from the environment that runs the tests; trainlog does not, as
+    # its editable install is not followed from here.
+    (site / "third_party.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    installed_works(python, tmp_path)
+
+
+@pytest.mark.long
+def test_the_wheel_declares_all_it_needs(wheel, tmp_path):
+    python, _ = environment(tmp_path / "environment")
+    install(python, str(wheel), timeout=1800)
+    installed_works(python, tmp_path)

@@ -11,8 +11,8 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from test_public import CHECKOUT, OUTSIDE, environment, install, trainlog
 from test_report_page import Outline
-from test_wheel import CHECKOUT, OUTSIDE, environment, install, trainlog
 
 sys.path.append(str(CHECKOUT / "docs" / "tools"))
 from screenshot import browser_page, chromium
