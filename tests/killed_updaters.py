@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 from killed import Piped
-from test_map_file import part
-from test_traction_map import LINE, piece
+from test_traction_map import LINE, part, piece
 
 from analysis import update_map
 from analysis.adhesion import condition_map

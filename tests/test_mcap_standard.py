@@ -19,7 +19,6 @@ from google.protobuf.message_factory import GetMessageClass
 from hypothesis import example, given, settings, strategies as st
 from mcap.reader import SeekingReader, make_reader
 from mcap.writer import Writer
-from mcap_mutations import CHUNK, records_of
 from mcap_protobuf.decoder import DecoderFactory
 from mcap_trips import ATTACHMENTS, METADATA, PROVENANCE, START, assert_same, trip_of, trips
 from refusals import refused
@@ -682,16 +681,3 @@ def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path):
     kept = trip[TRAIN_STATE.name].iloc[: found.topics[0].count]["position"]
     assert found.position_span == (kept.min(), kept.max())
     assert "damaged" in printed(found)
-
-
-def test_a_recording_that_was_not_closed_is_not_called_damaged(tmp_path):
-    path = tmp_path / "live.mcap"
-    with trainlog.record(path, flush=0.5) as log:
-        log.write(TRAIN_STATE.name, 10**18, speed=1.0)
-    data = path.read_bytes()
-    end = next(each.end for each in reversed(records_of(data)) if each.opcode == CHUNK)
-    path.write_bytes(data[:end])
-    text = " ".join(printed(describe(path)).split())
-    assert "was not closed: 1 message is readable; its last sample is of 2001-09-09" in text
-    assert "damaged" not in text
-    assert "1 in 1 chunk," in text

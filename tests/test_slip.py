@@ -206,6 +206,14 @@ def of_efforts(trip: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], *topi
     return trip
 
 
+def of_speeds(trip: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], *axles: int) -> Trip:
+    """The trip with the recorded speeds of its wheels changed, of the axles named or of all."""
+    frame = trip["/train/axles"].copy()
+    names = [f"wheel_speed_{axle}" for axle in axles or range(1, 5)]
+    frame[names] = change(frame[names])
+    return trip.with_topic(frame)
+
+
 def late(efforts: pd.DataFrame, delay: float) -> pd.DataFrame:
     clock = efforts.index.asi8 / 1e9
     columns = {name: np.interp(clock - delay, clock, efforts[name]) for name in efforts}
@@ -315,20 +323,16 @@ class TestWhatTheRecorderLacks:
 
     def test_some_axle_speeds(self, heavy):
         """One a bogie: the others are not known, those recorded are as they were."""
-        axles = heavy.trip["/train/axles"].copy()
-        axles[["wheel_speed_2", "wheel_speed_4"]] = np.nan
-        found = slip(heavy.trip.with_topic(axles))
+        found = slip(of_speeds(heavy.trip, lambda speeds: np.nan * speeds, 2, 4))
         assert np.isnan(found.adhesion[:, [1, 3]]).all()
         assert set(found.events["axle"]) == {1, 3}
         assert abs(np.median(off(heavy, found))) < 0.05
         assert any("axles 2, 4 are not known" in note for note in found.notes)
 
     def test_noise_of_the_wheel_speeds(self, heavy):
-        generator = np.random.default_rng(4)
-        axles = heavy.trip["/train/axles"].copy()
-        names = [name for name in axles if name.startswith("wheel_speed_")]
-        axles[names] += 0.3 * generator.standard_normal((len(axles), len(names)))
-        found, total = slip(heavy.trip.with_topic(axles)), Score()
+        generator, total = np.random.default_rng(4), Score()
+        noise = 0.3 * generator.standard_normal((len(heavy.trip["/train/axles"]), 4))
+        found = slip(of_speeds(heavy.trip, lambda speeds: speeds + noise))
         total.count(replace(heavy, found=found), margin=0.4)
         assert total.precision > 0.97
         assert total.recall > 0.97
@@ -392,25 +396,10 @@ class TestEnergyOfSlip:
         assert np.mean(np.abs(score) < 1.96) > 0.93
 
 
-def no_axle_speed(trip: Trip) -> Trip:
-    axles = trip["/train/axles"].copy()
-    axles[[name for name in axles if name.startswith("wheel_speed_")]] = np.nan
-    return trip.with_topic(axles)
-
-
-def second_in_mph(trip: Trip) -> Trip:
-    axles = trip["/train/axles"].copy()
-    axles["wheel_speed_2"] *= 2.237
-    return trip.with_topic(axles)
-
-
 def test_efforts_of_axles_may_be_written_without_their_sign(trips):
     """The total shows when the motors brake."""
     each = trips[2]
-    axles = each.trip["/train/axles"].copy()
-    names = [name for name in axles if name.startswith("wheel_effort_")]
-    axles[names] = axles[names].abs()
-    found = slip(each.trip.with_topic(axles))
+    found = slip(of_efforts(each.trip, pd.DataFrame.abs, "/train/axles"))
     assert found.notes == ("the axle efforts have the wrong sign where the motors brake: turned",)
     pd.testing.assert_frame_equal(found.events, each.found.events, rtol=0.02)
 
@@ -436,9 +425,7 @@ def test_rows_without_any_wheel_speed_are_no_samples(trips, efforts):
 
 
 def without_speeds(trip: Trip, axle: int, times: pd.DatetimeIndex) -> Trip:
-    axles = trip["/train/axles"].copy()
-    axles.loc[axles.index.isin(times), f"wheel_speed_{axle}"] = np.nan
-    return trip.with_topic(axles)
+    return of_speeds(trip, lambda v: v.where(~v.index.isin(times)[:, None], np.nan), axle)
 
 
 def test_a_missing_sample_of_an_axle_does_not_split_its_slip(trips):
@@ -466,21 +453,21 @@ def of_train(trip: Trip, train: Train) -> Trip:
     return replace(trip, attachments={**trip.attachments, **stated})
 
 
-def turned(trip: Trip) -> Trip:
-    axles = trip["/train/axles"]
-    names = [name for name in axles if name.startswith("wheel_speed_")]
-    return trip.with_topic(axles.assign(**{name: -axles[name] for name in names}))
-
-
 @pytest.mark.parametrize(
     ("spoilt", "words"),
     [
         (lambda trip: without(trip, "/train/axles"), "no topic /train/axles"),
         (lambda trip: without(trip, "/train/state"), "has no position"),
         (lambda t: of_train(t, flirt(axles=Axles(count=2))), "4 axles, train 'flirt' has 2"),
-        (no_axle_speed, "has no axle speed"),
-        (second_in_mph, r"wheel_speed_2 is 2\.2. times the train's speed; check its unit"),
-        (turned, r"wheel_speed_1 is -1(\.0\d+)? times the train's speed; check its unit and sign"),
+        (lambda trip: of_speeds(trip, lambda v: np.nan * v), "has no axle speed"),
+        (
+            lambda trip: of_speeds(trip, lambda v: 2.237 * v, 2),
+            r"wheel_speed_2 is 2\.2. times the train's speed; check its unit",
+        ),
+        (
+            lambda trip: of_speeds(trip, lambda v: -v),
+            r"wheel_speed_1 is -1(\.0\d+)? times the train's speed; check its unit and sign",
+        ),
         (lambda trip: replace(trip, attachments={}), r"has no train\.json"),
         (lambda trip: trip.with_topic(trip["/train/axles"].iloc[:1]), "holds 1 sample;"),
         (lambda t: replace(t, metadata={**t.metadata, "load": "heavy"}), "load 'heavy'"),
