@@ -782,7 +782,7 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
 
 
 def _short(name: str) -> str:
-    """A name as it fits into a picture, less the middle of a long one: ends tell trains apart."""
+    """A name as it fits into a picture, less the middle of a long one: the ends differ."""
     return _plain(name if len(name) <= 30 else f"{name[:14]}…{name[-15:]}")
 
 
