@@ -49,6 +49,9 @@ EARLY = 0.3
 BRAKE_RATE = 1.0
 """How fast the lever moves at least in braking for a stop [1/s]."""
 
+NEARLY = 0.25
+"""Part of the dead band within which a speed is brought back."""
+
 SHORT = 0.15
 """Aimed short of the stop by this much [m]."""
 
@@ -146,6 +149,8 @@ class AdvisedDriver:
         self._brake = StoppingBrake(
             self._felt.mass, self._felt.inertia, self._slope, self._hardest, SHORT
         )
+        # Until half of the traction is gone.
+        self._eases_in = max(attention.reaction + 0.5 / attention.lever_rate, 1e-3)
         # Until half of the brake acts.
         self._brakes_in = train.brake.dead_time + train.brake.lag + 0.5 / attention.lever_rate
         random = np.random.default_rng([seed, 11])
@@ -153,6 +158,7 @@ class AdvisedDriver:
         self._row, self._lever = self._rows[0], Lever()
         self._wanted: float | None = 0.0
         self._looked, self._stopping, self._arrived = -math.inf, False, False
+        self._corrects = True
 
     @property
     def finished(self) -> bool:
@@ -189,6 +195,7 @@ class AdvisedDriver:
             if each.position <= (soon if each.phase > Phase.COASTING else place) + 1e-6
         ]
         row = rows[-1] if rows else self._rows[0]
+        self._corrects |= row is not self._row
         self._row = row
         speed = max(seen.speed + self._error, 0.0)
         rolls = -self._needed(seen) / self._felt.inertia
@@ -204,12 +211,15 @@ class AdvisedDriver:
         if speed < 0.5 and place < self._end - STOPPING_TOLERANCE:
             return STARTING
         off = row.target - speed
-        towards = 0.0 if abs(off) <= self.attention.dead_band else off / SETTLING
+        # A speed that he has begun to correct he brings to that of the row.
+        enough = self.attention.dead_band * (NEARLY if self._corrects else 1.0)
+        self._corrects = abs(off) > enough
+        towards = off / SETTLING if self._corrects else 0.0
         ahead = (row.target**2 - speed**2) / (2.0 * max(row.by - place, 0.5))
         if row.hold:
             return towards
         if row.phase is Phase.MAXIMUM_TRACTION:
-            return math.inf if off > self.attention.dead_band / 4.0 else towards
+            return off / self._eases_in if off > enough else towards
         if row.phase is Phase.CRUISING:
             return ahead
         if row.phase is Phase.COASTING:
@@ -229,7 +239,8 @@ class AdvisedDriver:
         ahead = seen.position + seen.speed * (self.attention.reaction + self._brakes_in + PERIOD)
         places = np.minimum([seen.position / GRID + 1, ahead / GRID + 1], self._ceiling.size - 1)
         ceiling = float(self._ceiling[places.astype(np.int64)].min())
-        most = math.inf if speed < ceiling - 0.5 else (ceiling - speed) / SETTLING
+        room = ceiling - speed
+        most = room / (self._eases_in if room > 0.5 else SETTLING)
         for cap in row.caps:
             away = cap.start - seen.position
             if away <= 0.0 <= cap.end - seen.position:
