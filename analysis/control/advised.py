@@ -239,8 +239,8 @@ class AdvisedDriver:
         ahead = seen.position + seen.speed * (self.attention.reaction + self._brakes_in + PERIOD)
         places = np.minimum([seen.position / GRID + 1, ahead / GRID + 1], self._ceiling.size - 1)
         ceiling = float(self._ceiling[places.astype(np.int64)].min())
-        room = ceiling - speed
-        most = room / (self._eases_in if room > 0.5 else SETTLING)
+        below = ceiling - speed
+        most = below / (self._eases_in if below > 0.5 else SETTLING)
         for cap in row.caps:
             away = cap.start - seen.position
             if away <= 0.0 <= cap.end - seen.position:
