@@ -156,7 +156,9 @@ def fitted_curve(
     weight = np.ones(position.size)
     for _ in range(TURNS):
         weighted = basis.multiply((weight / std**2)[:, None]).tocsr()
-        banded = _bands(basis.T @ weighted + penalty)
+        matrix = basis.T @ weighted + penalty
+        # The diagonal and the three below it, as `solveh_banded` takes them.
+        banded = np.array([np.pad(matrix.diagonal(-k), (0, k)) for k in range(4)])
         right = weighted.T @ points
         coefficients = solveh_banded(banded, np.column_stack([right.real, right.imag]), lower=True)
         spline = BSpline(knots, coefficients @ np.array([1.0, 1j]), 3)
@@ -164,15 +166,6 @@ def fitted_curve(
         weight = (FREEDOM + 2.0) / (FREEDOM + distance**2)
     covariance = solveh_banded(banded, np.eye(size), lower=True)
     return Curve(spline, covariance, start, end), weight
-
-
-def _bands(matrix: csr_array) -> FloatArray:
-    """The diagonal and the three below it, as `solveh_banded` takes them."""
-    size = matrix.shape[0]
-    banded = np.zeros((4, size))
-    for k in range(4):
-        banded[k, : size - k] = matrix.diagonal(-k)
-    return banded
 
 
 # -------------------------------------------------------------------------- heights and gradients
@@ -402,8 +395,11 @@ class _System:
             diags_array(1.0 / std) @ self.matrix - diags_array(rho / std) @ self.before
         ).tocsr()
         logarithm = 2.0 * float(np.sum(np.log(std)))
-        prior = self._prior(gamma, lasting)
+        # What is expected of gradients and mean errors, as rows of unit variance.
+        first, after, before, others = self._expected
         keep = np.exp(-HEIGHT_KNOTS / lasting)
+        change = (after - keep * before) / (gamma * np.sqrt(1.0 - keep**2))
+        prior = vstack([first / gamma, change, others]).tocsr()
         logarithm += (self.count - 2) * np.log(gamma**2 * (1.0 - keep**2)) + 2.0 * np.log(gamma)
         left = vstack([whitened, prior]).tocsc()
         right = np.concatenate([values, np.zeros(prior.shape[0])])
@@ -413,13 +409,6 @@ class _System:
         determinant = float(np.sum(np.log(np.abs(factor.U.diagonal()))))
         deviance = 0.5 * (logarithm + determinant + residual @ residual + place @ place)
         return _Solved(sizes, float(deviance), heights, factor, whitened, values)
-
-    def _prior(self, gamma: float, lasting: float) -> csr_array:
-        """What is expected of gradients and mean errors, as rows of unit variance."""
-        first, after, before, others = self._expected
-        keep = np.exp(-HEIGHT_KNOTS / lasting)
-        change = (after - keep * before) / (gamma * np.sqrt(1.0 - keep**2))
-        return vstack([first / gamma, change, others]).tocsr()
 
     @cached_property
     def _expected(self) -> tuple[csr_array, csr_array, csr_array, csr_array]:

@@ -226,7 +226,10 @@ def onset_std(prior: Prior, bin_length: float, weight: FloatArray) -> FloatArray
         Sum of the weights (inverse variances) of the onsets in each bin.
     """
     diagonal, off = prior.precision(weight.size, bin_length)
-    return np.asarray(np.sqrt(_inverse_diagonal(diagonal + weight, off)))
+    # Diagonal of the inverse of a symmetric tridiagonal matrix, from the pivots of both ends.
+    pivots, beside = diagonal + weight, np.full(max(weight.size - 1, 1), off)
+    forward, backward = dpttrf(pivots, beside)[0], dpttrf(pivots[::-1], beside)[0][::-1]
+    return np.asarray(np.sqrt(1.0 / (forward + backward - pivots)))
 
 
 def common_std(
@@ -250,19 +253,8 @@ def common_std(
     ``(K sqrt(sum_i s_i² w_i²))²``, which sums over trips give.
     """
     diagonal, off = prior.precision(weight.size, bin_length)
-    return _solve(diagonal + weight, off, np.sqrt(common))
-
-
-def _solve(diagonal: FloatArray, off: float, right: FloatArray) -> FloatArray:
-    """Solution of a symmetric positive definite system with a constant off-diagonal."""
-    return np.asarray(dptsv(diagonal, np.full(max(diagonal.size - 1, 1), off), right)[2])
-
-
-def _inverse_diagonal(diagonal: FloatArray, off: float) -> FloatArray:
-    """Diagonal of the inverse of a symmetric tridiagonal matrix, from the pivots of both ends."""
-    beside = np.full(max(diagonal.size - 1, 1), off)
-    forward, backward = dpttrf(diagonal, beside)[0], dpttrf(diagonal[::-1], beside)[0][::-1]
-    return np.asarray(1.0 / (forward + backward - diagonal))
+    beside = np.full(max(weight.size - 1, 1), off)
+    return np.asarray(dptsv(diagonal + weight, beside, np.sqrt(common))[2])
 
 
 # ---------------------------------------------------------------------------------------- changes
@@ -660,25 +652,17 @@ def _trip_std(
         )
         @ weight
     )
-    above, trips = _above_used(used, known.log_levels, expected.posterior, levels)
-    value += log_ndtr(above / tried[:, None]) @ trips
+    # How far levels lie above what was used without slip, and for how many expected trips.
+    cell = np.rint((levels - known.log_levels[:, None]) / (0.5 * STEP)).astype(np.int64)
+    lowest = int(cell.min())
+    trips = np.bincount((cell - lowest).ravel(), np.asarray(used.T @ expected.posterior).ravel())
+    held = np.flatnonzero(trips)
+    value += log_ndtr(0.5 * STEP * (held + lowest) / tried[:, None]) @ trips[held]
     few = WITNESSED["trip_std"]
     value -= 0.5 * few * (2.0 * np.log(tried) + assumed.trip_std**2 / tried**2)
     best = float(tried[np.argmax(value)])
     total = float(weight.sum())
     return best, (best / float(np.sqrt(2.0 * (total + few))), source_of(total, few))
-
-
-def _above_used(
-    used: csr_array, log_levels: FloatArray, posterior: FloatArray, levels: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """How far levels lie above what was used without slip, and for how many expected trips."""
-    trips = np.asarray(used.T @ posterior)
-    cell = np.rint((levels - log_levels[:, None]) / (0.5 * STEP)).astype(np.int64)
-    lowest = int(cell.min())
-    count = np.bincount((cell - lowest).ravel(), trips.ravel()).astype(np.float64)
-    held = np.flatnonzero(count)
-    return np.asarray(0.5 * STEP * (held + lowest), dtype=np.float64), count[held]
 
 
 # --------------------------------------------------------------------------------------- solution
@@ -744,22 +728,18 @@ def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
     assumed : FieldParameters
         What holds until there is evidence.
     """
-    found = _settled(known, assumed, ROUNDS)
+    found = _settled(known, assumed)
     changes: list[FieldChange] = []
     for _ in range(PASSES):
         new = changes_of(found.rows, found.cut, known.bin_length)
         if not new:
             break
-        kept = known
-        for change in new:
-            bins = np.arange(change.first, change.last + 1)
-            kept = kept.between(bins, change.day, np.iinfo(np.int64).max)
         earlier = known
         for change in new:
             bins = np.arange(change.first, change.last + 1)
+            known = known.between(bins, change.day, np.iinfo(np.int64).max)
             earlier = earlier.between(bins, 0, change.day - 1)
-        before = _settled(earlier, assumed, ROUNDS)
-        known, found = kept, _settled(kept, assumed, ROUNDS)
+        before, found = _settled(earlier, assumed), _settled(known, assumed)
         changes += [_described(change, before, found) for change in new]
     return replace(found, changes=tuple(changes))
 
@@ -778,8 +758,8 @@ def _described(change: FieldChange, before: FieldPosterior, after: FieldPosterio
     )
 
 
-def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> FieldPosterior:
-    """Messages and parameters after so many rounds, with one lasting level a bin."""
+def _settled(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
+    """Messages and parameters after all rounds, with one lasting level a bin."""
     rows = EvidenceRows.of(known)
     # Sparse also because the linear algebra's threads cost more than they bring here.
     used = csr_array(
@@ -795,19 +775,15 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     level = np.where(rows.onset[:, 0] > 0, rows.onset[:, 1], np.nan)
     now, switch = _begun(assumed, rows), switches_of(known.bin_length, assumed)
     likely = switch
-    message, present, long = (
-        np.zeros(rows.day.size),
-        np.zeros(rows.day.size),
-        np.zeros(rows.day.size),
-    )
+    message, present, long = np.zeros((3, rows.day.size))
     origin = dict.fromkeys(FieldParameters.__slots__, (0.0, "assumed"))
     deviations: dict[str, tuple[float, str]] = {}
     cavity: FloatArray | None = None
     before: FloatArray | None = None
     placing = np.zeros(known.bins)
     own = np.searchsorted(rows.bins, rows.bin)
-    for turn in range(rounds):
-        grid = FINE if turn == rounds - 1 else grid_for(now, known.bin_length)
+    for turn in range(ROUNDS):
+        grid = FINE if turn == ROUNDS - 1 else grid_for(now, known.bin_length)
         levels = grid.levels
         tail = log_ndtr((levels[None, :] - known.log_levels[:, None]) / now.trip_std)
         lasting = (1.0 - now.slippery_share) * normal_on_grid(now.mean, now.std, levels)
@@ -828,7 +804,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             rows.start, rows.day.astype(np.float64), plain, short, message,
             np.ascontiguousarray(cavity[rows.bins]), levels, grid.cells,
             normal_on_grid(now.spot_mean, now.spot_std, levels[grid.cells]),
-            now.occupied, now.life, lasting, turn == rounds - 1,
+            now.occupied, now.life, lasting, turn == ROUNDS - 1,
         )  # fmt: skip
         likelihood = used @ tail
         likelihood[rows.bins] = log_like
@@ -839,7 +815,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
         before, placing = posterior, placing_variance(posterior, levels, known.bin_length)
-        if turn == rounds - 1:
+        if turn == ROUNDS - 1:
             posterior = _doubted(posterior, slippery, rows, used @ tail, lasting)
             break
         prior = np.clip(now.occupied + now.met * trips, 1e-6, 0.5)
@@ -868,7 +844,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         for name, value, count, weight in places_of(switch, moves, known.bin_length):
             new[name] = value
             origin[name] = (value / np.sqrt(count + weight), source_of(count, weight))
-        if turn < rounds - 2:
+        if turn < ROUNDS - 2:
             # Expectation and maximisation go a small part of the way where much is not seen.
             new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
         now = replace(now, **new)

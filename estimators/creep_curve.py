@@ -147,7 +147,10 @@ def _smoothed(
 ) -> tuple[FloatArray, FloatArray]:
     """Smoothed states (n, 3) and covariances (n, 3, 3)."""
     points = MerweScaledSigmaPoints(3, alpha=0.5, beta=2.0, kappa=0.0)
-    ukf = UnscentedKalmanFilter(3, 1, 1.0, hx=_adhesion, fx=_wandering, points=points)
+    # A step leaves the state as it is, but for its noise.
+    ukf = UnscentedKalmanFilter(
+        3, 1, 1.0, hx=_adhesion, fx=lambda state, _step: state, points=points
+    )
     ukf.x, ukf.P = np.array(PRIOR_MEAN), np.diag(np.square(PRIOR_STD))
     states, covariances = np.empty((steps.size, 3)), np.empty((steps.size, 3, 3))
     noises = np.square(RATE) * steps[:, None]
@@ -161,11 +164,6 @@ def _smoothed(
         states[k], covariances[k] = ukf.x, ukf.P
     states, covariances, _ = ukf.rts_smoother(states, covariances, noises[:, :, None] * np.eye(3))
     return states, covariances
-
-
-def _wandering(state: FloatArray, _step: float) -> FloatArray:
-    """The state after a step: as it is, but for its noise."""
-    return state
 
 
 def _shape(state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ Biometrics Bulletin 2(6).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -256,9 +256,17 @@ class _State:
     @property
     def logarithms(self) -> FloatArray:
         """Matrix logarithms of all spreads, (n, d, d)."""
-        values, vectors = np.linalg.eigh(np.stack([self.scale, *self.spreads]))
-        logs = np.log(np.maximum(values, np.finfo(np.float64).tiny))
-        return np.asarray((vectors * logs[:, None, :]) @ vectors.transpose(0, 2, 1))
+        tiny = np.finfo(np.float64).tiny
+        spreads = np.stack([self.scale, *self.spreads])
+        return of_eigenvalues(spreads, lambda values: np.log(np.maximum(values, tiny)))
+
+
+def of_eigenvalues(
+    matrices: FloatArray, function: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Symmetric matrices (k, p, p) with a function of their eigenvalues in place of these."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.asarray((vectors * function(values)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
 
 def _change(one: _State, other: _State) -> float:
@@ -280,8 +288,7 @@ def _extrapolated(start: _State, one: _State, two: _State) -> _State:
     step, bend = middle - first, last - 2.0 * middle + first
     length = float(np.linalg.norm(step) / max(float(np.linalg.norm(bend)), 1e-12))
     length = min(max(length, 1.0), LONGEST_STEP)
-    values, vectors = np.linalg.eigh(first + 2.0 * length * step + length**2 * bend)
-    found = (vectors * np.exp(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    found = of_eigenvalues(first + 2.0 * length * step + length**2 * bend, np.exp)
     return _State(found[0], list(found[1:]), two.heavies, two.weights)
 
 

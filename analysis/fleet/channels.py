@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import stdtr
+from scipy.special import gammaln, stdtr
 
 from analysis.fleet.resistance import FEWEST_TRAINS, KindResistance, periods_of, positive, ways_of
 from analysis.resistance.recording import RECORDED_DISTANCE
@@ -47,6 +47,9 @@ class Channel:
     periods: float
     about: str
 
+
+CHANNEL_UNITS = {"1": (100.0, "%"), "N": (1e-3, "kN"), "s": (1.0, "s")}
+"""How a channel's numbers are shown: factor and unit, by the SI unit."""
 
 CHANNELS = (
     Channel("constant resistance", "N", 300.0, 400.0, 300.0, 150.0, "force that no speed changes"),
@@ -442,8 +445,6 @@ def _tail(deviation: FloatArray, train: IntArray) -> tuple[float, float]:
 
 
 def _log_student(x: FloatArray, tail: float) -> FloatArray:
-    from scipy.special import gammaln
-
     constant = gammaln(0.5 * (tail + 1.0)) - gammaln(0.5 * tail) - 0.5 * np.log(tail * np.pi)
     return np.asarray(constant - 0.5 * (tail + 1.0) * np.log1p(x**2 / tail))
 

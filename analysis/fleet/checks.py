@@ -47,7 +47,10 @@ def checked(trip: TripView) -> Mapping[str, Any]:
     doubts: list[str] = []
     recorded = trip.located
     row: dict[str, Any] = {"trip": trip.name, "damage": trip.damage, "duration": recorded.duration}
-    row |= _gaps(recorded) | _repairs(recorded) | _frozen(trip)
+    row |= _gaps(recorded) | _repairs(recorded)
+    _, frozen = trip.unfrozen
+    row["frozen"] = "; ".join(f"{each.column} {each.note}" for each in frozen)
+    row["frozen_samples"] = sum(each.count for each in frozen)
     row["missing"] = ", ".join(
         name
         for name, (topic, column) in CHANNELS.items()
@@ -148,15 +151,6 @@ def _repairs(trip: Trip) -> dict[str, Any]:
         "repairs": sum(changed.values()),
         "repaired": ", ".join(f"{rule}={count}" for rule, count in changed.items()),
         "stated": ", ".join(f"{rule}={count}" for rule, count in by_rule if rule in STATED),
-    }
-
-
-def _frozen(trip: TripView) -> dict[str, Any]:
-    """Columns that repeat a value while the train moves, by the rule of ingest."""
-    _, found = trip.unfrozen
-    return {
-        "frozen": "; ".join(f"{each.column} {each.note}" for each in found),
-        "frozen_samples": sum(each.count for each in found),
     }
 
 

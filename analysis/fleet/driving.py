@@ -17,7 +17,7 @@ from analysis.comparison.compare import (
     section_table,
 )
 from analysis.comparison.driven import DrivenTrip, Stand, driven_trip
-from analysis.network.edges import Stretch, edges_of
+from analysis.network.edges import edges_of
 from analysis.view import TripView
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
@@ -43,16 +43,17 @@ def driven_edges(trip: TripView) -> list[Mapping[str, Any]]:
     """
     driven = driven_trip(trip)
     every = edges_of(trip.line, backwards=trip.backwards)
+    low, high = driven.covered
+    # Those of which it ran over more than stopping at their end takes.
     stretches = sorted(
         (
             (edge.name, stretch)
             for edge in every
             for stretch in edge.stretches
-            if _runs_over(driven, stretch)
+            if min(high, stretch.last) - max(low, stretch.first) > STOPPING_REACH
         ),
         key=lambda each: each[1].first,
     )
-    low, high = driven.covered
     borders = np.array([stretch.first for _, stretch in stretches[1:]])
     edges = np.concatenate(([low], borders, [high]))
     sections = Sections(edges, tuple(f"edge {number}" for number in range(edges.size)))
@@ -68,7 +69,11 @@ def driven_edges(trip: TripView) -> list[Mapping[str, Any]]:
         own = table.iloc[number]
         begin, end = float(own["first"]), float(own["last"])
         places = stretch.on_edge([begin, end])
-        stands = [each for each in driven.stands if _belongs(each, edges, number)]
+        # A stand at the end of a section counts for it, not for the section behind it.
+        ends = edges[number : number + 2] + STATION_REACH
+        ends[0] = -np.inf if number == 0 else ends[0]
+        ends[1] = np.inf if number + 2 == edges.size else ends[1]
+        stands = [each for each in driven.stands if ends[0] < each.position <= ends[1]]
         dwell = [each for each in stands if each.station and each.duration > 0.0]
         rows.append(
             {
@@ -101,24 +106,10 @@ _FROM_SECTIONS = (
 )  # fmt: skip
 
 
-def _runs_over(driven: DrivenTrip, stretch: Stretch) -> bool:
-    """Whether a trip ran over more of a stretch than stopping at its end takes."""
-    low, high = driven.covered
-    return min(high, stretch.last) - max(low, stretch.first) > STOPPING_REACH
-
-
 def _source(driven: DrivenTrip, energy: float) -> str:
     if not np.isfinite(energy):
         return ""
     return "recorded" if "supply" in driven.sums else "efficiencies"
-
-
-def _belongs(stand: Stand, edges: FloatArray, number: int) -> bool:
-    """Whether a stand counts for a section; one at its end does, not for the section behind it."""
-    behind = number + 2 < edges.size
-    first = -np.inf if number == 0 else edges[number] + STATION_REACH
-    last = edges[number + 1] + STATION_REACH if behind else np.inf
-    return bool(first < stand.position <= last)
 
 
 def _losses(trip: TripView, sections: Sections) -> tuple[list[dict[str, float]], list[float]]:

@@ -294,7 +294,13 @@ class Dask(Engine):
         distributed = load("distributed")
         self._client = _client(distributed, address)
         try:
-            workers = self._workers(address)
+            known = self._client.scheduler_info(n_workers=-1)["workers"]
+            if not known:
+                raise InputError(
+                    f"the scheduler at {address} has no workers",
+                    remedy=f"start some: dask worker {address} --nworkers 2 --nthreads 1",
+                )
+            workers = sum(int(each["nthreads"]) for each in known.values())
             self._check_versions(address)
         except BaseException:
             self._client.close()
@@ -302,15 +308,6 @@ class Dask(Engine):
         super().__init__(self._client.get_executor(pure=False, retries=0), workers)
         self._killed = distributed.KilledWorker
         self._since = 0.0
-
-    def _workers(self, address: str) -> int:
-        known = self._client.scheduler_info(n_workers=-1)["workers"]
-        if not known:
-            raise InputError(
-                f"the scheduler at {address} has no workers",
-                remedy=f"start some: dask worker {address} --nworkers 2 --nthreads 1",
-            )
-        return sum(int(each["nthreads"]) for each in known.values())
 
     def _check_versions(self, address: str) -> None:
         """Refuse workers that cannot understand what is sent to them."""

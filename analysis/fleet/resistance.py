@@ -24,6 +24,7 @@ from analysis.resistance.combination import (
     NodeCurves,
     each_drive_once,
     node_curves,
+    symmetric_root,
 )
 from analysis.resistance.curve import (
     CONFIDENCE,
@@ -33,7 +34,7 @@ from analysis.resistance.curve import (
     curve_std,
     nearest_physical,
 )
-from estimators.mixed import TAIL, Group, MixedEffects, mixed_effects
+from estimators.mixed import TAIL, Group, MixedEffects, mixed_effects, of_eigenvalues
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, NotIdentifiableError
@@ -394,8 +395,7 @@ def _effects(
 ) -> MixedEffects:
     """The mixed model of the curves: trains, periods, lines, gains."""
     one = np.eye(3)
-    values, vectors = np.linalg.eigh(curves.survey)
-    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ vectors.transpose(0, 2, 1)
+    roots = symmetric_root(curves.survey)
     line = ways_of(rows)
     # Errors of a line that no other trip shows stay with the trip.
     shared = np.where((line >= 0)[:, None, None], curves.survey, 0.0)
@@ -416,8 +416,6 @@ def _effects(
 
 def positive(variances: FloatArray) -> FloatArray:
     """The covariances with no eigenvalue below a hundredth of the largest on the diagonal."""
-    values, vectors = np.linalg.eigh(variances)
-    least = 1e-4 * np.maximum(values[:, -1:], 1e-12)
-    return np.asarray(
-        (vectors * np.maximum(values, least)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return of_eigenvalues(
+        variances, lambda values: np.maximum(values, 1e-4 * np.maximum(values[:, -1:], 1e-12))
     )

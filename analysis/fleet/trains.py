@@ -23,9 +23,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from analysis.fleet.channels import Channel, Series
+from analysis.fleet.channels import CHANNEL_UNITS, Series
 from analysis.fleet.resistance import (
     FEWEST_COMPARED,
     FleetResistance,
@@ -42,7 +43,7 @@ from analysis.fleet.unlike import (
     months_of,
     unlike_trains,
 )
-from trainlog.arrays import FloatArray, IntArray, robust_std
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import (
@@ -165,59 +166,40 @@ def drift_of(kind: KindResistance, trips: pd.DataFrame, unlike: UnlikeTrains) ->
         if series is None:
             continue
         when = days.to_numpy(np.float64)[series.rows]
+        names = trips["train"].to_numpy(str)[series.rows]
+        value = series.own if series.common else series.value
+        parts = [(train, names == train, value) for train in np.unique(names).tolist()]
         if series.common:
             jumps = [each for each in unlike.findings if each.kind == kind.kind]
-            found.append(_of_kind(kind.kind, series, trips, when, jumps))
-        names = trips["train"].to_numpy(str)[series.rows]
-        for train in np.unique(names).tolist():
-            mine = names == train
+            start = trips["start"].iloc[series.rows]
+            parts.insert(0, ("", *_of_kind(series, names, start, jumps)))
+        for train, rows, of in parts:
             steps = [each for each in unlike.findings if each.train == train]
-            value = series.own if series.common else series.value
+            about = {"train": train, "kind": kind.kind, "channel": series.channel.name}
+            seasonal = not (series.common and train)
             found.append(
                 _trend(
-                    train,
-                    kind.kind,
-                    series.channel,
-                    when[mine],
-                    value[mine],
-                    series.std[mine],
-                    steps,
-                    trips["start"].min(),
-                    season=not series.common,
+                    about | {"unit": series.channel.unit}, when[rows], of[rows], series.std[rows],
+                    steps, trips["start"].min(), season=seasonal,
                 )
-            )
+            )  # fmt: skip
     return found
 
 
 def _of_kind(
-    kind: str, series: Series, trips: pd.DataFrame, when: FloatArray, jumps: list[Finding]
-) -> Drift:
-    """The kind's trend and season: of its trips less each train's own level."""
-    names = trips["train"].to_numpy(str)[series.rows]
+    series: Series, names: NDArray[np.str_], start: pd.Series, jumps: list[Finding]
+) -> tuple[BoolArray, FloatArray]:
+    """The trips that show a kind's trend and season, and each less its train's own level."""
     # A train that jumped says nothing of its kind from then on.
-    start = trips["start"].iloc[series.rows]
-    sound = np.ones(names.size, dtype=bool)
+    sound = np.ones(names.size, dtype=np.bool_)
     for each in jumps:
         sound &= ~((names == each.train) & (start >= each.since).to_numpy())
-    value = pd.Series(series.value[sound])
-    centred = value - value.groupby(names[sound]).transform("median")
-    return _trend(
-        "",
-        kind,
-        series.channel,
-        when[sound],
-        centred.to_numpy(),
-        series.std[sound],
-        [],
-        trips["start"].min(),
-        season=True,
-    )
+    value = pd.Series(np.where(sound, series.value, np.nan))
+    return sound, (value - value.groupby(names).transform("median")).to_numpy()
 
 
 def _trend(
-    train: str,
-    kind: str,
-    channel: Channel,
+    about: dict[str, Any],
     when: FloatArray,
     value: FloatArray,
     std: FloatArray,
@@ -240,8 +222,7 @@ def _trend(
     if seasonal:
         angle = 2.0 * np.pi * months / YEAR
         columns += [np.sin(angle), np.cos(angle)]
-    about: dict[str, Any] = {"train": train, "kind": kind, "months": span, "steps": tuple(at)}
-    about |= {"channel": channel.name, "unit": channel.unit}
+    about |= {"months": span, "steps": tuple(at)}
     reason = ""
     if span < SHORTEST_TREND or count < max(FEWEST_WEEKS, len(columns) + 2):
         reason = f"{counted(round(span * MONTH), 'day')} in {counted(count, 'week')} show no trend"
@@ -428,10 +409,7 @@ class FleetTrains(Presented):
                 ]
                 blind = [each for each in limits if not np.isfinite(each.change)]
                 reason = f"{counted(len(blind), 'train')}: {blind[0].reason}" if blind else ""
-                largest = (
-                    _limit(limits, [getattr(each, which) for each in limits])
-                    for which in ("change", "constant")
-                )
+                largest = (_limit(limits, which) for which in ("change", "constant"))
                 table.add_cells(kind.kind, name, *largest, reason)
         return table
 
@@ -537,14 +515,12 @@ def _against_kind(row: tuple[KindResistance, TrainResistance]) -> Band | None:
     return Band(apart, _std(one) / mean) if kind.compared else None
 
 
-def _limit(limits: Sequence[Limit], sizes: Sequence[float]) -> str:
-    known = [size for size in sizes if np.isfinite(size)]
+def _limit(limits: Sequence[Limit], which: str) -> str:
+    known = [size for each in limits if np.isfinite(size := getattr(each, which))]
     if not known:
         return "-"
-    size, unit = max(known), limits[0].unit
-    if unit == "N":
-        return f"{size / 1e3:.1f} kN"
-    return f"{size:.2f} s" if unit == "s" else f"{100.0 * size:.1f} %"
+    factor, unit = CHANNEL_UNITS[limits[0].unit]
+    return f"{factor * max(known):.{2 if unit == 's' else 1}f} {unit}"
 
 
 def _curve(curve: TrainResistance) -> dict[str, Any]:

@@ -22,13 +22,14 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
-from scipy.special import betainc, gammaincc
+from scipy.special import betainc, gammaincc, stdtrit
 
 from analysis.fleet.channels import (
+    CHANNEL_UNITS,
     CHANNELS,
     FEWEST_TRIPS,
     Channel,
@@ -84,11 +85,10 @@ class Cause:
 
     def __str__(self) -> str:
         reach = 1.96 * self.std
-        if self.unit == "N":
-            return f"{self.what} {self.size / 1e3:+.2f} ± {reach / 1e3:.2f} kN"
-        if self.unit == "s":
-            return f"{self.what} {self.size:+.2f} ± {reach:.2f} s"
-        return f"{self.what} {100.0 * self.size:+.1f} ± {100.0 * reach:.1f} %"
+        factor, unit = CHANNEL_UNITS[self.unit]
+        digits = 1 if unit == "%" else 2
+        size, reach = factor * self.size, factor * reach
+        return f"{self.what} {size:+.{digits}f} ± {reach:.{digits}f} {unit}"
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,14 @@ def explained(
     size = np.array([shift.size for shift in shifts])
     slack = np.array([SLACK * shift.channel.tolerance for shift in shifts])
     covariance = np.diag(np.array([shift.variance for shift in shifts]) + slack**2)
-    _correlate(covariance, names, kind)
+    pair = ("constant resistance", "size of the curve")
+    if set(pair) <= set(names):
+        # Errors of the two channels of one curve go together.
+        own_force, own_curve, both = _products(kind)
+        alike = both / np.sqrt(own_force * own_curve)
+        one, other = (names.index(each) for each in pair)
+        shared = alike * np.sqrt(covariance[one, one] * covariance[other, other])
+        covariance[one, other] = covariance[other, one] = 0.999 * shared
     trust = np.linalg.inv(covariance)
     causes, distances = [], []
     for what, (unit, moves) in faults_of(kind, trips).items():
@@ -220,8 +227,7 @@ def explained(
     probability = np.exp(-0.5 * (np.array(distances) - distances[order[0]]))
     probability /= probability.sum()
     ranked = [
-        Cause(c.what, c.size, c.std, c.unit, float(probability[n]))
-        for n, c in ((int(n), causes[int(n)]) for n in order)
+        replace(causes[number], probability=float(probability[number])) for number in order.tolist()
     ]
     left = max(len(shifts) - 1, 1)
     fits = float(gammaincc(0.5 * left, 0.5 * distances[order[0]])) > UNEXPLAINED
@@ -229,17 +235,12 @@ def explained(
     return Explanation(ranked[0], others, fits)
 
 
-def _correlate(covariance: FloatArray, names: list[str], kind: KindResistance) -> None:
-    """Errors of the two channels of one curve go together; in place."""
-    pair = ("constant resistance", "size of the curve")
-    if not set(pair) <= set(names):
-        return
-    own_force, own_curve, both = _products(kind)
-    alike = both / np.sqrt(own_force * own_curve)
-    one, other = (names.index(each) for each in pair)
-    shared = alike * np.sqrt(covariance[one, one] * covariance[other, other])
-    covariance[one, other] = covariance[other, one] = 0.999 * shared
-
+MISSING = {
+    "effort gain": "no trip with a recorded load shows it",
+    "speed scale": "neither satellites nor distance show the train's true speed",
+    "effort delay": "no trip with line, train and efforts shows it",
+}
+"""Why no trip shows a channel."""
 
 FALSE_ALARMS = 0.01
 """Probability of an alarm on a healthy train within a month."""
@@ -403,7 +404,7 @@ class Step:
     trips: int
 
     def __str__(self) -> str:
-        factor, unit = {"N": (1e-3, "kN"), "s": (1.0, "s")}.get(self.unit, (100.0, "%"))
+        factor, unit = CHANNEL_UNITS[self.unit]
         return (
             f"{self.channel}: step of {factor * self.size:+.2g} {unit}, {self.deviations:.0f} times"
             " the trips' own deviation; no finding"
@@ -722,7 +723,7 @@ class _Watch:
                 continue
             name, one = channel.name, self.watched.get(channel.name)
             if one is None or one.place.size == 0:
-                reason = _missing(name)
+                reason = MISSING.get(name, "no trip shows it")
                 if one is None and shown[name]:
                     trips = counted(shown[name], "trip")
                     which = " with recorded load" if name == "effort gain" else ""
@@ -737,22 +738,11 @@ class _Watch:
             constant = np.nan
             if one.series.common and self.kind.compared:
                 spread = np.hypot(one.series.between, 1.25 * std / np.sqrt(5.0))
-                constant = channel.tolerance + spread * (
-                    _quantile(self.once, one.series.freedom) + 1.3
-                )
+                quantile = float(-stdtrit(one.series.freedom, self.once))
+                constant = channel.tolerance + spread * (quantile + 1.3)
             reason = "" if np.isfinite(change) else f"fewer than {FEWEST_BEFORE} trips show it"
             found.append(Limit(self.train, name, channel.unit, change, float(constant), reason))
         return found
-
-
-def _missing(name: str) -> str:
-    """Why no trip shows a channel."""
-    reasons = {
-        "effort gain": "no trip with a recorded load shows it",
-        "speed scale": "neither satellites nor distance show the train's true speed",
-        "effort delay": "no trip with line, train and efforts shows it",
-    }
-    return reasons.get(name, "no trip shows it")
 
 
 def _level(one: _Watched) -> tuple[float, float]:
@@ -882,9 +872,3 @@ def _least_change(series: Series, std: float, count: int, level: float) -> float
     seen = x[first] if first < x.size else np.nan
     # The median of five trips is below its mean by this much in one case of ten.
     return float(series.channel.tolerance + std * (seen + 1.3 * np.sqrt(0.5 * np.pi / 5.0)))
-
-
-def _quantile(p: float, freedom: float) -> float:
-    from scipy.special import stdtrit
-
-    return float(-stdtrit(freedom, p))

@@ -7,6 +7,7 @@ the next goes on with what is missing, and each trip counts once.
 
 from __future__ import annotations
 
+import heapq
 import math
 import re
 import time
@@ -15,9 +16,10 @@ from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from itertools import islice
+from itertools import groupby, islice
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from analysis.fleet.analyses import computation_of
 from trainlog.display import counted
@@ -397,15 +399,6 @@ def _chosen(analyses: Iterable[str | FleetAnalysis] | None) -> tuple[FleetAnalys
     return tuple((named | own).values())
 
 
-class _Asked(NamedTuple):
-    """A trip of which analyses are pending."""
-
-    key: str
-    sha256: str
-    path: str
-    name: str | None
-
-
 class _Update:
     """One update."""
 
@@ -488,23 +481,18 @@ class _Update:
         """The same in the order of key."""
         from analysis.fleet.work import Job
 
-        waiting = [self._pending(number) for number in range(len(self.analyses))]
-        heads = [next(each, None) for each in waiting]
-        while any(heads):
-            key = min(head.key for head in heads if head is not None)
-            asked = [n for n, head in enumerate(heads) if head is not None and head.key == key]
-            first = heads[asked[0]]
-            assert first is not None
-            yield Job(key, first.sha256, first.path, tuple(asked), first.name or "")
-            for number in asked:
-                heads[number] = next(waiting[number], None)
+        waiting = (self._pending(number) for number in range(len(self.analyses)))
+        together = heapq.merge(*waiting, key=itemgetter(0))
+        for _, rows in groupby(together, key=itemgetter(0)):
+            (key, sha256, path, name, first), *others = rows
+            yield Job(key, sha256, path, (first, *(each[-1] for each in others)), name or "")
 
-    def _pending(self, number: int) -> Iterator[_Asked]:
-        """The trips of which an analysis is pending, page by page."""
+    def _pending(self, number: int) -> Iterator[tuple[str, str, str, str | None, int]]:
+        """Key, checksum, path and name of the trips that an analysis waits for, and its number."""
         computation, last = self.computations[number], ""
         while True:
             page = self.catalogue.pending(computation, where=self.options.where, page=(last, PAGE))
-            yield from (_Asked(*row) for row in page.itertuples(index=False))
+            yield from ((*row, number) for row in page.itertuples(index=False))
             if len(page) < PAGE:
                 return
             last = str(page["key"].iloc[-1])

@@ -37,7 +37,7 @@ from analysis.resistance.curve import (
 )
 from analysis.resistance.fit import TripFit
 from analysis.resistance.recording import TripRefusedError
-from estimators.mixed import MixedEffects, mixed_effects
+from estimators.mixed import MixedEffects, mixed_effects, of_eigenvalues
 from trainlog import __version__
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted, span
@@ -118,16 +118,19 @@ def shared_variance(weights: FloatArray, survey: FloatArray, line: IntArray) -> 
     line : (k,) int array
         Number of the line and direction that the trip ran over.
     """
-    values, vectors = np.linalg.eigh(survey)
-    lengths = np.sqrt(np.maximum(values, 0.0))
     # The symmetric root: of two trips that differ, the errors are as alike as they can be.
-    effect = weights @ ((vectors * lengths[:, None, :]) @ vectors.transpose(0, 2, 1))
+    effect = weights @ symmetric_root(survey)
     order = np.argsort(line, kind="stable")
     first = np.flatnonzero(np.diff(line[order], prepend=-1))
     together = np.add.reduceat(effect[order], first, axis=0)
     return np.asarray(
         np.einsum("kij,klj->il", together, together) - np.einsum("kij,klj->il", effect, effect)
     )
+
+
+def symmetric_root(covariances: FloatArray) -> FloatArray:
+    """Symmetric roots (k, p, p) of covariances (k, p, p)."""
+    return of_eigenvalues(covariances, lambda values: np.sqrt(np.maximum(values, 0.0)))
 
 
 BETWEEN_TRIPS = 0.05
@@ -189,11 +192,8 @@ class CommonFit(DragCurve, Presented):
 
     def tables(self) -> list[WordTable]:
         """The row of the curve."""
-        return [
-            new_table(self.title, *CURVE_COLUMNS, RESISTANCE_COLUMN, name="together").add_rows(
-                [self]
-            )
-        ]
+        table = new_table(self.title, *CURVE_COLUMNS, RESISTANCE_COLUMN, name="together")
+        return [table.add_rows([self])]
 
     def spread(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of one trip's curve around the mean [N] at each speed [m/s]."""

@@ -45,7 +45,7 @@ from trainlog.formats.files import sha256
 from trainlog.formats.summaries import PARAMETERS
 from trainlog.identity import text_of
 from trainlog.presentation import MASS, NUMBER, POWER, Band, Column, Presented, WordTable, new_table
-from trainlog.railway.line import Line, StepProfile, in_km
+from trainlog.railway.line import Line, in_km
 from trainlog.railway.passport import Passport
 from trainlog.railway.resistance import LARGEST_STD, TERMS, EffortCurve, RunningResistance, basis
 from trainlog.railway.train import Train
@@ -270,12 +270,14 @@ class TripFit(DragCurve, Presented):
         power = "not shown: no lever or effort demand asks for more than is given"
         if self.max_power is not None and self.max_power_std is not None:
             power = f"{self.max_power / 1e3:.0f} ± {1.96 * self.max_power_std / 1e3:.0f} kW"
-        masked = [
-            f"{self.timeline.named(reason)} {time:.0f} s"
-            for reason, time in self.masked.items()
-            if time > 0.0
-        ]
         notes = {"notes": "; ".join(self.notes)} if self.notes else {}
+        efforts = {}
+        if self.passport is not None:
+            delay, gain = self.passport.effort_delay, self.passport.effort_gain
+            efforts["efforts"] = (
+                f"recorded {delay.value:.2f} ± {1.96 * delay.std:.2f} s late ({delay.source}),"
+                f" {gain.value:.3f} ± {1.96 * gain.std:.3f} times ({gain.source})"
+            )
         tunnels = {} if self.tunnels is None else {"tunnels": self.tunnels.words}
         low, high = (float(end) / 1e3 for end in self.still_air(self.asked[1]))
         top = f"{low:.1f} to {high:.1f} kN at {KMH * self.asked[1]:.0f} km/h"
@@ -288,24 +290,14 @@ class TripFit(DragCurve, Presented):
             "power": power,
             "speeds": f"{span(self.speed_range, KMH)} km/h, asked for {span(self.asked, KMH)} km/h",
             "windows": f"{self.windows['used']} used, {self.windows['outlier']} outliers",
-            "masked": ", ".join(masked) or "nothing",
+            "masked": self.timeline.in_words(self.masked),
             **notes,
-            **self._efforts(),
+            **efforts,
         }
 
     def tables(self) -> list[WordTable]:
         """The row of a fit."""
         return [new_table(self.title, *COLUMNS, name="trips").add_rows([self])]
-
-    def _efforts(self) -> dict[str, str]:
-        """How the recorded efforts were corrected."""
-        if self.passport is None:
-            return {}
-        delay, gain = self.passport.effort_delay, self.passport.effort_gain
-        return {
-            "efforts": f"recorded {delay.value:.2f} ± {1.96 * delay.std:.2f} s late"
-            f" ({delay.source}), {gain.value:.3f} ± {1.96 * gain.std:.3f} times ({gain.source})"
-        }
 
     def still_air(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Lower and upper end [N] of the 95 % band of the resistance in still air.
@@ -425,10 +417,18 @@ def fit_trip(
             timeline=timeline,
         ) from error
     gain_std = known.effort_gain.std / known.effort_gain.value
-    covariance = _with_scale(regression, scale)
+    # If true speed is measured speed over kappa, r1, r2 and mass come out as r1/kappa, r2/kappa²
+    # and m/kappa.
+    effect = regression.beta * np.append(np.arange(len(TERMS)), 1.0) * scale.std
+    covariance = regression.covariance + np.outer(effect, effect)
     unlike = [_stretch_words(each, timeline, view, origin) for each in regression.stretches]
     if regression.pulling is not None:
-        unlike.append(_pulling_words(*regression.pulling))
+        force, std = regression.pulling
+        unlike.append(
+            f"efforts are {abs(force) / 1e3:.1f} ± {1.96 * std / 1e3:.1f} kN too"
+            f" {'high' if force > 0.0 else 'low'} while pulling, by the motion while coasting:"
+            " check their zero; left to itself"
+        )
     _check_stretches(name, regression, unlike, asked, timeline, largest_std)
     _check_curve(name, regression, covariance, asked, timeline, largest_std)
     covariance = _with_gain(regression.beta, covariance, gain_std)
@@ -579,7 +579,6 @@ def _asked(speeds: tuple[float, float] | None, line: Line, train: Train) -> tupl
     limits = float(np.max(line.speed_limits.values)), train.max_speed
     if speeds is None:
         return LOWEST_SPEED, min(limits)
-    check_speeds(speeds)
     low, high = (float(speed) for speed in speeds)
     if high > max(limits):
         raise InputError(
@@ -605,7 +604,8 @@ def surveyed_gradients(line: Line) -> str:
     '{"850, 29556.1 m, reverse": 1.0}'
     """
     if not line.legs:
-        return _digest(line.gradients)
+        numbers = np.stack([line.gradients.positions, line.gradients.values])
+        return sha256(numbers.astype("<f8").tobytes())
     shares: dict[str, float] = {}
     for leg in line.legs:
         way = "forward" if leg.forward else "reverse"
@@ -613,21 +613,6 @@ def surveyed_gradients(line: Line) -> str:
         shares[key] = shares.get(key, 0.0) + leg.length / line.length
     rounded = {key: round(share, 6) for key, share in sorted(shares.items())}
     return json.dumps(rounded, ensure_ascii=False)
-
-
-def _digest(profile: StepProfile) -> str:
-    """SHA-256 of a profile's numbers."""
-    return sha256(np.stack([profile.positions, profile.values]).astype("<f8").tobytes())
-
-
-def _with_scale(regression: WindowFit, scale: SpeedScale) -> FloatArray:
-    """The covariance with the uncertainty of the speed scale added.
-
-    If true speed is measured speed over kappa, r1, r2 and mass come out as r1/kappa, r2/kappa²
-    and m/kappa.
-    """
-    effect = regression.beta * np.append(np.arange(len(TERMS)), 1.0) * scale.std
-    return np.asarray(regression.covariance + np.outer(effect, effect))
 
 
 def _with_gain(beta: FloatArray, covariance: FloatArray, gain_std: float) -> FloatArray:
@@ -643,25 +628,15 @@ def _check_windows(name: str, windows: Windows, prepared: Prepared) -> None:
     usable = float(np.sum(windows.duration))
     if usable >= SHORTEST_TIME:
         return
-    reasons = ", ".join(
-        f"{prepared.timeline.named(reason)} {seconds:.0f} s"
-        for reason, seconds in masked.items()
-        if seconds > 0.0
-    )
+    kinds: tuple[Reason, ...] = ("gap", "standstill", "braking", "slip")
+    worst = max(kinds, key=lambda reason: masked[reason])
     raise TripRefusedError(
-        _masked_most(masked, total),
+        worst if masked[worst] > 0.5 * total else "too short",
         f"trip '{name}': only {usable:.0f} s can be used of {total:.0f} s"
-        f" (masked: {reasons or 'nothing'})",
+        f" (masked: {prepared.timeline.in_words(masked)})",
         remedy=f"running resistance needs {SHORTEST_TIME:.0f} s free of friction braking",
         timeline=prepared.timeline,
     )
-
-
-def _masked_most(masked: dict[str, float], total: float) -> Reason:
-    """What took most of a trip of which too little is left; "too short" if nothing took half."""
-    kinds: tuple[Reason, ...] = ("gap", "standstill", "braking", "slip")
-    worst = max(kinds, key=lambda reason: masked[reason])
-    return worst if masked[worst] > 0.5 * total else "too short"
 
 
 def _stretch_words(found: Stretch, timeline: Timeline, view: TripView, origin: pd.Timestamp) -> str:
@@ -681,15 +656,6 @@ def _stretch_words(found: Stretch, timeline: Timeline, view: TripView, origin: p
         f"from km {km[0]:.1f} to {km[1]:.1f} ({first} to {last} UTC) the train needs"
         f" {abs(found.force) / 1e3:.1f} ± {1.96 * found.std / 1e3:.1f} kN {more} than elsewhere:"
         f" {causes}, or wrong gradients; {made}"
-    )
-
-
-def _pulling_words(force: float, std: float) -> str:
-    """By how much efforts while pulling contradict coasting, and what was made of it."""
-    return (
-        f"efforts are {abs(force) / 1e3:.1f} ± {1.96 * std / 1e3:.1f} kN too"
-        f" {'high' if force > 0.0 else 'low'} while pulling, by the motion while coasting: check"
-        " their zero; left to itself"
     )
 
 
@@ -795,11 +761,10 @@ WEAKEST = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PowerLimit:
-    """Largest traction power at the wheel rims and its standard deviation [W], seen for [s]."""
+    """Largest traction power at the wheel rims and its standard deviation [W]."""
 
     power: float
     std: float
-    time: float
 
 
 def power_limit(
@@ -864,7 +829,7 @@ def power_limit(
     scatter = robust_std(power[plateau] - found)
     # Averages overlap, and what scatters lasts longer than one of them.
     own = 1.2533 * scatter / np.sqrt(max(time / LASTING, 1.0))
-    return PowerLimit(found, float(np.hypot(own, scale_std * found)), time)
+    return PowerLimit(found, float(np.hypot(own, scale_std * found)))
 
 
 def _equivalent_power(

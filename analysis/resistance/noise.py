@@ -60,6 +60,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from scipy.integrate import cumulative_trapezoid
 from scipy.sparse import csr_array
 
 from analysis.resistance.recording import Recording
@@ -232,31 +233,15 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
     time = recording.time
     width = width or window_width(time)
     start, end = _window_ends(time, recording.usable, width)
-    integrals = _integral(
-        time,
-        np.column_stack(
-            [
-                recording.effort,
-                recording.track,
-                recording.braking,
-                recording.tunnel,
-                recording.curve,
-            ]
-        ),
-    )
-    plain = np.column_stack(
-        [
-            recording.speed,
-            recording.rotating_momentum,
-            recording.effort,
-            recording.slip_momentum,
-        ]
-    )
+    of = recording
+    forces = np.column_stack([of.effort, of.track, of.braking, of.tunnel, of.curve])
+    integrals = cumulative_trapezoid(forces, time, axis=0, initial=0.0)
+    plain = np.column_stack([of.speed, of.rotating_momentum, of.effort, of.slip_momentum])
     at_end = _averaged(time, plain, end, width)
     change = at_end - _averaged(time, plain, start, width)
     integral = _averaged(time, integrals, end, width) - _averaged(time, integrals, start, width)
     steps = np.gradient(time) if time.size > 1 else np.zeros(time.size)
-    squares = _integral(time, (recording.effort**2 * steps)[:, None])
+    squares = cumulative_trapezoid((of.effort**2 * steps)[:, None], time, axis=0, initial=0.0)
     square = (_at(time, squares, end) - _at(time, squares, start))[:, 0]
     return Windows(
         start=start,
@@ -288,12 +273,6 @@ def _window_ends(
     return start, start + width
 
 
-def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
-    """Running integral (n, c) of sampled values (n, c) by the trapezoidal rule."""
-    pieces = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
-    return np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)))
-
-
 def _at(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
     """Values (m, c) on the straight lines between samples (n, c)."""
     index = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, time.size - 2)
@@ -312,7 +291,7 @@ def integral_between(
     time: FloatArray, values: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
     """Integral (m, c) from instants to others of the straight lines between samples (n, c)."""
-    whole = _integral(time, values)
+    whole = cumulative_trapezoid(values, time, axis=0, initial=0.0)
     return _integral_up_to(time, values, whole, high) - _integral_up_to(time, values, whole, low)
 
 

@@ -39,7 +39,7 @@ import pandas as pd
 from analysis.resistance.combination import CommonFit, checked, combine, each_drive_once, summarised
 from analysis.resistance.curve import nearest_physical
 from analysis.resistance.fit import TripFit
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import COVARIANCE, PARAMETERS, SURVEY, covariances_of, parameters_of
@@ -155,7 +155,12 @@ def parameter_set(
     seen = np.isfinite(limits)
     power = np.where(seen, limits, rows["train_power"].to_numpy(np.float64))
     if seen.any():
-        power = np.where(seen, limits, _of_neighbours(masses, seen, limits))
+        # The lower limit of the two trips next in mass of those where it was seen.
+        order = np.argsort(masses[seen], kind="stable")
+        known, values = masses[seen][order], limits[seen][order]
+        after = np.clip(np.searchsorted(known, masses), 1, max(known.size - 1, 1))
+        lower = np.minimum(values[after - 1], values[np.minimum(after, known.size - 1)])
+        power = np.where(seen, limits, lower)
     inertia = masses + rows["rotating_mass"].to_numpy(np.float64)
     speeds = np.linspace(0.0, common.asked[1], 3)
     drag = betas @ basis(speeds).T / inertia[:, None]
@@ -288,7 +293,13 @@ def _few(points: FloatArray, directions: FloatArray, share: float, most: int) ->
     order = np.sort(along, axis=0)
 
     def reaching(rank: int) -> IntArray:
-        return _greedy(along >= order[rank - 1])
+        """Rows one by one, each for most of the directions still open."""
+        reach, rows = along >= order[rank - 1], list[int]()
+        open_ones = np.ones(reach.shape[1], dtype=np.bool_)
+        while open_ones.any():
+            rows.append(int(np.argmax(np.count_nonzero(reach[:, open_ones], axis=1))))
+            open_ones &= ~reach[rows[-1]]
+        return np.array(rows, dtype=np.int64)
 
     rank = min(int(np.ceil(share * (len(points) + 1))), len(points))
     found = reaching(rank)
@@ -296,17 +307,6 @@ def _few(points: FloatArray, directions: FloatArray, share: float, most: int) ->
         fewer = bisect_right(range(1, rank), most, key=lambda each: reaching(each).size)
         found = reaching(max(fewer, 1))[:most]
     return np.sort(found)
-
-
-def _greedy(reach: BoolArray) -> IntArray:
-    """Rows of `reach` (n, directions) one by one, each for most of the directions still open."""
-    rows: list[int] = []
-    open_ones = np.ones(reach.shape[1], dtype=bool)
-    while open_ones.any():
-        best = int(np.argmax(np.count_nonzero(reach[:, open_ones], axis=1)))
-        rows.append(best)
-        open_ones &= ~reach[best]
-    return np.array(rows, dtype=np.int64)
 
 
 def _level(points: FloatArray, rows: IntArray, directions: FloatArray) -> float:
@@ -331,13 +331,8 @@ def _whitened(features: FloatArray) -> FloatArray:
 
 def _nearest(points: FloatArray, rows: IntArray) -> IntArray:
     """How many points are nearest to each of the rows."""
-    best = np.full(len(points), np.inf)
-    owner = np.zeros(len(points), dtype=np.int64)
-    for number, row in enumerate(rows):
-        distance = np.sum((points - points[row]) ** 2, axis=1)
-        closer = distance < best
-        best[closer], owner[closer] = distance[closer], number
-    return np.bincount(owner, minlength=rows.size)
+    distances = [np.sum((points - points[row]) ** 2, axis=1) for row in rows]
+    return np.bincount(np.argmin(distances, axis=0), minlength=rows.size)
 
 
 def _spread_out(common: CommonFit) -> FloatArray:
@@ -363,14 +358,6 @@ def _masses_given(rows: pd.DataFrame, betas: FloatArray) -> FloatArray:
     scaled = covariance[:, :-1, :-1] / (scale[:, :, None] * scale[:, None, :])
     slope = np.linalg.solve(scaled, (covariance[:, :-1, -1] / scale)[..., None])[..., 0]
     return np.asarray(fitted[:, -1] + np.sum(slope * shift / scale, axis=1))
-
-
-def _of_neighbours(masses: FloatArray, seen: BoolArray, limits: FloatArray) -> FloatArray:
-    """The lower limit of the two trips next in mass of those where it was seen, for each trip."""
-    order = np.argsort(masses[seen], kind="stable")
-    known, values = masses[seen][order], limits[seen][order]
-    after = np.clip(np.searchsorted(known, masses), 1, max(known.size - 1, 1))
-    return np.asarray(np.minimum(values[after - 1], values[np.minimum(after, known.size - 1)]))
 
 
 def _names(rows: pd.DataFrame) -> list[str]:

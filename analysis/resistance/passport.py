@@ -216,6 +216,11 @@ def _estimated(view: TripView, fleet: tuple[Passport, ...] = ()) -> Passport:
     scale = _scale(view, findings)
     delay, ratio, lead = _delay_and_ratio(view, noise)
     gain, load, mass = _gain_and_load(prior, ratio, train)
+    sample_time = {
+        name: round(float(np.median(np.diff(seconds(frame)))), 6)
+        for name, frame in trip.topics.items()
+        if name in TOPICS and len(frame) > 2
+    }
     found = Passport(
         trip=trip.name,
         effort_delay=delay,
@@ -226,7 +231,7 @@ def _estimated(view: TripView, fleet: tuple[Passport, ...] = ()) -> Passport:
         axle_effort_ratio=_axle_effort_ratio(trip, train),
         speed_noise=noise,
         wheel_factor=_wheel_factors(trip, train, scale),
-        sample_time=_sample_times(trip),
+        sample_time=sample_time,
         creep_lead=lead,
     )
     return replace(found, findings=(*findings, *_findings(found, prior)))
@@ -542,7 +547,7 @@ def with_calibrated_efforts(trip: Trip, known: Passport) -> Trip:
     ratio = known.axle_effort_ratio.value if known.axle_effort_ratio.known else 1.0
     ratio = ratio or 1.0  # axle efforts of 0 throughout
     if "/train/controls" in trip:
-        trip = _scaled(with_effort_delay(trip, delay), "/train/controls", "effort", 1.0 / gain)
+        trip = _scaled(with_effort_delay(trip, delay), "/train/controls", 1.0 / gain)
     if "/train/axles" not in trip or not (known.motion_delay.known or known.effort_gain.known):
         return trip
     axles = trip["/train/axles"]
@@ -554,24 +559,15 @@ def with_calibrated_efforts(trip: Trip, known: Passport) -> Trip:
     }
     changed = axles.assign(**moved)
     changed.attrs = axles.attrs
-    return _scaled(trip.with_topic(changed), "/train/axles", "effort", 1.0 / (gain * ratio))
+    return _scaled(trip.with_topic(changed), "/train/axles", 1.0 / (gain * ratio))
 
 
-def _scaled(trip: Trip, topic: str, word: str, factor: float) -> Trip:
-    """The trip with the columns of a topic that have a word in their name times a factor."""
+def _scaled(trip: Trip, topic: str, factor: float) -> Trip:
+    """The trip with the efforts of a topic times a factor."""
     frame = trip[topic]
-    changed = frame.assign(**{n: factor * frame[n] for n in frame.columns if word in n})
+    changed = frame.assign(**{n: factor * frame[n] for n in frame.columns if "effort" in n})
     changed.attrs = frame.attrs
     return trip.with_topic(changed)
-
-
-def _sample_times(trip: Trip) -> dict[str, float]:
-    """Median time between the samples of each topic [s]."""
-    return {
-        name: round(float(np.median(np.diff(seconds(frame)))), 6)
-        for name, frame in trip.topics.items()
-        if name in TOPICS and len(frame) > 2
-    }
 
 
 def _speed_noise(trip: Trip) -> dict[str, Quantity]:

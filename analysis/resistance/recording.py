@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -75,6 +76,13 @@ class Timeline:
         'effort dips'
         """
         return self.slip if reason == "slip" else reason
+
+    def in_words(self, times: Mapping[str, float]) -> str:
+        """How long was masked [s], for each reason for which anything was."""
+        said = [
+            f"{self.named(reason)} {time:.0f} s" for reason, time in times.items() if time > 0.0
+        ]
+        return ", ".join(said) or "nothing"
 
 
 class TripRefusedError(NotIdentifiableError):
@@ -665,9 +673,7 @@ def recorded_wheels(trip: Trip) -> int:
     """Number of powered wheels whose speeds are recorded, of any sample."""
     if "/train/axles" not in trip:
         return 0
-    axles = trip["/train/axles"]
-    names = [name for name in axles.columns if name.startswith("wheel_speed_")]
-    return int(axles[names].notna().any().sum())
+    return int(trip["/train/axles"].filter(like="wheel_speed_").notna().any().sum())
 
 
 def _rotating_momentum(
