@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -435,6 +436,12 @@ def worded(form: str, *values: ArrayLike) -> list[str]:
     """
     columns = [np.asarray(each, dtype=np.float64).tolist() for each in values]
     return [form.format(*each) for each in zip(*columns, strict=True)]
+
+
+def days_of(moments: pd.Series) -> NDArray[np.float64]:
+    """Days since 1970 in UTC, as a chart over dates has them."""
+    instants = pd.DatetimeIndex(pd.to_datetime(moments, utc=True)).as_unit("s")
+    return instants.asi8.astype(np.float64) / 86_400.0
 
 
 def shades(values: ArrayLike, colours: str, span: tuple[float, float]) -> NDArray[np.str_]:

@@ -214,6 +214,11 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         total = _earlier(time, total, delay)
     passage_std = 0.0
     load = known.load.value if known.load.known else 0.0
+    # The weight by which an effort without its gain gives the adhesion.
+    loaded = train.adhesive_weight(load)
+    if known.effort_over_mass.known:
+        # The motion shows the gain times the mass together, better than each.
+        loaded = train.adhesive_weight(0.0) * known.effort_over_mass.value / gain
     calibration = common_std = _common_std(train, known)
     if sampling >= SLOW:
         common_std = float(np.hypot(calibration, SLOW_STD * sampling))
@@ -244,7 +249,7 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         shown=_lately(time, speeds)
         & (np.isfinite(own[:, numbers]) | ~levelled | (level != "axle")),
         mass=train.mass + load,
-        axle_load=_axle_load(train, known, load, gain),
+        axle_load=loaded / train.axles.count,
         common_std=common_std,
         passage_std=passage_std,
         gain_std=float(np.nan_to_num(known.effort_gain.std)) / gain,
@@ -254,18 +259,6 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         notes=(*notes, *(_load_notes(known, calibration) if levelled.any() else ()), *said, *more),
         complete=numbers.size == train.axles.count and level == "axle" and sampling < SLOW,
     )
-
-
-def _axle_load(train: Train, known: Passport, load: float, gain: float) -> float:
-    """Weight on an axle [N] by which an effort without its gain gives the adhesion.
-
-    The motion shows the gain times the mass together, better than each.
-    """
-    if known.effort_over_mass.known:
-        loaded = train.adhesive_weight(0.0) * known.effort_over_mass.value / gain
-    else:
-        loaded = train.adhesive_weight(load)
-    return loaded / train.axles.count
 
 
 def _common_std(train: Train, known: Passport) -> float:

@@ -185,7 +185,13 @@ def _updated(
 ) -> tuple[TrackConditionMap, dict[int, str]]:
     """The map with the evidence of trips, and why some do not count, by number."""
     for piece in pieces:
-        _check_fits(track, piece)
+        track.check_line(piece.line, piece.length, 0.0, f"trip '{piece.trip}'")
+        if piece.bin_length != track.bin_length or piece.daily.levels != track.levels.size:
+            raise InputError(
+                f"trip '{piece.trip}': evidence in bins of {piece.bin_length:g} m does not fit the"
+                f" map's {track.bin_length:g} m",
+                remedy="make the evidence with the map's bin length",
+            )
     with MapFile.of_map(track) as ledger:
         left_out = {}
         for number, recording in enumerate(map(recording_of, pieces)):
@@ -212,16 +218,6 @@ def recording_of(piece: Evidence, **details: Any) -> Recording:
         **details,
     }
     return Recording(piece.layer, entry, piece.recorded, piece.steps, piece.layers)
-
-
-def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:
-    track.check_line(piece.line, piece.length, 0.0, f"trip '{piece.trip}'")
-    if piece.bin_length != track.bin_length or piece.daily.levels != track.levels.size:
-        raise InputError(
-            f"trip '{piece.trip}': evidence in bins of {piece.bin_length:g} m does not fit the"
-            f" map's {track.bin_length:g} m",
-            remedy="make the evidence with the map's bin length",
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -644,7 +640,9 @@ class FileUpdate:
         found = _held(self.file, log, digest, self.layer) or self._refused_before(log, digest)
         found = found or self._tried(log, state, digest, on_edges)
         remembered = found.outcome != "refused" or digest in self._refusals
-        if self.file and not known and remembered and _is_settled(state):
+        # Then a later change of the file would show in the time of its last one.
+        settled = time.time_ns() - state.st_mtime_ns > _SETTLED
+        if self.file and not known and remembered and settled:
             self.file.remember(log, state, digest)
         return found
 
@@ -660,7 +658,9 @@ class FileUpdate:
                 return LogOutcome(str(log), "refused", reason=str(error))
             return self._refused(log, digest, error)
         if _has_changed(log, state):
-            return _changed(log, piece)
+            remedy = "give it again when its recording has ended"
+            changed = InputError("changed while it was read", file=log, remedy=remedy)
+            return LogOutcome(str(log), "refused", piece.trip, piece.layer, str(changed))
         self.file = self.file or MapFile(self.path, track)
         recorded = self._stated(log, on_edges) if self.layer is not None else ""
         found = _added(self.file, log, piece, damage)
@@ -734,11 +734,6 @@ def _has_changed(log: Path, before: stat_result) -> bool:
     return (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns)
 
 
-def _is_settled(state: stat_result) -> bool:
-    """Whether a later change of the file would show in the time of its last one."""
-    return time.time_ns() - state.st_mtime_ns > _SETTLED
-
-
 def _held(file: MapFile | None, log: Path, digest: str, layer: str | None) -> LogOutcome | None:
     """The outcome of a log that the map holds; None if it does not."""
     row = file.held(digest) if file else None
@@ -748,12 +743,6 @@ def _held(file: MapFile | None, log: Path, digest: str, layer: str | None) -> Lo
     other = f"as '{row.layer}', not as '{layer}': take it out first (trainlog map remove)"
     reason = other if layer is not None and layer != row.layer else ""
     return LogOutcome(str(log), "held", known.name, row.layer, reason)
-
-
-def _changed(log: Path, piece: Evidence) -> LogOutcome:
-    remedy = "give it again when its recording has ended"
-    error = InputError("changed while it was read", file=log, remedy=remedy)
-    return LogOutcome(str(log), "refused", piece.trip, piece.layer, str(error))
 
 
 @contextmanager

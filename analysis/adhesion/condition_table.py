@@ -156,7 +156,9 @@ def bins_table(
             "layer": name,
             "bin": np.arange(track.bins),
         }
-        columns |= where | _estimates(layer, time)
+        estimates = (*shown(layer), *shown(layer.expected(time)))
+        columns |= where | {"observed": layer.observed}
+        columns |= zip(ADHESIONS, estimates, strict=True)
         spot = spot_probability(track, layer, time)
         # Where nothing was observed, nothing says that there is no spot.
         columns["spot_probability"] = np.where(layer.observed | (spot > 0.0), spot, np.nan)
@@ -374,11 +376,6 @@ def _bins_of(track: TrackConditionMap, part: PassingSpot | ConditionChange) -> t
     """First and one-past-last bin of a part of the line."""
     first = int(track.bin_of(part.start))
     return first, max(int(np.ceil(part.end / track.bin_length)), first + 1)
-
-
-def _estimates(layer: ConditionLayer, time: pd.Timestamp | None) -> dict[str, object]:
-    columns = (*shown(layer), *shown(layer.expected(time)))
-    return {"observed": layer.observed, **dict(zip(ADHESIONS, columns, strict=True))}
 
 
 def _evidence(track: TrackConditionMap, layer: ConditionLayer) -> dict[str, object]:

@@ -265,7 +265,8 @@ def evidence_of_parts(
             "no speed of a powered axle is recorded in it",
             remedy="record wheel speeds, or name their columns in the profile",
         )
-    start, end = _span(clocks)
+    times = np.concatenate(clocks)
+    start, end = (int(times.min()), int(times.max())) if times.size else (0, 0)
     _check_dates(trip, start, end)
     if not sums:
         first, last = (f"{pd.Timestamp(each):%Y-%m-%d %H:%M}" for each in (start, end))
@@ -329,12 +330,6 @@ def _by_condition(part: SlipAnalysis, layer: str | Weather) -> Iterator[tuple[st
     # An onset may have been detected with the last sample.
     for start, end, condition in layer.spans(int(clock[0]), int(clock[-1]) + 1):
         yield condition, part.part((start, end))
-
-
-def _span(clocks: list[IntArray]) -> tuple[int, int]:
-    """The first and the last of times."""
-    times = np.concatenate(clocks)
-    return (int(times.min()), int(times.max())) if times.size else (0, 0)
 
 
 class _Sums:

@@ -31,6 +31,7 @@ from analysis.charts import (
     Panel,
     Rule,
     Span,
+    days_of,
 )
 from trainlog.arrays import FloatArray
 from trainlog.condition import known_before
@@ -396,43 +397,40 @@ def history_charts(found: PlaceHistory) -> list[Chart]:
             f"{found.title}: there is no evidence to draw", remedy="choose another place or layer"
         )
     onsets, used, known = found.onsets, found.used, found.known
-    end = max(_days(each["day"]).max() for each in (known, onsets, used) if not each.empty) + 1.0
+    end = max(days_of(each["day"]).max() for each in (known, onsets, used) if not each.empty) + 1.0
     spans = [
         Span(float(first), float(last) + 1.0, RED, "" if number else "passing spot met", 0.12)
         for number, (first, last) in enumerate(
-            zip(_days(found.spots["first_day"]), _days(found.spots["last_day"]), strict=True)
+            zip(days_of(found.spots["first_day"]), days_of(found.spots["last_day"]), strict=True)
         )
     ]
     changes = found.changes
     spans += [
         Span(float(first), float(last), GREEN, "", 0.2)
-        for first, last in zip(_days(changes["earliest"]), _days(changes["latest"]), strict=True)
+        for first, last in zip(
+            days_of(changes["earliest"]), days_of(changes["latest"]), strict=True
+        )
     ]
     rules = [
         Rule(float(day), GREEN, "" if number else "lasting change", upright=True, width=1.4)
-        for number, day in enumerate(_days(changes["day"]))
+        for number, day in enumerate(days_of(changes["day"]))
     ]
     marks = [
-        Curve("used without slip", _days(used["day"]), used["level"], GREY, "points", mark="^",
+        Curve("used without slip", days_of(used["day"]), used["level"], GREY, "points", mark="^",
               width=2.0),
-        Curve("onsets of slip, 95 %", _days(onsets["day"]), onsets["adhesion"], RED, "points",
+        Curve("onsets of slip, 95 %", days_of(onsets["day"]), onsets["adhesion"], RED, "points",
               onsets["low"], onsets["high"], width=2.0),
     ]  # fmt: skip
     panel = Panel(
         "maximum adhesion", [*_known(found, end), *(each for each in marks if np.size(each.x))],
         1.6, from_zero=True, spans=spans, rules=rules,
     )  # fmt: skip
-    first = min(_days(each["day"]).min() for each in (known, onsets, used) if not each.empty)
+    first = min(days_of(each["day"]).min() for each in (known, onsets, used) if not each.empty)
     words = f"{found.title}. {found.unmeasured}".removesuffix(". ")
     return [
         Chart("", [panel], dates=True,
               span=(first - 0.02 * (end - first), end), title=textwrap.fill(words, 120))
     ]  # fmt: skip
-
-
-def _days(moments: pd.Series) -> FloatArray:
-    """Days since 1970."""
-    return np.asarray(moments, dtype="datetime64[s]").astype(np.float64) / 86_400.0
 
 
 def _known(found: PlaceHistory, end: float) -> list[Curve]:
@@ -441,7 +439,7 @@ def _known(found: PlaceHistory, end: float) -> list[Curve]:
     if known.empty:
         return []
     known = pd.concat([known, known[-1:]], ignore_index=True)
-    day = _days(known["day"])
+    day = days_of(known["day"])
     day[-1] = end
     colour = COLOURS.get(found.layer, INK)
     return [

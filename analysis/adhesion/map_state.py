@@ -528,6 +528,7 @@ def _without_changes(layers: Mapping[str, ConditionLayer]) -> Iterator[str]:
 
 def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
     every = [each for each in summary(track, 0) if each.layer in names]
+    days = [track.layer(each.layer).evidence.days for each in every]
     return pd.DataFrame(
         {
             "layer": [each.layer for each in every],
@@ -536,7 +537,7 @@ def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
             "observed_m": [round(each.observed_length, 3) for each in every],
             "observed_bins": [each.observed_bins for each in every],
             "bins": [each.bins for each in every],
-            "last_day": [_last_day_of(track.layer(each.layer)) for each in every],
+            "last_day": [day_name(int(each[-1])) if each.size else None for each in days],
         }
     )
 
@@ -552,12 +553,6 @@ def _trips(track: TrackConditionMap) -> pd.DataFrame:
         },
         dtype=object,
     )
-
-
-def _last_day_of(layer: ConditionLayer) -> str | None:
-    """The last day with evidence; None if there is none."""
-    days = layer.evidence.days
-    return day_name(int(days[-1])) if days.size else None
 
 
 def _lowest(
@@ -584,7 +579,10 @@ def _model(layers: dict[str, ConditionLayer]) -> pd.DataFrame:
             "parameter": [each.name for _, each in every],
             "value": np.array([each.value for _, each in every], dtype=np.float64),
             "std": np.array([each.std for _, each in every], dtype=np.float64),
-            "unit": [_unit(each) for _, each in every],
+            "unit": [
+                "ln(adhesion)" if each.name in LOGARITHMS or each.name in SPREADS else each.unit
+                for _, each in every
+            ],
             "median": np.array(
                 [np.exp(each.value) if each.name in LOGARITHMS else np.nan for _, each in every],
                 dtype=np.float64,
@@ -592,11 +590,6 @@ def _model(layers: dict[str, ConditionLayer]) -> pd.DataFrame:
             "source": [_source(each) for _, each in every],
         }
     )
-
-
-def _unit(parameter: ModelParameter) -> str:
-    logarithm = parameter.name in LOGARITHMS or parameter.name in SPREADS
-    return "ln(adhesion)" if logarithm else parameter.unit
 
 
 def _source(parameter: ModelParameter) -> str:

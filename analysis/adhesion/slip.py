@@ -477,13 +477,7 @@ def _slip(view: TripView) -> SlipAnalysis:
         common_std=axles.common_std,
         passage_std=axles.passage_std,
         load=axles.load,
-        notes=(
-            *axles.notes,
-            *_delay_notes(axles, events),
-            *_noise_notes(noise, least),
-            *_contradicted_notes(against),
-            *_frozen_notes(frozen),
-        ),
+        notes=(*axles.notes, *_notes(axles, events, noise, least, against, frozen)),
         complete=axles.complete and least < SLIP_THRESHOLD,
     )
 
@@ -523,43 +517,38 @@ def _mean_force(axles: PoweredAxles) -> FloatArray:
     return np.repeat((axles.total_effort / axles.count)[:, None], axles.numbers.size, axis=1)
 
 
-def _delay_notes(axles: PoweredAxles, events: pd.DataFrame) -> list[str]:
-    """What is to be stated where the delay of the efforts is not known."""
-    if not axles.delay_std or not axles.levelled.any():
-        return []
-    note = f"the delay of the efforts is not known better than ± {1.96 * axles.delay_std:.2f} s"
-    shown = events[events["measured"]]
-    if shown.empty:
-        return [note]
-    share = float(np.median(shown["delay_std"] / shown["adhesion"]))
-    return [f"{note}: levels within ± {1.96 * share:.0%} by the delay"]
-
-
-def _noise_notes(noise: float, least: float) -> list[str]:
-    """What is to be stated where noise hides small slips."""
-    if least < SLIP_THRESHOLD:
-        return []
-    return [
-        f"wheel speeds have a noise of {noise:.2f} m/s: slips below {least:.1f} m/s are not seen"
-    ]
-
-
-def _contradicted_notes(count: int) -> list[str]:
-    """That wheels seem to slip against the effort on them, where the train's speed is not known."""
-    if not count:
-        return []
-    return [
-        f"{counted(count, 'slip')} against the effort of the motors left out: all wheels slipped,"
-        " and nothing else measures the train's speed there; efforts by axle or satellites would"
-    ]
-
-
-def _frozen_notes(frozen: Sequence[Finding]) -> list[str]:
-    """What a recorder repeated, which is left out, by column."""
+def _notes(
+    axles: PoweredAxles,
+    events: pd.DataFrame,
+    noise: float,
+    least: float,
+    against: int,
+    frozen: Sequence[Finding],
+) -> list[str]:
+    """What is to be stated of delay and noise, of slips left out, and of what was repeated."""
+    notes = []
+    if axles.delay_std and axles.levelled.any():
+        note = f"the delay of the efforts is not known better than ± {1.96 * axles.delay_std:.2f} s"
+        shown = events[events["measured"]]
+        if not shown.empty:
+            share = float(np.median(shown["delay_std"] / shown["adhesion"]))
+            note += f": levels within ± {1.96 * share:.0%} by the delay"
+        notes.append(note)
+    if least >= SLIP_THRESHOLD:
+        notes.append(
+            f"wheel speeds have a noise of {noise:.2f} m/s: slips below {least:.1f} m/s are not"
+            " seen"
+        )
+    if against:
+        notes.append(
+            f"{counted(against, 'slip')} against the effort of the motors left out: all wheels"
+            " slipped, and nothing else measures the train's speed there; efforts by axle or"
+            " satellites would"
+        )
     counts = Counter[str]()
     for each in frozen:
         counts[each.column] += each.count
-    return [
+    return notes + [
         f"{column} repeats itself while the train moves on, {counted(count, 'sample')}: left out"
         for column, count in sorted(counts.items())
     ]
@@ -980,6 +969,9 @@ def _onset_of(
     after = int(np.searchsorted(axles.time, axles.time[peak] + CUT_TIME))
     cut = bool(effort[peak : after + 1].min() < CUT * effort[peak])
     known = bool(axles.levelled[axle])
+    # Whether the effort is known before the onset, up to the largest slip.
+    first = int(np.searchsorted(axles.time, axles.time[min(at, peak)] - CUT_TIME))
+    shown = bool(axles.shown[first : peak + 1, axle].all())
     spread = SHARED_STD * abs(adhesion) if motion.share is not None else 0.0
     spread_by_transfer = 0.0 if motion.transfer_known else TRANSFER * adhesion**2
     delayed = np.sqrt(np.mean((np.array(others) - adhesion) ** 2)) if others else 0.0
@@ -989,14 +981,8 @@ def _onset_of(
         "adhesion_std": np.hypot(noise, spread) if known else np.nan,
         "delay_std": float(delayed) if known else np.nan,
         "transfer_std": spread_by_transfer if known else np.nan,
-        "measured": known and adhesion > 0.0 and (fell or cut) and _is_shown(axles, axle, at, peak),
+        "measured": known and adhesion > 0.0 and (fell or cut) and shown,
     }
-
-
-def _is_shown(axles: PoweredAxles, axle: int, onset: int, peak: int) -> bool:
-    """Whether the effort is known before the onset, up to the largest slip."""
-    first = int(np.searchsorted(axles.time, axles.time[min(onset, peak)] - CUT_TIME))
-    return bool(axles.shown[first : peak + 1, axle].all())
 
 
 def _level(

@@ -21,11 +21,12 @@ from analysis.charts import (
     Panel,
     Rule,
     Span,
+    days_of,
 )
+from analysis.fleet.channels import CHANNEL_UNITS
 from analysis.fleet.resistance import KindResistance
 from analysis.fleet.trains import AT, FleetTrains
 from analysis.fleet.unlike import Finding
-from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.units import KMH
 
@@ -40,8 +41,6 @@ MOST_LEVELS = 100
 
 MOST_FINDINGS = 24
 """Findings that are drawn."""
-
-CHANNEL_UNITS = {"1": (100.0, "%"), "N": (1e-3, "kN"), "s": (1.0, "s")}
 
 
 def resistance_charts(kind: KindResistance, found: FleetTrains) -> list[Chart]:
@@ -111,7 +110,10 @@ def drift_charts(kind: str, found: FleetTrains) -> list[Chart]:
     """Channels of a kind over time: each trip, and the running level of each train."""
     trips = found.trips[kind]
     findings = [each for each in found.unlike.findings if each.kind == kind]
-    colours = _colours(trips["train"], {each.train for each in findings})
+    unlike = {each.train for each in findings}
+    every = sorted(set(trips["train"].astype(str)), key=lambda each: (each not in unlike, each))
+    # Of the trains that are named: those with a finding first, then the others.
+    colours = dict(zip(every, (RED, SKY, GREEN, PURPLE, ORANGE, INK), strict=False))
     parts = [
         _channel(kind, name, found, findings, colours, named=number == 0)
         for number, name in enumerate(channels_over_time(kind, found))
@@ -141,14 +143,14 @@ def _channel(
     series = found.unlike.series[kind][name]
     trips = found.trips[kind]
     factor, unit = CHANNEL_UNITS[series.channel.unit]
-    day = _days(trips["start"].iloc[series.rows])
+    day = days_of(trips["start"].iloc[series.rows])
     names = trips["train"].to_numpy(str)[series.rows]
     own = factor * (series.own if series.common else series.value - np.median(series.value))
     step = -(-own.size // MOST_DRAWN)
     curves = [Curve("", day[::step], own[::step], GREY, "points", width=1.0, opacity=0.5)]
     for train in np.unique(names).tolist():
         mine = names == train
-        since = np.sort(_days(pd.Series([e.since for e in findings if e.train == train])))
+        since = np.sort(days_of(pd.Series([e.since for e in findings if e.train == train])))
         label = train if train in colours else "another train"
         # A median over trips on both sides of a step would make a slope of it.
         part = np.searchsorted(since, day[mine], "right")
@@ -162,7 +164,7 @@ def _channel(
     low, high = np.quantile(own, (0.005, 0.995))
     margin = 0.15 * (high - low)
     shown = [each for each in findings if each.channel == name]
-    marks = _days(pd.Series([each.since for each in shown]))
+    marks = days_of(pd.Series([each.since for each in shown]))
     labels = [
         Label(float(at), f"{each.train}: {each.explanation.cause.what} ",
               float(high - 0.11 * (high - low) * (number % 8)), RED, side="right")
@@ -174,18 +176,6 @@ def _channel(
         rules=[Rule(float(at), RED, upright=True, dash="--") for at in marks],
     )  # fmt: skip
     return panel, step
-
-
-def _colours(train: pd.Series, unlike: set[str]) -> dict[str, str]:
-    """Colours of the trains that are named: those with a finding first, then the others."""
-    every = sorted(set(train.astype(str)), key=lambda each: (each not in unlike, each))
-    return dict(zip(every, (RED, SKY, GREEN, PURPLE, ORANGE, INK), strict=False))
-
-
-def _days(start: pd.Series) -> FloatArray:
-    """Days since 1970."""
-    moments = pd.DatetimeIndex(pd.to_datetime(start, utc=True)).as_unit("s")
-    return moments.asi8.astype(np.float64) / 86_400.0
 
 
 def findings_charts(found: FleetTrains) -> list[Chart]:
