@@ -29,7 +29,6 @@ own. Hence
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -90,6 +89,7 @@ from trainlog.presentation import (
     new_table,
 )
 from trainlog.railway.line import Line
+from trainlog.railway.network import unused
 from trainlog.railway.resistance import (
     LARGEST_STD,
     OVER_INERTIA,
@@ -581,11 +581,9 @@ class Sources:
             digests["line"] = sha256_of(line)
             line = railway.read_line(line)
         attached = {} if line is None else {LINE_ATTACHMENT: railway.line_to_bytes(line)}
-        views, seen = [], Counter[str]()
+        views, taken = [], set[str]()
         for view in found:
-            seen[view.name] += 1
-            number = seen[view.name]
-            name = view.name if number == 1 else f"{view.name} ({number})"
+            name = unused(view.name, taken)
             trip = replace(
                 view.trip,
                 metadata={**view.trip.metadata, "trip": name},

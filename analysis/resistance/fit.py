@@ -47,7 +47,7 @@ from trainlog.identity import text_of
 from trainlog.presentation import MASS, NUMBER, POWER, Band, Column, Presented, WordTable, new_table
 from trainlog.railway.line import Line, in_km
 from trainlog.railway.passport import Passport
-from trainlog.railway.resistance import LARGEST_STD, TERMS, EffortCurve, RunningResistance, basis
+from trainlog.railway.resistance import LARGEST_STD, TERMS, RunningResistance, basis
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.topics import ESTIMATED_RESISTANCE
@@ -429,8 +429,7 @@ def fit_trip(
             f" {'high' if force > 0.0 else 'low'} while pulling, by the motion while coasting:"
             " check their zero; left to itself"
         )
-    _check_stretches(name, regression, unlike, asked, timeline, largest_std)
-    _check_curve(name, regression, covariance, asked, timeline, largest_std)
+    _check_curve(name, regression, covariance, unlike, asked, timeline, largest_std)
     covariance = _with_gain(regression.beta, covariance, gain_std)
     used = windows.select(regression.kept)
     merged = used.merged()
@@ -447,8 +446,8 @@ def fit_trip(
         survey=regression.survey,
         gradients=surveyed_gradients(line),
         rotating_mass=train.rotating_mass,
-        max_power=None if limit is None else limit.power,
-        max_power_std=None if limit is None else limit.std,
+        max_power=limit and limit[0],
+        max_power_std=limit and limit[1],
         train_power=train.max_traction_power,
         asked=asked,
         speed_range=(float(used.mean_speed.min()), float(used.mean_speed.max())),
@@ -659,17 +658,19 @@ def _stretch_words(found: Stretch, timeline: Timeline, view: TripView, origin: p
     )
 
 
-def _check_stretches(
+def _check_curve(
     name: str,
     regression: WindowFit,
-    words: list[str],
+    covariance: FloatArray,
+    unlike: list[str],
     asked: tuple[float, float],
     timeline: Timeline,
     largest_std: float,
 ) -> None:
-    """Refuse a trip whose parts differ by more than the band may hold."""
-    curve = RunningResistance.of(regression.beta[:-1])(np.linspace(*asked, 61))
-    for found, said in zip(regression.stretches, words, strict=False):
+    """Refuse parts that differ by more than the band may hold, and a curve that is not known."""
+    speed = np.linspace(*asked, 61)
+    curve = RunningResistance.of(regression.beta[:-1])(speed)
+    for found, said in zip(regression.stretches, unlike, strict=False):
         if found.ambiguous and 0.5 * abs(found.force) > largest_std * float(np.min(curve)):
             raise TripRefusedError(
                 "contradiction",
@@ -677,16 +678,6 @@ def _check_stretches(
                 remedy="find out which part is right, and fit that part alone",
                 timeline=timeline,
             )
-
-
-def _check_curve(
-    name: str,
-    regression: WindowFit,
-    covariance: FloatArray,
-    asked: tuple[float, float],
-    timeline: Timeline,
-    largest_std: float,
-) -> None:
     if regression.condition > LARGEST_CONDITION:
         raise TripRefusedError(
             "condition",
@@ -696,9 +687,7 @@ def _check_curve(
             remedy=_slip_words(timeline) or "a trip with starts, coasting and several speeds",
             timeline=timeline,
         )
-    speed = np.linspace(*asked, 61)
     std = curve_std(covariance[:-1, :-1], speed)
-    curve = RunningResistance.of(regression.beta[:-1])(speed)
     share = np.where(curve > 0.0, std / np.maximum(curve, 1e-9), np.inf)
     worst = int(np.argmax(share))
     if share[worst] > largest_std:
@@ -759,17 +748,9 @@ WEAKEST = 0.5
 """Share of the train's stated power below which another limit (adhesion, a fault) is at work."""
 
 
-@dataclass(frozen=True, slots=True)
-class PowerLimit:
-    """Largest traction power at the wheel rims and its standard deviation [W]."""
-
-    power: float
-    std: float
-
-
 def power_limit(
     trip: Trip, prepared: Prepared, train: Train, scale_std: float
-) -> PowerLimit | None:
+) -> tuple[float, float] | None:
     """Traction power at the wheel rims where the train was at its limit.
 
     More effort was asked for there than was given. Efforts are averaged; wheels that slip and
@@ -789,8 +770,9 @@ def power_limit(
 
     Returns
     -------
-    PowerLimit or None
-        None if the train was not at its power limit for `SHORTEST` at least.
+    tuple or None
+        The power and its standard deviation [W]; None if the train was not at its power limit for
+        `SHORTEST` at least.
     """
     controls, index = trip["/train/controls"], prepared.index
     step = float(np.median(np.diff(prepared.time)))
@@ -810,7 +792,16 @@ def power_limit(
     limited &= _moving_average(limited.astype(np.float64), width) > 0.999
     power, speed = power[limited], prepared.speed[limited]
     if train.traction_curve is not None:
-        power, speed = _equivalent_power(power, speed, train, train.traction_curve.without_rise)
+        # A train with a share of the power has each effort of its curve at that share of its speed.
+        # Where effort hardly falls with the speed it says nothing of the power, and is left out.
+        curve = train.traction_curve.without_rise
+        power, speed = power[power > 0.0], speed[power > 0.0]
+        effort = power / speed
+        reached = curve.speed_at(effort)
+        known = (reached > 0.0) & (-curve.slope(reached) * reached >= STEEP * effort)
+        share, power, speed = speed[known] / reached[known], power[known], speed[known]
+        # Whichever limits more needs the larger share: the curve or the stated power.
+        power = np.maximum(share * train.max_traction_power, power)
     if power.size * step < SHORTEST:
         return None
     plateau = power > (1.0 - PLATEAU) * float(np.quantile(power, 0.98))
@@ -829,24 +820,7 @@ def power_limit(
     scatter = robust_std(power[plateau] - found)
     # Averages overlap, and what scatters lasts longer than one of them.
     own = 1.2533 * scatter / np.sqrt(max(time / LASTING, 1.0))
-    return PowerLimit(found, float(np.hypot(own, scale_std * found)))
-
-
-def _equivalent_power(
-    power: FloatArray, speed: FloatArray, train: Train, curve: EffortCurve
-) -> tuple[FloatArray, FloatArray]:
-    """Power [W] of a train whose curve gives the effort of each sample, and the speeds [m/s].
-
-    The curve of a train with a share of the power has each effort at that share of its speed. Where
-    effort hardly falls with the speed it says nothing of the power, and is left out.
-    """
-    power, speed = power[power > 0.0], speed[power > 0.0]
-    effort = power / speed
-    reached = curve.speed_at(effort)
-    known = (reached > 0.0) & (-curve.slope(reached) * reached >= STEEP * effort)
-    share = speed[known] / reached[known]
-    # Whichever limits more needs the larger share: the curve or the stated power.
-    return np.maximum(share * train.max_traction_power, power[known]), speed[known]
+    return found, float(np.hypot(own, scale_std * found))
 
 
 def _power_at(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared, train: Train) -> np.ndarray:

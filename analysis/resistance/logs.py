@@ -30,6 +30,7 @@ from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.railway import train_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
 from trainlog.presentation import Presented, Said, WordTable, new_table
+from trainlog.railway.network import unused
 from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip
 from trainlog.units import KMH
@@ -197,7 +198,7 @@ class _Read:
             try:
                 one = fit_trip(view, speeds)
             except TripRefusedError as error:
-                self.refused[self._label(view.name)] = error
+                self.refused[unused(view.name, set(self.refused))] = error
                 refused, trains = {view.name: error}, {view.name: _train_name(view.trip)}
                 self.rows.append(summarised([], refused, trains=trains, digests=digests))
             else:
@@ -205,11 +206,6 @@ class _Read:
                 self.rows.append(summarised([one], digests=digests))
         if digest:
             self.held.add(digest)
-
-    def _label(self, name: str) -> str:
-        """A name for a refused trip that no other has."""
-        number = 1 + sum(each == name or each.startswith(f"{name} (") for each in self.refused)
-        return name if number == 1 else f"{name} ({number})"
 
 
 def _doubts(drives: pd.DataFrame) -> list[str]:

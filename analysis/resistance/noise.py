@@ -232,7 +232,14 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
     """
     time = recording.time
     width = width or window_width(time)
-    start, end = _window_ends(time, recording.usable, width)
+    # Each usable stretch cut into equal windows.
+    first, last = np.array(runs_of(recording.usable), dtype=np.int64).reshape(-1, 2).T
+    begin, finish = time[first] + 0.5 * width, time[last - 1] - 0.5 * width
+    pieces = np.maximum(np.floor((finish - begin) / width + 1e-6), 0.0).astype(int)
+    stretch, number = numbered(pieces)
+    lengths = ((finish - begin) / np.maximum(pieces, 1))[stretch]
+    start = begin[stretch] + number * lengths
+    end = start + lengths
     of = recording
     forces = np.column_stack([of.effort, of.track, of.braking, of.tunnel, of.curve])
     integrals = cumulative_trapezoid(forces, time, axis=0, initial=0.0)
@@ -257,20 +264,6 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
         sections=_by_group(recording, np.ones(time.size), recording.section, start, end),
         edges=_by_group(recording, recording.track_slope, recording.nearest_edge, start, end),
     )
-
-
-def _window_ends(
-    time: FloatArray, usable: BoolArray, window: float
-) -> tuple[FloatArray, FloatArray]:
-    """Start and end of every window [s]: each usable stretch cut into equal windows."""
-    first, end = np.array(runs_of(usable), dtype=np.int64).reshape(-1, 2).T
-    begin, finish = time[first] + 0.5 * window, time[end - 1] - 0.5 * window
-    length = finish - begin
-    pieces = np.maximum(np.floor(length / window + 1e-6), 0.0).astype(int)
-    stretch, number = numbered(pieces)
-    width = (length / np.maximum(pieces, 1))[stretch]
-    start = begin[stretch] + number * width
-    return start, start + width
 
 
 def _at(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
@@ -681,31 +674,22 @@ PARAMETERS_OF_INTEREST = 4
 """The first so many parameters are estimated; those after them are nuisance parameters."""
 
 
-@dataclass(frozen=True, eq=False)
-class Shares:
+def shares(likelihood: Likelihood, noise: NoiseModel) -> tuple[float, FloatArray]:
     """How well a covariance is known, and what the map's errors bring into it.
-
-    Attributes
-    ----------
-    freedom : float
-        Degrees of freedom.
-    survey : (p, p) array
-        The part of the covariance that errors of the map's gradients bring in, and of where they
-        change.
-    """
-
-    freedom: float
-    survey: FloatArray
-
-
-def shares(likelihood: Likelihood, noise: NoiseModel) -> Shares:
-    """The shares at the sizes found.
 
     Parameters
     ----------
     likelihood : Likelihood
     noise : NoiseModel
         Where it is greatest.
+
+    Returns
+    -------
+    freedom : float
+        Degrees of freedom.
+    survey : (p, p) array
+        The part of the covariance that errors of the map's gradients bring in, and of where they
+        change.
     """
     centre, unit = likelihood.place(noise), STEP * np.eye(len(CAUSES))
     here = likelihood.deviance(centre)
@@ -726,7 +710,7 @@ def shares(likelihood: Likelihood, noise: NoiseModel) -> Shares:
     # No less is known than before the trip.
     values, vectors = np.linalg.eigh(curvature)
     variance = float(np.sum((vectors.T @ change) ** 2 / np.maximum(values, 1.0)))
-    return Shares(2.0 / max(variance, 1e-12), survey)
+    return 2.0 / max(variance, 1e-12), survey
 
 
 def _judged(likelihood: Likelihood, place: FloatArray) -> tuple[float, FloatArray]:

@@ -165,7 +165,7 @@ def parameter_set(
     speeds = np.linspace(0.0, common.asked[1], 3)
     drag = betas @ basis(speeds).T / inertia[:, None]
     chosen = choose(np.column_stack([1.0 / inertia, drag, power]), cover, most)
-    names = _names(rows)
+    names, spread = _names(rows), float(np.std(limits[seen])) if seen.any() else None
     configurations, details = [], []
     for row, weight in zip(chosen.rows.tolist(), chosen.weights.tolist(), strict=True):
         summary = rows.iloc[row]
@@ -181,15 +181,9 @@ def parameter_set(
             )
         )
         source = "power-limited stretches" if seen[row] else "trips next in mass"
-        details.append(
-            {"configuration": names[row], "stands_for": weight}
-            | _detail(
-                summary,
-                common.covariances[row],
-                source if seen.any() else POWER_OF_FILE,
-                float(np.std(limits[seen])) if seen.any() else None,
-            )
-        )
+        source = source if seen.any() else POWER_OF_FILE
+        about = {"configuration": names[row], "stands_for": weight}
+        details.append(about | _detail(summary, common.covariances[row], source, spread))
     refused = every[every["refused"] != ""]
     return ParameterSet(
         train=common.train,

@@ -517,10 +517,7 @@ def with_effort_delay(trip: Trip, delay: float) -> Trip:
         return trip
     frame = trip["/train/controls"]
     index = pd.DatetimeIndex(frame.index) - pd.Timedelta(round(1e9 * delay), "ns")
-    moved = frame.set_axis(index)
-    moved.index.name = frame.index.name
-    moved.attrs = frame.attrs
-    return trip.with_topic(moved)
+    return trip.with_topic(frame.set_axis(index))
 
 
 def with_calibrated_efforts(trip: Trip, known: Passport) -> Trip:
@@ -557,17 +554,15 @@ def with_calibrated_efforts(trip: Trip, known: Passport) -> Trip:
         for name in axles.columns
         if name.startswith("wheel_effort_")
     }
-    changed = axles.assign(**moved)
-    changed.attrs = axles.attrs
-    return _scaled(trip.with_topic(changed), "/train/axles", 1.0 / (gain * ratio))
+    trip = trip.with_topic(axles.assign(**moved))
+    return _scaled(trip, "/train/axles", 1.0 / (gain * ratio))
 
 
 def _scaled(trip: Trip, topic: str, factor: float) -> Trip:
     """The trip with the efforts of a topic times a factor."""
     frame = trip[topic]
-    changed = frame.assign(**{n: factor * frame[n] for n in frame.columns if "effort" in n})
-    changed.attrs = frame.attrs
-    return trip.with_topic(changed)
+    scaled = {name: factor * frame[name] for name in frame.columns if "effort" in name}
+    return trip.with_topic(frame.assign(**scaled))
 
 
 def _speed_noise(trip: Trip) -> dict[str, Quantity]:

@@ -378,14 +378,17 @@ def _course(view: TripView) -> Prepared:
     slips = _slipping(time, wheels, smooth)
     # Of wheels that are all recorded, and often, the momentum is known while they slip.
     followed = count == train.axles.count and not _seldom(time)
-    momentum, own = _rotating_momentum(train, speed, wheels)
+    # Powered axles turn at their own speed.
+    turning = train.axles.rotating_mass if count == train.axles.count else 0.0
+    turning = min(turning, train.rotating_mass / max(train.axles.count, 1))
+    own = turning * np.where(np.isfinite(wheels), wheels - speed[:, None], 0.0).sum(axis=1)
     return Prepared(
         time=time,
         speed=speed,
         curve=basis(speed, 0.0 if wind is None else wind),
         effort=np.zeros(time.size),
         braking=np.zeros(time.size),
-        rotating_momentum=momentum,
+        rotating_momentum=train.rotating_mass * speed + own,
         slip_momentum=np.where(followed & widened(time, slips), own, 0.0),
         tunnel=tunnel_coefficient(train, line.tunnel_cross_section(place)) * speed**2,
         track=line.track_acceleration(place, train.strip_length),
@@ -459,9 +462,7 @@ def _without_repeated(view: TripView) -> Trip:
             if not np.ptp(demand[start:stop]) > MOVED * usual:
                 values[start:stop] = effort[start:stop]
         kept[column] = values
-    restored = after.assign(**kept)
-    restored.attrs = before.attrs
-    return found.with_topic(restored)
+    return found.with_topic(after.assign(**kept))
 
 
 def recorded_head_wind(trip: Trip, index: pd.DatetimeIndex) -> FloatArray | None:
@@ -674,19 +675,6 @@ def recorded_wheels(trip: Trip) -> int:
     if "/train/axles" not in trip:
         return 0
     return int(trip["/train/axles"].filter(like="wheel_speed_").notna().any().sum())
-
-
-def _rotating_momentum(
-    train: Train, speed: FloatArray, wheels: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Momentum of the rotating parts [kg m/s], and what of it is that of the powered axles' slip.
-
-    Powered axles turn at their own speed.
-    """
-    own = train.axles.rotating_mass if wheels.shape[1] == train.axles.count else 0.0
-    own = min(own, train.rotating_mass / max(train.axles.count, 1))
-    slip = np.where(np.isfinite(wheels), wheels - speed[:, None], 0.0).sum(axis=1)
-    return train.rotating_mass * speed + own * slip, own * slip
 
 
 def _braking(

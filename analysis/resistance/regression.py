@@ -400,8 +400,8 @@ def fit_windows(
     offset = found.over("pulling", "1/m") if pulling else None
     if offset is not None:
         covariance[:, 0, 0] += (OFFSET_SHARE * offset[0]) ** 2
-    share = shares(white.likelihood, white.noise)
-    _, survey = _physical(found.estimate[None], factor * share.survey[None])
+    freedom, survey = shares(white.likelihood, white.noise)
+    _, survey = _physical(found.estimate[None], factor * survey[None])
     tunnels = None
     if windows.tunnel.any():
         beyond, std = found.over("tunnel", "1/m")
@@ -411,7 +411,7 @@ def fit_windows(
         covariance=covariance[-1],
         over_mass=(found.estimate[:size], found.covariance[:size, :size]),
         survey=survey[0],
-        freedom=max(min(share.freedom, len(found.rows) - beta.shape[1]), 1.0),
+        freedom=max(min(freedom, len(found.rows) - beta.shape[1]), 1.0),
         history=beta,
         history_covariance=covariance,
         delay=found.over("delay", "1/m")[0],
