@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from analysis.adhesion.condition_table import last_evidence
 from analysis.verification.scores import GRID, climatology
 from analysis.verification.verify import Forecaster
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import FloatArray
 from trainlog.condition import known_before, layer_before
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
@@ -76,7 +76,10 @@ def stated_forecast(forecast: AdhesionForecast, track: TrackConditionMap) -> For
         known, place = np.unique(chosen, return_inverse=True)
         tables = [distribution(layer, row) if row >= 0 else _flat() for row in known.tolist()]
         stated = [row >= 0 and forecast.points(row)[0].size > 0 for row in known.tolist()]
-        return _on_grid(np.array(tables)[place], np.array(stated)[place])
+        probability = np.array(tables)[place]
+        mean = probability @ GRID
+        std = np.sqrt(np.maximum(probability @ GRID**2 - mean**2, 1e-12))
+        return AdhesionEstimate(mean, std, np.array(stated)[place], GRID, probability)
 
     return expected
 
@@ -88,12 +91,6 @@ def reach(track: TrackConditionMap) -> float:
 
 def _flat() -> FloatArray:
     return np.full(GRID.size, 1.0 / GRID.size)
-
-
-def _on_grid(probability: FloatArray, known: BoolArray) -> AdhesionEstimate:
-    mean = probability @ GRID
-    std = np.sqrt(np.maximum(probability @ GRID**2 - mean**2, 1e-12))
-    return AdhesionEstimate(mean, std, known, GRID, probability)
 
 
 def _completed(

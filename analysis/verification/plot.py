@@ -21,7 +21,7 @@ from analysis.charts import (
     Rule,
 )
 from analysis.verification.scoring import Score
-from analysis.verification.verify import FORECASTS, USUAL_ALARM, Alarm, Verification
+from analysis.verification.verify import FORECASTS, USUAL_ALARM, Verification
 from trainlog.arrays import FloatArray
 
 LABELLED = 12
@@ -112,7 +112,9 @@ def _alarms(found: Verification) -> Chart:
                 Curve(name, x, value, colour, dash=dash),
                 Curve("", x, value, colour, "points", low, high, width=1.6),
             ]
-        first = [e for e in sorted(curve, key=_usual_first) if np.isfinite(e.foreseen_known.value)]
+        # The usual threshold is labelled in any case, the others as long as there is place.
+        usual_first = sorted(curve, key=lambda e: e.probability * (e.probability != USUAL_ALARM))
+        first = [each for each in usual_first if np.isfinite(each.foreseen_known.value)]
         labels = _labels(
             np.array([each.false_alarms.value for each in first]),
             np.array([each.foreseen_known.value for each in first]),
@@ -123,11 +125,6 @@ def _alarms(found: Verification) -> Chart:
     panel = Panel("share of slips foreseen", curves, 1.3, words, limits=(0.0, 1.05), labels=labels)
     about = "false alarms per train-km on which the forecast is known"
     return Chart(about, [panel], span=(0.0, top))
-
-
-def _usual_first(alarm: Alarm) -> float:
-    """The usual threshold is labelled in any case, the others as long as there is place."""
-    return 0.0 if alarm.probability == USUAL_ALARM else alarm.probability
 
 
 def _days(found: Verification) -> Chart:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -210,12 +210,8 @@ class ScoredTrips:
         outside = [not forecast.in_force(_middle(piece)).any() for piece in self.pieces]
         if not any(outside):
             return
-        every = {day_of(_middle(piece)) for piece in self.pieces}
-        inside = {
-            day_of(_middle(piece))
-            for piece, out in zip(self.pieces, outside, strict=True)
-            if not out
-        }
+        days = [day_of(_middle(piece)) for piece in self.pieces]
+        every, inside = set(days), {day for day, out in zip(days, outside, strict=True) if not out}
         start, end = (
             pd.Timestamp(each, tz="UTC").strftime("%Y-%m-%dT%H:%MZ")
             for each in (forecast.valid_from.min(), forecast.valid_to.max())
@@ -439,15 +435,10 @@ def _scored(
     found = verify(name, track, by_day, forecaster, history, demand)
     names = sorted({each.layer for each in passages})
     layers = {each: found[each] for each in names} | {"all": Verification.together(found)}
-    score = Score(track.line, name, layers)
     if trips is None:
-        return score
-    return replace(
-        score,
-        left_out=tuple(trips.left_out),
-        refused=tuple(trips.refused),
-        limits=tuple(trips.limits),
-    )
+        return Score(track.line, name, layers)
+    others = tuple(trips.left_out), tuple(trips.refused), tuple(trips.limits)
+    return Score(track.line, name, layers, *others)
 
 
 def line_of_logs(logs: Iterable[str | Path]) -> tuple[str | None, float]:

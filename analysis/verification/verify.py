@@ -313,25 +313,33 @@ class Verification:
         ]
 
 
-def _log_scores(what: str) -> list[Column]:
+def _for_each(
+    names: Iterable[str],
+    heading: str,
+    quantity: Quantity,
+    key: str,
+    figure: Callable[[Verification, str], Ends],
+) -> Iterator[Column]:
+    """A column for each of some names, of a figure that takes it."""
+    for name in names:
+        of = partial(_figure_of, figure, name)
+        yield Column(heading.format(name), quantity, key.format(name), of=of)
+
+
+def _figure_of(figure: Callable[[Verification, str], Ends], name: str, found: Verification) -> Ends:
+    return figure(found, name)
+
+
+def _log_scores(what: str) -> Iterator[Column]:
     key = f"log_score_{what}"
-    return [
-        Column(f"log score, {what}", NAT, key, of=partial(Verification.log_score, what=what)),
-        *(
-            Column(
-                f"  gain over {over}",
-                NAT,
-                f"{key}_gain_over_{over}",
-                of=partial(Verification.log_score, what=what, over=over),
-            )
-            for over in FORECASTS[1:]
-        ),
-    ]
-
-
-def _of_alarm(found: Verification, name: str) -> Ends:
-    of: Ends = getattr(found.alarm(), name)
-    return of
+    yield from _for_each([what], "log score, {}", NAT, "log_score_{}", Verification.log_score)
+    yield from _for_each(
+        FORECASTS[1:],
+        "  gain over {}",
+        NAT,
+        f"{key}_gain_over_{{}}",
+        lambda found, over: found.log_score(what, over),
+    )
 
 
 NAT = Quantity("", "nat", 1.0, 3)
@@ -358,36 +366,26 @@ FIGURES = (
     *_log_scores("onsets"),
     *_log_scores("used"),
     *_log_scores("all"),
-    *(
-        Column(
-            f"CRPS of {each}, log adhesion",
-            ADHESION,
-            f"crps_{each}",
-            of=partial(Verification.crps, name=each),
-        )
-        for each in FORECASTS
-    ),
+    *_for_each(FORECASTS, "CRPS of {}, log adhesion", ADHESION, "crps_{}", Verification.crps),
     Column("maxima in the 95 % band", SHARE, "maxima_in_band", of="coverage"),
     Column("measured onsets in it", SHARE, "onsets_in_band"),
-    *(
-        Column(
-            f"Brier score: {each}",
-            FINE,
-            f"brier_{each}",
-            of=partial(Verification.brier_figure, part=each),
-        )
-        for each in ("score", "reliability", "resolution", "uncertainty", "within", "skill")
+    *_for_each(
+        ("score", "reliability", "resolution", "uncertainty", "within", "skill"),
+        "Brier score: {}",
+        FINE,
+        "brier_{}",
+        Verification.brier_figure,
+    ),
+    *_for_each(
+        FORECASTS[1:], "  skill over {}", FINE, "brier_skill_over_{}", Verification.brier_gain
     ),
     *(
-        Column(
-            f"  skill over {each}",
-            FINE,
-            f"brier_skill_over_{each}",
-            of=partial(Verification.brier_gain, over=each),
+        replace(
+            each,
+            of=partial(_figure_of, lambda found, name: getattr(found.alarm(), name), each.name),
         )
-        for each in FORECASTS[1:]
+        for each in ALARM[1:]
     ),
-    *(replace(each, of=partial(_of_alarm, name=each.name)) for each in ALARM[1:]),
 )
 """Of a forecast: what is stated in tables and in JSON."""
 
