@@ -66,6 +66,7 @@ from trainlog.presentation import (
 )
 from trainlog.railway import Line, ParameterSet, Train, Trajectory
 from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
+from trainlog.railway.network import unused
 from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import KMH, clock
@@ -1142,9 +1143,12 @@ def compare(
     stated = obeyed = None
     if reference is not None and not isinstance(reference, Trip | TripView | str | Path):
         plans, dwells = _sections(reference)
-        stated = in_succession([_planned(each, line, of_line) for each in plans], dwells)
+        train = next((each.train for each in of_line if each.train is not None), None)
+        for each in plans:
+            each.check(line.name, each.train if train is None else train.name)
+        stated = in_succession([planned_trip(each, line, train) for each in plans], dwells)
         try:
-            obeyed = in_succession([_obeyed(each, line, of_line) for each in plans], dwells)
+            obeyed = in_succession([_obeyed(each, line, train) for each in plans], dwells)
         except TrainlogError as error:
             left_out.append(f"{TO_THE_LETTER}: {error}")
     elif reference is not None:
@@ -1195,12 +1199,8 @@ def _driven(
         except TrainlogError as error:
             where = f"{given}: " if isinstance(given, Path) and error.file is None else ""
             left_out.append(where + str(error))
-    names = [each.name for each in found]
-    for row, each in enumerate(found):
-        before = names[:row].count(each.name)
-        if before:
-            found[row] = replace(each, name=f"{each.name} ({before + 1})")
-    return found, left_out
+    taken = set[str]()
+    return [replace(each, name=unused(each.name, taken)) for each in found], left_out
 
 
 def _comparable(given: Given, line: Line | None) -> DrivenTrip:
@@ -1228,18 +1228,7 @@ def _sections(plan: Plan) -> tuple[Sequence[Trajectory], list[float]]:
     return sections, dwells.tolist()
 
 
-def _planned(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
-    train = _train_of(trips)
-    plan.check(line.name, plan.train if train is None else train.name)
-    return planned_trip(plan, line, train)
-
-
-def _train_of(trips: Sequence[DrivenTrip]) -> Train | None:
-    """The train of the first trip that states one."""
-    return next((each.train for each in trips if each.train is not None), None)
-
-
-def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:
+def _obeyed(plan: Trajectory, line: Line, train: Train | None) -> DrivenTrip:
     """The trip by the advice of a plan to the letter.
 
     Raises
@@ -1250,7 +1239,6 @@ def _obeyed(plan: Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> Driven
     # The solvers' extra is needed for plans alone.
     from analysis.control.advised import obeyed_trip
 
-    train = _train_of(trips)
     if train is None:
         raise InputError("no trip states its train", remedy="give a log that holds its train")
     return replace(driven_trip(obeyed_trip(plan, line, train), line), name=TO_THE_LETTER)

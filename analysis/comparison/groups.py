@@ -426,7 +426,11 @@ def compare_groups(
                 continue
             pairs.append(pair)
             if nominal:
-                remarks.append(_masses(pair.driver, pair.trajectory))
+                by, own = (f"{each.mass / 1e3:.1f} t" for each in (pair.driver, pair.trajectory))
+                remarks.append(
+                    f"'{pair.trajectory.name}' followed a plan for the train of its file, at {own};"
+                    f" '{pair.driver.name}' ran at {by}"
+                )
     if not pairs:
         nearest = max(unlike, key=lambda each: each[0])[1]
         raise LogError(
@@ -441,14 +445,6 @@ def _same_train_and_line(one: Trip, other: Trip) -> bool:
         return False
     lines = [line_of(each).name for each in (one, other) if LINE_ATTACHMENT in each.attachments]
     return len(set(lines)) < 2
-
-
-def _masses(driver: TripCost, followed: TripCost) -> str:
-    tonnes, own = (f"{each.mass / 1e3:.1f} t" for each in (driver, followed))
-    return (
-        f"'{followed.name}' followed a plan for the train of its file, at {own};"
-        f" '{driver.name}' ran at {tonnes}"
-    )
 
 
 def _that_followed(trips: Sequence[Candidate]) -> list[Candidate]:
