@@ -725,7 +725,10 @@ def map_history(
     start = row * track.bin_length
     end = min(start + track.bin_length, track.length)
     where = pd.DataFrame(kilometres(line, np.array([start]), np.array([end]))).iloc[0]
-    when = _days_near(track, chosen, row)
+    known, reach = chosen.evidence, int(np.ceil(REACH / track.bin_length))
+    # Days with evidence in the bin or near it.
+    own, used = (np.abs(each - row) <= reach for each in (known.bin, known.used_bin))
+    when = np.union1d(known.day[own], known.used_day[used]).astype(np.int64)
     onsets = _onsets(chosen, row)
     if onsets.empty and np.isfinite(chosen.log_mean[row]) and not chosen.observed[row]:
         # Less evidence did not show it either.
@@ -782,15 +785,6 @@ def _used(track: TrackConditionMap, layer: ConditionLayer, row: int) -> pd.DataF
     )
     # The rows of a day are in the order of the levels.
     return rows.groupby("day", as_index=False).last()
-
-
-def _days_near(track: TrackConditionMap, layer: ConditionLayer, row: int) -> IntArray:
-    """Days with evidence in or near a bin."""
-    reach = int(np.ceil(REACH / track.bin_length))
-    known = layer.evidence
-    near = np.abs(known.bin - row) <= reach
-    used = np.abs(known.used_bin - row) <= reach
-    return np.union1d(known.day[near], known.used_day[used]).astype(np.int64)
 
 
 def _known_over(track: TrackConditionMap, name: str, row: int, days: IntArray) -> pd.DataFrame:

@@ -397,7 +397,8 @@ def history_charts(found: PlaceHistory) -> list[Chart]:
             f"{found.title}: there is no evidence to draw", remedy="choose another place or layer"
         )
     onsets, used, known = found.onsets, found.used, found.known
-    end = max(days_of(each["day"]).max() for each in (known, onsets, used) if not each.empty) + 1.0
+    days = np.concatenate([days_of(each["day"]) for each in (known, onsets, used)])
+    first, end = days.min(), days.max() + 1.0
     spans = [
         Span(float(first), float(last) + 1.0, RED, "" if number else "passing spot met", 0.12)
         for number, (first, last) in enumerate(
@@ -425,7 +426,6 @@ def history_charts(found: PlaceHistory) -> list[Chart]:
         "maximum adhesion", [*_known(found, end), *(each for each in marks if np.size(each.x))],
         1.6, from_zero=True, spans=spans, rules=rules,
     )  # fmt: skip
-    first = min(days_of(each["day"]).min() for each in (known, onsets, used) if not each.empty)
     words = f"{found.title}. {found.unmeasured}".removesuffix(". ")
     return [
         Chart("", [panel], dates=True,
