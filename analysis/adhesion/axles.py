@@ -360,20 +360,15 @@ def _level(
                 " divided by it"
             )
     if total is not None:
-        own, turned = _as_total(own, total)
-        notes += turned
+        # Recorders may write the size of efforts alone: their sign is that of the total.
+        for sign, words in ((1.0, "pull"), (-1.0, "brake")):
+            strong = sign * total > STRONG * np.max(np.abs(total))
+            if strong.any() and np.median(sign * _sum(own)[strong]) < 0.0:
+                own = np.where((sign * total > 0.0)[:, None], -own, own)
+                notes.append(
+                    f"the axle efforts have the wrong sign where the motors {words}: turned"
+                )
     return "axle", own, notes
-
-
-def _as_total(own: FloatArray, total: FloatArray) -> tuple[FloatArray, list[str]]:
-    """The efforts of the axles with the sign of the total: recorders may write their size alone."""
-    notes = []
-    for sign, words in ((1.0, "pull"), (-1.0, "brake")):
-        strong = sign * total > STRONG * np.max(np.abs(total))
-        if strong.any() and np.median(sign * _sum(own)[strong]) < 0.0:
-            own = np.where((sign * total > 0.0)[:, None], -own, own)
-            notes.append(f"the axle efforts have the wrong sign where the motors {words}: turned")
-    return own, notes
 
 
 def _sum(own: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ import pandas as pd
 
 from analysis.adhesion.slip import TOPICS, SlipAnalysis, joined_details, slip
 from analysis.view import TripView, view_of, views_of
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.condition import setting
 from trainlog.errors import LogError, NotRecordedError
 from trainlog.formats.railway import line_of
@@ -374,12 +374,17 @@ class _Sums:
         alike = np.hypot(onsets["delay_std"], onsets["transfer_std"]) / onsets["adhesion"]
         shared = summed(precision * alike.to_numpy()) / safe
         mean = summed(precision * log_adhesion) / safe
+        # The level that each bin without a measured onset was seen to bear, as a histogram.
+        level = np.searchsorted(track.levels, self.highest, side="right") - 1
+        rows = np.flatnonzero((level >= 0) & ~seen)
+        censored = np.zeros((track.bins, track.levels.size))
+        censored[rows, level[rows]] = 1.0
         return DailyEvidence.of_bins(
             self.day,
             events,
             weight,
             fixed(weight * mean),
-            _censored(self.highest, track, seen),
+            censored,
             weighted_square=fixed(weight * mean**2),
             common=fixed(weight**2 * (self.common_std**2 + shared**2)),
         )
@@ -411,15 +416,6 @@ def _highest(analysis: SlipAnalysis, track: TrackConditionMap) -> FloatArray:
     highest = np.zeros(track.bins)
     np.maximum.at(highest, track.bin_of(analysis.position[known]), used[known])
     return highest
-
-
-def _censored(highest: FloatArray, track: TrackConditionMap, measured: BoolArray) -> FloatArray:
-    """Level that each bin without a measured onset was seen to bear, as a histogram."""
-    level = np.searchsorted(track.levels, highest, side="right") - 1
-    rows = np.flatnonzero((level >= 0) & ~measured)
-    histogram = np.zeros((track.bins, track.levels.size))
-    histogram[rows, level[rows]] = 1.0
-    return histogram
 
 
 # ---------------------------------------------------------------------------------- weather

@@ -860,7 +860,11 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
         "energy_std": "J",
     }  # fmt: skip
     if axles.level == "shared" and len(frame):
-        later = _after_others(frame)
+        # So shortly after another axle slipped an axle does not pull its share yet.
+        starts, ends = (pd.DatetimeIndex(frame[n]).as_unit("ns").asi8 for n in ("start", "release"))
+        recovered = ends + round(RECOVERY * NANOSECONDS)
+        earlier = (starts[None, :] < starts[:, None]) & (recovered[None, :] > starts[:, None])
+        later = np.asarray(earlier.any(axis=1))
         frame["measured"] &= ~later
         frame.loc[later, ["energy", "energy_std"]] = np.nan
     return frame
@@ -901,14 +905,6 @@ def _without_contradicted(motion: Motion, slipping: BoolArray, share: FloatArray
 def _peak_of(motion: Motion, axle: int, start: int, stop: int) -> int:
     """Sample of the largest slip of one event."""
     return start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
-
-
-def _after_others(events: pd.DataFrame) -> BoolArray:
-    """Events before which another axle slipped so shortly that it does not pull its share yet."""
-    starts, ends = (pd.DatetimeIndex(events[n]).as_unit("ns").asi8 for n in ("start", "release"))
-    recovered = ends + round(RECOVERY * NANOSECONDS)
-    earlier = (starts[None, :] < starts[:, None]) & (recovered[None, :] > starts[:, None])
-    return np.asarray(earlier.any(axis=1))
 
 
 def _energy_of(

@@ -71,10 +71,12 @@ from trainlog.presentation import (
     SPEED,
     Band,
     Column,
+    Columns,
     Presented,
     Said,
     WordTable,
     new_table,
+    word_table,
 )
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 from trainlog.railway.passport import Quantity
@@ -472,7 +474,10 @@ class Cells:
         wind = np.zeros(middle.size)
         if inputs.windy:
             wind = trip.at(trip.signals["head_wind"], middle)
-        lacks, speedless = _unknown(trip, nodes)
+        speedless = trip.share_of("unknown_speed", nodes) > 0.0
+        lacks = speedless.copy()
+        for name in ("traction", "dynamic_braking", "pneumatic_braking"):
+            lacks |= of_cells(f"unknown_{name}") > 0.2
         cells = Cells(
             nodes,
             speed,
@@ -544,16 +549,6 @@ class Cells:
             edges = [begin, *cuts.tolist(), end]
             found += list(pairwise(edges))
         return [each for each in found if each[1] - each[0] >= 3]
-
-
-def _unknown(trip: DrivenTrip, nodes: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Cells in which efforts or speed are not known, and those in which speed is not."""
-    speedless = trip.share_of("unknown_speed", nodes) > 0.0
-    lacks = speedless.copy()
-    for name in ("traction", "dynamic_braking", "pneumatic_braking"):
-        if name in trip.sums:
-            lacks |= np.diff(trip.at(trip.sums[f"unknown_{name}"], nodes)) > 0.2
-    return lacks, speedless
 
 
 def steps_of(inputs: Inputs) -> FloatArray:
@@ -848,13 +843,12 @@ class Calculation(Presented):
             name="sections",
             frame=with_units(self.table.reset_index()),
         ).add_rows(self.table.reset_index().to_dict("records"))
-        explained = new_table(
-            f"Residuals: {self.residual / JOULES_PER_KWH:.3f} kWh (RMS) in 500 m; explained by",
-            "cause",
-            "share",
-        )
-        for name, share in self.explained.items():
-            explained.add_row(name, f"{share:.0%}")
+        title = f"Residuals: {self.residual / JOULES_PER_KWH:.3f} kWh (RMS) in 500 m; explained by"
+        of: Columns[tuple[str, float]] = {
+            "cause": lambda row: row[0],
+            "share": lambda row: f"{row[1]:.0%}",
+        }
+        explained = word_table(title, self.explained.items(), of)
         return [sections, *([explained] if self.inputs.efforts else [])]
 
     def sentences(self) -> list[str]:
