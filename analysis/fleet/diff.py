@@ -754,13 +754,8 @@ class FleetDiff(Presented):
     @property
     def beyond(self) -> bool:
         """Whether anything moved beyond its band, or is given by one side alone."""
-        moved = (
-            self.moved,
-            self.verdicts,
-            self.places,
-            self.means[self.means["beyond"].astype(bool)],
-        )
-        return any(map(len, moved))
+        found = (self.moved, self.verdicts, self.places)
+        return any(map(len, found)) or bool(self.means["beyond"].any())
 
     @property
     def same(self) -> bool:

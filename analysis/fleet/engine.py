@@ -386,27 +386,19 @@ def _client(distributed: Any, address: str) -> Any:
 
 def computed_by_dask(batch: Work[Result]) -> Result:
     """`computed_elsewhere`, in a worker of Dask."""
-    result = computed_elsewhere(batch)
-    _forget_profile()
-    return result
-
-
-def _forget_profile() -> None:
-    """Let a worker of Dask keep its profile of the last minute in place of two hours.
-
-    It notes what its threads call 100 times a second, for the dashboard: the deeper the calls and
-    the more of them there are, the more memory that takes, about 2,400 objects a trip of a fleet.
-    """
     from distributed.worker import get_worker
 
-    try:
+    result = computed_elsewhere(batch)
+    # Its profile is kept of the last minute in place of two hours. It notes what its threads call
+    # 100 times a second, for the dashboard: the deeper the calls and the more of them there are,
+    # the more memory that takes, about 2,400 objects a trip of a fleet.
+    with suppress(ValueError):  # called by hand
         worker = get_worker()
-    except ValueError:  # called by hand
-        return
-    for name in ("profile_history", "profile_keys_history"):
-        history: Any = getattr(worker, name, ())
-        while len(history) > PROFILED:
-            history.popleft()
+        for name in ("profile_history", "profile_keys_history"):
+            history: Any = getattr(worker, name, ())
+            while len(history) > PROFILED:
+                history.popleft()
+    return result
 
 
 class MPI(Engine):

@@ -501,8 +501,14 @@ class _Update:
         """Record a batch."""
         from analysis.fleet.work import Outcome
         from trainlog.catalogue import ResultOutcome
+        from trainlog.version import code_version
 
-        self._check_code(result)
+        if result.code and result.code != code_version():
+            raise InputError(
+                f"the worker on {result.host} runs other code of trainlog ({result.code}, here"
+                f" {code_version()})",
+                remedy="install the same trainlog on all computers, then start the workers anew",
+            )
         jobs = {job.key: job for job in batch.jobs}
         for number, analysis in enumerate(self.analyses):
             given: list[Outcome] = result.outcomes[number]
@@ -529,17 +535,6 @@ class _Update:
             self._busy += result.ended - result.began
         self._done += len(batch.jobs)
         self._step(self._done, note="")
-
-    def _check_code(self, result: BatchResult) -> None:
-        """Refuse results of workers that run other code."""
-        from trainlog.version import code_version
-
-        if result.code and result.code != code_version():
-            raise InputError(
-                f"the worker on {result.host} runs other code of trainlog ({result.code}, here"
-                f" {code_version()})",
-                remedy="install the same trainlog on all computers, then start the workers anew",
-            )
 
     def _add(self, problem: Problem) -> None:
         if len(self.found.problems) < LISTED:

@@ -6,7 +6,6 @@ data, so that it can be sent to another process or computer.
 
 from __future__ import annotations
 
-import os
 import socket
 import time
 import traceback
@@ -103,7 +102,7 @@ class Batch:
         began, started = time.process_time(), time.time()
         kept: list[list[tuple[str, pd.DataFrame]]] = [[] for _ in self.analyses]
         result = BatchResult([], [[] for _ in self.analyses], [], code_version())
-        result.host, result.process = socket.gethostname(), os.getpid()
+        result.host = socket.gethostname()
         for job in self.jobs:
             reason = _unreadable(job)
             if reason:
@@ -180,7 +179,6 @@ class BatchResult:
     unread: list[Unread] = field(default_factory=list)
     code: str = ""
     host: str = ""
-    process: int = 0
     seconds: float = 0.0
     began: float = 0.0
     ended: float = 0.0

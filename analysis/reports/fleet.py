@@ -52,7 +52,6 @@ from trainlog.version import __version__, code_version
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
-    from trainlog.railway.network import Network
 
 
 MOST_ROWS = 60
@@ -324,23 +323,12 @@ def _by_day(trips: pd.DataFrame) -> Part:
     table = pd.crosstab(day, counts["_kind"])
     at = pd.DatetimeIndex(table.index).as_unit("s").asi8 / 86_400.0
     top = table.cumsum(axis=1)
-    colours = (BLUE, ORANGE, GREEN, GREY)
+    colours, days = (BLUE, ORANGE, GREEN, GREY), [f"{day:%Y-%m-%d}" for day in table.index]
     bars = [
-        Curve(
-            str(kind),
-            at,
-            top[kind],
-            colours[min(number, 3)],
-            "bars",
-            top[kind] - table[kind],
-            hover={
-                "day": [f"{day:%Y-%m-%d}" for day in table.index],
-                str(kind): [str(count) for count in table[kind]],
-            },
-            width=0.85,
-        )
+        Curve(str(kind), at, top[kind], colours[min(number, 3)], "bars", top[kind] - table[kind],
+              hover={"day": days, str(kind): [str(count) for count in table[kind]]}, width=0.85)
         for number, kind in enumerate(table)
-    ]
+    ]  # fmt: skip
     ends = (float(at[0]) - 0.6, float(at[-1]) + 0.6)
     panel = Panel("trips per day", bars, 0.8, from_zero=True)
     return Chart("", [panel], span=ends, dates=True)
@@ -387,19 +375,19 @@ def energy_sources(sources: pd.Series) -> str:
 
 def _energy_of(rows: pd.DataFrame, by: str) -> pd.DataFrame:
     """Sums of runs by edge or train; energy only of runs of which it is known."""
-    known = {
-        name: rows["distance"].where(rows[name].notna()) for name in ("traction", "line_energy")
-    }
-    given = rows.assign(_traction_m=known["traction"], _line_m=known["line_energy"])
-    found = given.groupby(by).agg(
+    works = {"_traction_m": "traction", "_line_m": "line_energy"}
+    known = {name: rows["distance"].where(rows[work].notna()) for name, work in works.items()}
+    found = rows.assign(**known).groupby(by).agg(
         runs=("distance", "size"), distance=("distance", "sum"), traction=("traction", "sum"),
         dynamic=("dynamic_braking", "sum"), line_energy=("line_energy", "sum"),
         traction_m=("_traction_m", "sum"), line_m=("_line_m", "sum"), slips=("slips", "sum"),
     )  # fmt: skip
-    for name, over in (("traction", "traction_m"), ("line_energy", "line_m")):
-        distance = found[over].replace(0.0, np.nan)
-        found[f"{name}_per_m"] = found[name] / distance
-    found["dynamic_per_m"] = found["dynamic"] / found["traction_m"].replace(0.0, np.nan)
+    for name, over in (
+        ("traction", "traction_m"),
+        ("line_energy", "line_m"),
+        ("dynamic", "traction_m"),
+    ):
+        found[f"{name}_per_m"] = found[name] / found[over].replace(0.0, np.nan)
     return found
 
 
@@ -511,8 +499,7 @@ def _quality(fleet: _Fleet) -> list[Part]:
         if known.size:
             figures = (*np.quantile(known, (0.5, 0.95)), known.max())
             numbers.add_row(words, *(f"{each:.3g}" for each in figures))
-    nothing = ["Nothing is doubtful."] if not table.rows else [table]
-    return [*nothing, numbers]
+    return [table if table.rows else "Nothing is doubtful.", numbers]
 
 
 _FIGURES = (
@@ -906,9 +893,8 @@ def write_diff(found: FleetDiff, folder: str | Path) -> list[Path]:
     target = made_folder(Path(folder))
     written = []
     for name in TABLES:
-        frame: pd.DataFrame = getattr(found, name)
         path = target / f"{name}.csv"
-        write_bytes(path, csv_bytes(frame))
+        write_bytes(path, csv_bytes(getattr(found, name)))
         written.append(path)
     diff_page(found).write(target / PAGE)
     return [target / PAGE, *written]
