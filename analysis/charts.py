@@ -30,14 +30,8 @@ from trainlog.presentation import Presented
 from trainlog.railway.line import Line, StepProfile, km_ticks
 from trainlog.units import KMH, PER_MILLE
 
-BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
-    "#0072b2",
-    "#e69f00",
-    "#009e73",
-    "#d55e00",
-    "#8e5ea2",
-    "#56b4e9",
-)
+BLUE, ORANGE, GREEN = "#0072b2", "#e69f00", "#009e73"
+RED, PURPLE, SKY = "#d55e00", "#8e5ea2", "#56b4e9"
 """Colours that colour-blind readers can distinguish (Okabe and Ito)."""
 
 INK, GREY, PALE = "#222222", "#7f7f7f", "#d0d0d0"
@@ -750,10 +744,8 @@ def ink_on(colour: str) -> str:
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
-    x: Any = curve.x
-    y: Any = curve.y
-    low: Any = curve.low
-    high: Any = curve.high
+    values: Any = curve.x, curve.y, curve.low, curve.high
+    x, y, low, high = values
     style: dict[str, Any] = {
         "color": curve.colour,
         "alpha": curve.opacity,

@@ -202,9 +202,7 @@ def with_chainage(trip: Trip) -> Trip:
     if not estimated["position"].notna().any():
         return trip
     position = interpolated(estimated, "position", pd.DatetimeIndex(state.index))
-    filled = state.assign(position=position)
-    filled.attrs = state.attrs
-    return trip.with_topic(filled)
+    return trip.with_topic(state.assign(position=position))
 
 
 Given = Trip | TripView | str | Path

@@ -590,9 +590,7 @@ def improved(
     present, onset = expected.present[seen], rows.onset[seen]
     alike = known.bin_length / now.spot_length
     normal("spot_mean", "spot_std", float(present.sum()) * alike, onset[:, 1], present)
-    new["trip_std"], origin["trip_std"] = _trip_std(
-        assumed, onset, present, expected, rows, seen, known, used
-    )
+    new["trip_std"], origin["trip_std"] = _trip_std(assumed, expected, rows, known, used)
     share = normal_on_grid(new["spot_mean"], new["spot_std"], levels)
     share = np.cumsum(share) - 0.5 * share
     # Trips that would have met a spot, had there been one.
@@ -621,11 +619,8 @@ def improved(
 
 def _trip_std(
     assumed: FieldParameters,
-    onset: FloatArray,
-    present: FloatArray,
     expected: Expected,
     rows: EvidenceRows,
-    seen: BoolArray,
     known: FieldEvidence,
     used: csr_array,
 ) -> tuple[float, tuple[float, str]]:
@@ -634,13 +629,14 @@ def _trip_std(
     What trips used without slip counts, too: without it the levels, which it raises the more the
     wider the spread is, lie above the onsets, which widens the spread further.
     """
-    count, mean, scatter, variance = onset.T
+    seen = rows.onset[:, 0] > 0
+    count, mean, scatter, variance = rows.onset[seen].T
     place, levels = rows.bin[seen], expected.grid.levels
     variance = variance + placing_variance(expected.posterior, levels, known.bin_length)[place]
     posterior = expected.posterior[place]
     first = posterior @ levels
     second = posterior @ levels**2 - first**2
-    weight = (1.0 - present) * count * (second < 0.15**2)
+    weight = (1.0 - expected.present[seen]) * count * (second < 0.15**2)
     square = (mean - first) ** 2 + scatter
     tried = np.exp(np.linspace(np.log(0.02), np.log(0.3), 60))
     narrow = tried[:, None] ** 2 + variance

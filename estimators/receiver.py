@@ -410,7 +410,10 @@ class WheelSpeeds:
         delay, found = 0.0, None
         for _ in range(DELAY_TURNS):
             at = seconds - delay
-            terms = self._terms(at)
+            # What a scale, a delay and a creep of 1 add to the speed.
+            own = self.at(at)
+            slope = (self.at(at + SLOPE_TIME) - self.at(at - SLOPE_TIME)) / (2.0 * SLOPE_TIME)
+            terms = np.column_stack([own, -slope, slope * own])
             kept = np.isfinite(terms).all(axis=1) & (speed > DELAY_SPEED)
             kept &= terms[:, 0] > DELAY_SPEED
             if np.count_nonzero(kept) < LEAST_DELAYED:
@@ -454,13 +457,6 @@ class WheelSpeeds:
         if np.count_nonzero(kept) < LEAST_DELAYED:
             return None
         return _delay_in(change[kept, :3], change[kept, 3], at[first[kept]], 2.0 * DELAY_BLOCK)
-
-    def _terms(self, seconds: FloatArray) -> FloatArray:
-        """What a scale, a delay and a creep of 1 add to the speed at given times, (n, 3)."""
-        speed = self.at(seconds)
-        after, before = self.at(seconds + SLOPE_TIME), self.at(seconds - SLOPE_TIME)
-        slope = (after - before) / (2.0 * SLOPE_TIME)
-        return np.column_stack([speed, -slope, slope * speed])
 
 
 def _delay_in(

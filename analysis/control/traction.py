@@ -502,7 +502,9 @@ class CooperativeTraction:
         torques = np.maximum(direction * reading.efforts, 0.0) * self._model.wheel_radius
         found = self._estimator.update(reading.speed, reading.wheel_speeds, torques, direction)
         rail, reference = self._rail(found, here, ahead)
-        limits, total = self._limits(reading.speed, wanted, braking)
+        train, n, radius = self._train, self._train.axles.count, self._model.wheel_radius
+        of = train.dynamic_braking_effort_limit if braking else train.tractive_effort_limit
+        limits, total = np.full(n, float(of(reading.speed)) / n * radius), wanted * radius
         # Of the mean curve, as the median of the maximum is one of few.
         maximum = adhesion_at(peak_slips(found.rail), found.rail)
         bearing = maximum * self._model.loads * self._model.wheel_radius
@@ -547,12 +549,6 @@ class CooperativeTraction:
         rail *= then / now
         slips *= peak_slips(then) / peak_slips(now)
         return rail, slips
-
-    def _limits(self, speed: float, wanted: float, braking: bool) -> tuple[FloatArray, float]:
-        """The most of each motor, and of all together [N m]."""
-        train, n, radius = self._train, self._train.axles.count, self._model.wheel_radius
-        of = train.dynamic_braking_effort_limit if braking else train.tractive_effort_limit
-        return np.full(n, float(of(speed)) / n * radius), wanted * radius
 
     def _held_back(self, reading: DriveReading) -> float:
         """Force against the train besides running resistance and motors [N]."""

@@ -231,7 +231,12 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
                 f"the trips follow no common line; '{passes[0].name}': {passes[0].reason}",
                 remedy="give trips along one line, each in one direction",
             )
-        curve = _refitted(used)
+        kept = [np.isfinite(p.chainage) for p in used]
+        curve, _ = fitted_curve(
+            np.concatenate([p.chainage[k] for p, k in zip(used, kept, strict=True)]),
+            np.concatenate([p.points[k] for p, k in zip(used, kept, strict=True)]),
+            np.concatenate([_std_in_fit(p)[k] for p, k in zip(used, kept, strict=True)]),
+        )
     found = _centre_line(curve, used, [p for p in passes if p.matched is None], origin)
     return replace(found, refused=found.refused + tuple((s.trip, s.sentence) for s in same))
 
@@ -261,8 +266,12 @@ def line_of(centre_line: CentreLine, name: str) -> Line:
     assumed: tuple[str, ...] = ("speed_limits", "stations")
     altitude = 0.0
     if centre_line.gradients_known and centre_line.heights is not None:
-        gradients = _gradient_profile(centre_line.heights)
-        altitude = float(centre_line.heights.height[0])
+        heights = centre_line.heights
+        # One for every half of the stretches over which they are known.
+        step = heights.position[1] - heights.position[0]
+        edges = np.concatenate(([0.0], heights.position[:-1] + 0.5 * step))
+        gradients = StepProfile(edges, heights.gradient)
+        altitude = float(heights.height[0])
         survey = Survey(centre_line.gradient_std, OVER)
         source += " gradients: from the receivers' altitudes; stations, tunnels: not known"
     else:
@@ -281,13 +290,6 @@ def line_of(centre_line: CentreLine, name: str) -> Line:
         survey=survey,
         assumed=assumed,
     )
-
-
-def _gradient_profile(heights: HeightProfile) -> StepProfile:
-    """The gradients of a line, one for every half of the stretches over which they are known."""
-    step = heights.position[1] - heights.position[0]
-    edges = np.concatenate(([0.0], heights.position[:-1] + 0.5 * step))
-    return StepProfile(edges, heights.gradient)
 
 
 def _heights(used: list[_Pass], length: float) -> tuple[HeightProfile | None, str]:
@@ -401,16 +403,6 @@ def _matched(one: _Pass, geometry: Geometry, *, gated: bool) -> _Pass:
     if backwards:
         chainage = length - chainage
     return replace(one, matched=matched, chainage=chainage)
-
-
-def _refitted(used: list[_Pass]) -> Curve:
-    kept = [np.isfinite(p.chainage) for p in used]
-    curve, _ = fitted_curve(
-        np.concatenate([p.chainage[k] for p, k in zip(used, kept, strict=True)]),
-        np.concatenate([p.points[k] for p, k in zip(used, kept, strict=True)]),
-        np.concatenate([_std_in_fit(p)[k] for p, k in zip(used, kept, strict=True)]),
-    )
-    return curve
 
 
 def _std_in_fit(one: _Pass) -> FloatArray:

@@ -210,12 +210,10 @@ def _on_leg(part: Trip, line: Line, leg: Leg, network: Network | None) -> Trip:
     """What of a trip was recorded on a leg, as a trip on the edge's line."""
     own = edge_line(line, leg) if network is None else _line_of_network(network, leg)
     shift = (leg.edge_start if leg.forward else own.length - leg.edge_start) - leg.position
-    topics = {}
-    for name, frame in part.topics.items():
-        topics[name] = frame
-        if "position" in frame:
-            topics[name] = frame.assign(position=frame["position"] + shift)
-            topics[name].attrs = frame.attrs
+    topics = {
+        name: frame.assign(position=frame["position"] + shift) if "position" in frame else frame
+        for name, frame in part.topics.items()
+    }
     direction = "forward" if leg.forward else "reverse"
     named = {"trip": f"{part.name}@{leg.edge}", "line": leg.edge, "direction": direction}
     kept = {name: part.attachments[name] for name in CARRIED if name in part.attachments}

@@ -355,7 +355,11 @@ def map_along(line: Line, maps: Mapping[str, TrackConditionMap]) -> TrackConditi
     trips: dict[tuple[str, str], dict[str, Any]] = {}
     for leg in used:
         track = maps[leg.edge]
-        rows = _bins_of_line(leg, track, whole)
+        # By bin of the edge the bin of the line in which its middle lies; -1: not on the leg.
+        middle = 0.5 * (track.edges[1:] + track.edges[:-1])
+        low, high = sorted((leg.edge_start, leg.edge_end))
+        there = (middle >= low) & (middle <= high)
+        rows = np.where(there, whole.bin_of(leg.on_line(middle)), -1)
         for name, layer in track.layers.items():
             pieces.setdefault(name, []).append(_moved(layer.evidence, rows, whole.bins))
         for entry in track.trips:
@@ -365,14 +369,6 @@ def map_along(line: Line, maps: Mapping[str, TrackConditionMap]) -> TrackConditi
         for name in sorted(pieces)
     }
     return estimated(replace(whole, layers=layers, trips=tuple(trips.values())))
-
-
-def _bins_of_line(leg: Leg, track: TrackConditionMap, whole: TrackConditionMap) -> NDArray[Any]:
-    """By bin of an edge the bin of the line in which its middle lies; -1: not on the leg."""
-    middle = 0.5 * (track.edges[1:] + track.edges[:-1])
-    low, high = sorted((leg.edge_start, leg.edge_end))
-    there = (middle >= low) & (middle <= high)
-    return np.where(there, whole.bin_of(leg.on_line(middle)), -1)
 
 
 def _moved(evidence: DailyEvidence, rows: NDArray[Any], bins: int) -> DailyEvidence:
