@@ -132,6 +132,8 @@ def test_times_of_every_kind(tmp_path):
         ((STATE, START), {}, "has no values"),
         ((STATE, START), {"speed": "fast"}, "not a number"),
         ((STATE, START), {"speed": -np.inf}, "speed holds an infinite number"),
+        ((STATE, [START] * 2), {"speed": [1.0, np.inf]}, "sample 2 of .* holds an infinite number"),
+        ((STATE, [START, START]), {"speed": np.inf}, "sample 1 of .* holds an infinite number"),
         ((STATE, [START, START]), {"speed": [1.0, "12"]}, "speed holds text"),
         ((AXLES, START), {"wheel_speed": [1.0, np.inf, 2.0]}, "wheel_speed holds an infinite"),
         ((STATE, START), {"speed": [1.0, 2.0]}, r"shape \(2,\), where the time asks for \(\)"),

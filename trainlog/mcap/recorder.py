@@ -680,7 +680,8 @@ class Table:
             if np.asarray(value).dtype.kind in "US":
                 raise self.refusal(f"{name} holds text")
             if np.any(np.isinf(numbers)):
-                raise self.refusal(f"{name} holds an infinite number")
+                first = np.argwhere(np.isinf(np.atleast_1d(numbers)))[0][0] if times.ndim else 0
+                raise self.refusal(f"{name} holds an infinite number", int(first))
             if numbers.shape != shape:
                 raise self.refusal(
                     f"{name} has the shape {numbers.shape}, where the time asks for {shape}"
@@ -688,11 +689,11 @@ class Table:
             rows[:, place] = numbers.reshape(times.size, *shape[times.ndim :])
         return rows.tobytes()
 
-    def refusal(self, problem: str) -> LogError:
-        """The error for a sample that does not fit."""
+    def refusal(self, problem: str, number: int = 0) -> LogError:
+        """The error for a sample that does not fit, by its number in its block."""
         return LogError(
             problem,
-            place=f"sample {self.count:,} of {self.topic.name}",
+            place=f"sample {self.count + number:,} of {self.topic.name}",
             remedy="give numbers in SI units; leave out what is not known",
         )
 
