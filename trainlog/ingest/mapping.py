@@ -62,9 +62,7 @@ def undescribed(problem: str, wanted: str = "that says which column is what") ->
 
 def _left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
     """The columns of a file that a profile does not use, as a `Recording` states them."""
-    used = {name for column in profile.columns.values() for name in column.names}
-    used |= set(profile.time.names) if profile.time is not None else set()
-    used |= set(profile.trip.columns.names)
+    used = profile.sources | set(profile.trip.columns.names)
     left = [name for name in dict.fromkeys(present) if name and name not in used]
     return {f"columns that the profile does not map: {', '.join(left)}": len(left)} if left else {}
 

@@ -898,6 +898,12 @@ class Profile(Strict):
     limits: Limits = Limits()
     repair: Repair = Repair()
 
+    @property
+    def sources(self) -> set[str]:
+        """What a recording calls its times and the columns that are used."""
+        times = self.time.names if self.time is not None else ()
+        return {*times, *(name for each in self.columns.values() for name in each.names)}
+
     def wrong(self) -> Iterator[str | None]:
         """What does not fit among the columns, and to the format."""
         yield from column_problems(self.columns, self.file.format, self.lines, self.telegram)

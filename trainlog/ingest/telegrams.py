@@ -68,7 +68,7 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
     else:
         octets, rows, findings, raw = _of_file(data, options)
         arrival = None
-        if ARRIVAL in _named(profile):
+        if ARRIVAL in profile.sources:
             raise InputError(
                 f"states no time of arrival: column '{ARRIVAL}' is of captures and live telegrams",
                 remedy="name the telegram's own time under [time] of the profile",
@@ -94,12 +94,6 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
     cells = Cells(table, rows, len(rows) + sum(each.count for each in findings), findings, raw)
     found = recording_of(cells, profile, columns=options.columns)
     return replace(found, not_used=found.not_used | dict(not_used))
-
-
-def _named(profile: Profile) -> set[str]:
-    """The columns that a profile names."""
-    times = profile.time.names if profile.time is not None else ()
-    return {*times, *(name for each in profile.columns.values() for name in each.names)}
 
 
 def _of_file(
