@@ -175,12 +175,10 @@ def _collected(path: Path, kind: str, options: ReportOptions) -> list[Section]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         sections = KINDS[kind][1](path, options)
-    said = dict.fromkeys(
-        str(each.message) for each in caught if issubclass(each.category, UserWarning)
-    )
-    for each in caught:
-        if issubclass(each.category, UserWarning):
-            warnings.warn(each.message, stacklevel=2)
+    stated = [each.message for each in caught if issubclass(each.category, UserWarning)]
+    for message in stated:
+        warnings.warn(message, stacklevel=2)
+    said = dict.fromkeys(map(str, stated))
     if not said or not sections:
         return sections
     first, *others = sections

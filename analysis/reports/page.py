@@ -331,41 +331,25 @@ LARGEST = 5_000_000
 
 STILL = "The charts stand still here, so that the page is not too large to be sent."
 
-LIGHT = {
-    "paper": PAPER,
-    "ink": INK,
-    "soft": "#5a5a5a",
-    "grey": GREY,
-    "pale": PALE,
-    "line": "#e2e2e2",
-    "shade": "#f3f4f6",
-    "link": "#005a92",
-    "blue": BLUE,
-    "orange": ORANGE,
-    "green": GREEN,
-    "red": RED,
-    "purple": PURPLE,
-    "sky": SKY,
+COLOURS = {
+    "paper": (PAPER, "#16181c"),
+    "ink": (INK, "#e6e6e6"),
+    "soft": ("#5a5a5a", "#a9adb3"),
+    "grey": (GREY, "#8d9197"),
+    "pale": (PALE, "#3c4046"),
+    "line": ("#e2e2e2", "#2c2f34"),
+    "shade": ("#f3f4f6", "#202328"),
+    "link": ("#005a92", "#7ab8e6"),
+    "blue": (BLUE, "#4aa3df"),
+    "orange": (ORANGE, "#f0b840"),
+    "green": (GREEN, "#2fc59b"),
+    "red": (RED, "#f08a4b"),
+    "purple": (PURPLE, "#b794d4"),
+    "sky": (SKY, "#8accf5"),
 }
-"""Colours of the page by name, those of the pictures among them."""
+"""Colours of the page by name, those of the pictures among them: on a light and a dark screen."""
 
-DARK = {
-    "paper": "#16181c",
-    "ink": "#e6e6e6",
-    "soft": "#a9adb3",
-    "grey": "#8d9197",
-    "pale": "#3c4046",
-    "line": "#2c2f34",
-    "shade": "#202328",
-    "link": "#7ab8e6",
-    "blue": "#4aa3df",
-    "orange": "#f0b840",
-    "green": "#2fc59b",
-    "red": "#f08a4b",
-    "purple": "#b794d4",
-    "sky": "#8accf5",
-}
-"""The same where the reader's screen is dark."""
+LIGHT, DARK = ({name: both[screen] for name, both in COLOURS.items()} for screen in (0, 1))
 
 DRAWN = ("ink", "grey", "pale", "blue", "orange", "green", "red", "purple", "sky")
 """Names of the colours that pictures use."""

@@ -113,9 +113,8 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
 def _fit_summary(fits: Fits, path: Path) -> Section:
     """The first page of a fit."""
     common = fits.common
-    at = 80.0 / KMH
-    low, high = (each.item() / 1e3 for each in common.band(np.array([at])))
-    drag = float(common.resistance(at)) / 1e3
+    low, high = (each.item() / 1e3 for each in common.band(np.array([STATED_AT])))
+    drag = float(common.resistance(STATED_AT)) / 1e3
     refused = fits.drives[fits.drives["refused"] != ""]
     reasons = [f"{name}: {count}" for name, count in refused["refused"].value_counts().items()]
     used = f"{len(common.trips)} of {counted(len(fits.drives), 'trip')} determine the curve"

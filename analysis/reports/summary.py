@@ -12,6 +12,7 @@ import numpy as np
 
 from analysis.adhesion.map_state import summary
 from analysis.comparison.groups import compare_groups, punctuality
+from analysis.resistance.curve import curve_std
 from analysis.trajectory.table import section_name
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
@@ -228,8 +229,7 @@ def _measured(found: ParameterSet) -> str:
     if found.common is None or found.common_covariance is None or found.speed_range[1] <= 0.0:
         return words
     at = float(np.mean(found.speed_range))
-    basis = np.array([1.0, at, at**2])
-    std = float(np.sqrt(basis @ found.common_covariance @ basis))
+    std = float(curve_std(found.common_covariance, at))
     drag = with_band(float(found.common(at)) / 1e3, std / 1e3, " kN")
     return f"{words}, resistance {drag} at {KMH * at:.0f} km/h"
 
