@@ -14,6 +14,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 import pandas as pd
 
+from analysis.adhesion.axles import protection_onsets
 from analysis.reports.summary import content_of
 from analysis.trajectory.advice import JourneyAdvice, journey_advice, limits_of
 from analysis.trajectory.instructions import Phase, limits_between
@@ -43,7 +44,7 @@ from trainlog.progress import track
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.condition import AdhesionForecast
 from trainlog.resampling import interpolated_columns
-from trainlog.topics import SLIP_PROTECTION, TRAIN_STATE
+from trainlog.topics import TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import KMH, NANOSECONDS
 
@@ -357,11 +358,10 @@ def reports_of(
 
 def _slips(trip: Trip, times: IntArray, every: int) -> BoolArray | None:
     """Whether slip protection acted in the time before each report; None if nothing notes it."""
-    if "/events" not in trip:
+    onsets = protection_onsets(trip)
+    if onsets is None:
         return None
-    events = trip["/events"]
-    acts = events[events.name.str.startswith(SLIP_PROTECTION)]
-    when = pd.DatetimeIndex(acts.index).as_unit("ns").asi8
+    when = onsets.as_unit("ns").asi8
     before = np.searchsorted(when, times - every, side="right")
     return np.asarray(np.searchsorted(when, times, side="right") > before)
 

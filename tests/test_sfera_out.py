@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from refusals import refused
+from trip_parts import without
 
 import trainlog
 from analysis import OptimiserOptions, TrajectoryProblem, journey_advice, optimise, sfera
@@ -24,6 +25,8 @@ from trainlog.formats.sfera_messages import with_constraints, xml_of
 from trainlog.ingest import ingest
 from trainlog.railway import Configuration, ParameterSet, RunningResistance, Train, Trajectory
 from trainlog.railway.condition import AdhesionForecast
+from trainlog.topics import TRAIN_SLIP_PROTECTION
+from trainlog.trip import frame_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
@@ -265,6 +268,22 @@ def test_a_train_reports_nothing_of_a_gap(wil):
     assert 100.6 < since[0] < 101.6
     assert not np.any((since > 300.0) & (since < 800.0))
     assert np.diff(times).max().total_seconds() == pytest.approx(500.0, abs=5.0)
+
+
+def test_slips_that_only_their_own_topic_records_are_reported(wil):
+    """At 100 s for 3 s; not known where nothing records them."""
+    (journey,), line = read_sfera(wil), trainlog.read_line("sample")
+    trip = without(trainlog.read("sample_logs/nonstop.mcap"), "/events")
+    own = trip["/train/state"].index
+    passed = (own - own[0]).total_seconds().to_numpy()
+    acts = frame_of(
+        TRAIN_SLIP_PROTECTION, own, {"active": ((passed >= 100.0) & (passed < 103.0)) * 1.0}
+    )
+    found = sfera.reports_of(trip.with_topic(acts), journey, line)
+    (slips,) = [(each.time - own[0]).total_seconds() for each in found if each.slips]
+    assert slips == pytest.approx(100.0, abs=5.0)
+    assert {each.slips for each in found} == {True, False}
+    assert {each.slips for each in sfera.reports_of(trip, journey, line)} == {None}
 
 
 def test_what_was_learned_is_the_next_version(wil, tmp_path):
