@@ -81,6 +81,18 @@ def test_a_log_goes_to_mdf_and_back(log, tmp_path):
     assert span_of(tmp_path / "trip.mf4") == span_of(log)
 
 
+def test_a_text_that_mdf_would_cut_is_refused(tmp_path):
+    """At the character NUL, which ends a text there; Parquet keeps it."""
+    pytest.importorskip("asammdf")
+    events = {"level": [2], "name": ["note"], "message": ["a\x00b"]}
+    write_log(Trip({EVENTS.name: frame_of(EVENTS, [START], events)}), tmp_path / "trip.mcap")
+    with pytest.raises(LogError, match=r"trip\.mf4: /events has a text with the character NUL"):
+        convert(tmp_path / "trip.mcap", tmp_path / "trip.mf4")
+    assert not (tmp_path / "trip.mf4").exists()
+    convert(tmp_path / "trip.mcap", tmp_path / "trip.parquet")
+    assert read_parquet(tmp_path / "trip.parquet")[EVENTS.name]["message"].tolist() == ["a\x00b"]
+
+
 def test_a_measurement_file_that_is_none_or_of_others_is_refused(tmp_path):
     library = pytest.importorskip("asammdf")
     (tmp_path / "cut.mf4").write_bytes(b"MDF     4.10")

@@ -695,7 +695,8 @@ def mdf_writer(path: str | Path) -> Iterator[MdfWriter]:
     writer = MdfWriter()
     yield writer
     with atomic_write(path) as temporary, closing(library.MDF(version="4.10")) as mdf:
-        _fill(mdf, library.Signal, writer.trip, Path(path))
+        with in_file(path):
+            _fill(mdf, library.Signal, writer.trip)
         with _quiet():
             made = Path(mdf.save(temporary, overwrite=True, compression=2))
         if made != temporary:
@@ -725,7 +726,7 @@ class MdfWriter:
         return replace(head, topics=whole)
 
 
-def _fill(mdf: Any, signal: Callable[..., Any], trip: Trip, path: Path) -> None:
+def _fill(mdf: Any, signal: Callable[..., Any], trip: Trip) -> None:
     """Put a trip into a measurement file: a group of channels a topic, and an index of them."""
     starts = [frame.index[0] for frame in trip.topics.values() if len(frame)]
     first = min(starts).floor("s") if starts else pd.Timestamp(0, tz="UTC")
@@ -741,13 +742,12 @@ def _fill(mdf: Any, signal: Callable[..., Any], trip: Trip, path: Path) -> None:
         if since[-1] > LONGEST:
             raise LogError(
                 f"{topic} is longer than the 104 days for which MDF gives every nanosecond",
-                file=path,
                 remedy="cut it, or convert to Parquet",
             )
         _, fields = described_fields(topic, map(str, frame.columns), frame.attrs)
         signals = []
         for name in map(str, frame.columns):
-            samples = _samples(frame[name])
+            samples = _samples(topic, frame[name])
             words = {"encoding": "utf-8"} if samples.dtype.kind == "S" else {}
             if name in fields:
                 words |= {"unit": fields[name].unit, "comment": fields[name].meaning}
@@ -850,13 +850,18 @@ def _frame(mdf: Any, entry: dict[str, Any], start: int) -> pd.DataFrame:
     return frame
 
 
-def _samples(column: pd.Series[Any]) -> np.ndarray:
+def _samples(topic: str, column: pd.Series[Any]) -> np.ndarray:
     """The values of a column as asammdf takes them: numbers, or words in UTF-8."""
     if column.dtype.kind in "fiu":
         return column.to_numpy()
     if column.dtype.kind == "b":
         return column.to_numpy().astype(np.uint8)
     words = [str(each).encode() for each in column]
+    if any(b"\0" in each for each in words):
+        raise LogError(
+            f"{topic} has a text with the character NUL, at which MDF ends it",
+            remedy="convert to Parquet",
+        )
     return np.array(words, dtype=f"S{max(1, *map(len, words))}")
 
 
