@@ -13,10 +13,12 @@ from refusals import refused
 
 from analysis.adhesion.axles import protection_onsets
 from trainlog.errors import InputError
-from trainlog.ingest import ingest, profile_of, read_profile
+from trainlog.ingest import ingest, pipeline, profile_of, read_profile
+from trainlog.ingest.profile import Quantity
+from trainlog.ingest.recording import Table
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import RunningResistance, Train
-from trainlog.units import _KEPT_IN, _NAMED, _OFFSETS, _registry, _spelled
+from trainlog.units import _KEPT_IN, _NAMED, _OFFSETS, NANOSECONDS, _registry, _spelled
 
 TRAIN = Train("small", 100_000.0, 0.1, RunningResistance(2e3, 50.0, 8.0), 200e3, 2e6)
 
@@ -183,6 +185,15 @@ def test_mass_becomes_load_and_position_gets_its_start(tmp_path):
         ({"train": "other"}, TRAIN, "the profile states train 'other', given is 'small'"),
     ):
         refused(InputError, said, ingest, path, plain_profile(trip=options), train=train)
+
+
+def test_a_start_position_moves_the_kilometres_alone():
+    """The rows keep the numbers that they have in the file, by which a part is cut out of it."""
+    place, rows = "/train/state.position", np.arange(9)
+    table = Table(rows * NANOSECONDS, rows, {place: 10.0 * rows}).take(np.array([2, 5, 7]))
+    moved = pipeline._from_start(table, Quantity(value=1.0, unit="km"))
+    assert moved.signals[place].tolist() == [1_000.0, 1_030.0, 1_050.0]
+    assert moved.samples.tolist() == [2, 5, 7]
 
 
 def test_speed_and_a_start_make_an_estimated_position(tmp_path):

@@ -28,9 +28,10 @@ from trainlog.version import __version__
 POSITION_TOPICS = ("/estimates/state", "/train/state")
 """Where a trip's position is found: the first of these topics in which any position is known."""
 
-LINE_ATTACHMENT = "line.json"
 RECORDED_BRAKE = "recorded_brake"
 """Metadata: what the recorded dynamic brake may be, where its column does not state it."""
+
+LINE_ATTACHMENT = "line.json"
 """Attachment that holds the line the trip was driven on, in trainlog's line format."""
 
 TRAIN_ATTACHMENT = "train.json"

@@ -678,7 +678,7 @@ def _from_start(table: Table, start: Quantity | str | None) -> Table:
         return table
     first = position[np.isfinite(position)][0]
     moved = position - first + start.si("m")
-    return Table(table.time, table.rows, {**table.signals, POSITION: moved}, table.texts)
+    return replace(table, signals={**table.signals, POSITION: moved})
 
 
 def attachments_of(line: Line | None, train: Train | None) -> dict[str, bytes]:
