@@ -226,7 +226,7 @@ def series_of(
     used = trips.iloc[rows]
     names, train = np.unique(used["train"].to_numpy(str), return_inverse=True)
     common = names.size >= FEWEST_TRAINS
-    number, periods, _ = periods_of(used["start"])
+    number, periods = periods_of(used["start"])
     line = ways_of(used)
     unit = np.eye(1)
     y, v = value[rows, None] / channel.between, variance[rows, None, None] / channel.between**2
@@ -235,7 +235,7 @@ def series_of(
     others = (
         Group(
             number if common else np.full(rows.size, -1),
-            len(periods) if common else 0,
+            periods if common else 0,
             None,
             relative[1] ** 2 * unit,
             PRIOR,

@@ -160,10 +160,6 @@ class KindResistance(Presented):
         The summaries that were used.
     curves : NodeCurves
         Of these rows.
-    periods : (p,) array of Timestamp
-        Beginnings of the periods that were looked at; none where the trains are too few.
-    width : Timedelta
-        Of a period.
     effects : MixedEffects
         Of trains, periods, lines and gains.
     """
@@ -176,8 +172,6 @@ class KindResistance(Presented):
     within: FloatArray
     rows: pd.DataFrame
     curves: NodeCurves
-    periods: pd.DatetimeIndex
-    width: pd.Timedelta
     effects: MixedEffects
 
     @property
@@ -313,19 +307,14 @@ def drives_of(table: pd.DataFrame) -> pd.DataFrame:
     return rows.sort_values(["start", "train", "trip"], kind="stable", ignore_index=True)
 
 
-def periods_of(start: pd.Series) -> tuple[IntArray, pd.DatetimeIndex, pd.Timedelta]:
-    """Number of the period of each trip (-1: not known), beginnings of the periods, their width."""
-    day = pd.Timedelta(days=1)
-    known = start.notna().to_numpy()
+def periods_of(start: pd.Series) -> tuple[IntArray, int]:
+    """Number of the period of each trip (-1: not known), and how many there are."""
+    number, known = np.full(len(start), -1, dtype=np.int64), start.notna().to_numpy()
     if not known.any():
-        return np.full(len(start), -1), pd.DatetimeIndex([], tz="UTC"), day
-    first = start.min().floor("D")
-    days = int((start.max() - first) / day) + 1
-    width = day * int(np.ceil(days / MOST_PERIODS))
-    number = np.full(len(start), -1, dtype=np.int64)
-    number[known] = ((start[known] - first) // width).to_numpy(np.int64)
-    count = int(number.max()) + 1
-    return number, first + width * np.arange(count), width
+        return number, 0
+    days = (start[known] - start.min().floor("D")) // pd.Timedelta(days=1)
+    number[known] = (days // np.ceil((days.max() + 1) / MOST_PERIODS)).to_numpy(np.int64)
+    return number, int(number.max()) + 1
 
 
 def ways_of(rows: pd.DataFrame) -> IntArray:
@@ -340,10 +329,10 @@ def _kind_resistance(kind: str, rows: pd.DataFrame) -> KindResistance:
     """Trains of one kind; Henderson (1975)."""
     curves = node_curves(rows)
     names, train = np.unique(rows["train"].to_numpy(str), return_inverse=True)
-    number, periods, width = periods_of(rows["start"])
+    number, periods = periods_of(rows["start"])
     if names.size < FEWEST_TRAINS:
-        number, periods = np.full(len(rows), -1), periods[:0]
-    found = _effects(curves, rows, train, names.size, number, len(periods))
+        number, periods = np.full(len(rows), -1), 0
+    found = _effects(curves, rows, train, names.size, number, periods)
     back = np.linalg.inv(curves.nodes)
     asked = (float(rows["asked_lowest"].max()), curves.top)
 
@@ -379,8 +368,6 @@ def _kind_resistance(kind: str, rows: pd.DataFrame) -> KindResistance:
         within=back @ found.within @ back.T,
         rows=rows,
         curves=curves,
-        periods=periods,
-        width=width,
         effects=found,
     )
 

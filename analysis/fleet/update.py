@@ -194,8 +194,6 @@ class FleetUpdate(Presented):
     computing_seconds, idle_seconds : float [s]
         From the beginning of the first batch to the end of the last, by the clocks of the workers,
         and the time within, over all workers, in which they had none.
-    files_merged : int
-        Files of results that were put together.
     maps : MapsUpdate or None
         What became of the maps; None where the evidence for them was not asked for.
     """
@@ -211,7 +209,6 @@ class FleetUpdate(Presented):
     worker_seconds: float = 0.0
     computing_seconds: float = 0.0
     idle_seconds: float = 0.0
-    files_merged: int = 0
     maps: MapsUpdate | None = None
 
     @property
@@ -548,7 +545,7 @@ class _Update:
             counts = self.found.counts[each.analysis]
             trips = counts.known + counts.done + counts.refused
             if not counts.pending and trips <= MERGED:
-                self.found.files_merged += self.catalogue.compact(each)
+                self.catalogue.compact(each)
 
     def bring_maps(self) -> None:
         """Add the new evidence to the maps of the edges."""
