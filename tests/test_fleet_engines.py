@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -330,4 +331,8 @@ def test_parameters_are_part_of_what_identifies_a_result():
     fine, rough = (each.table(view_of(LOGS[0])) for each in (ANALYSES["adhesion"], coarse))
     assert fine["bins"][0] > 2 * rough["bins"][0]
     refused(InputError, "no parameter 'bins'", ANALYSES["adhesion"].with_parameters, bins=3)
+    # An analysis of one's own takes whatever it declares.
+    own = replace(coarse, name="mine", parameters={"layer": "wet", "window": 10.0, "ends": None})
+    given = {"layer": "dry", "window": 0, "ends": "a to b"}
+    assert own.with_parameters(**given).parameters == given
     refused(InputError, "no analysis 'energy'", analyses_named, ["energy"])

@@ -130,7 +130,7 @@ class Segments:
     weights : (n, p) array [m]
     positions : (n, p) array [m]
     gathering : (p, p) array
-        Integrals over parts of a cell, from its beginning to each point.
+        Integrals from the beginning of a cell to each point, of values times their weights.
     """
 
     length: FloatArray
