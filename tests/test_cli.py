@@ -17,8 +17,10 @@ from contents import put
 
 import analysis
 import trainlog
+from trainlog.errors import InfeasibleError
 from trainlog.formats.railway import write_parameters
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
+from trainlog.simulation import Run, Scenario, drive as driven
 
 pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
 
@@ -276,6 +278,20 @@ def test_an_interrupted_command_says_so(tmp_path, monkeypatch, shell):
     status, _, complaint = shell("simulate", "drive", *BOTH, "-o", tmp_path)
     assert status == 130
     assert "interrupted" in complaint
+
+
+def test_a_train_that_does_not_arrive_does_not_end_the_others(tmp_path, monkeypatch, shell):
+    def stalled(scenario: Scenario) -> Run:
+        if scenario.name == "trip-01":
+            raise InfeasibleError("trip-01 does not arrive", remedy="check adhesion")
+        return driven(scenario)
+
+    monkeypatch.setattr("trainlog.simulation.drive", stalled)
+    given = ["simulate", "drive", *BOTH, "-o", tmp_path, "--count"]
+    status, _, complaint = shell(*given, 2)
+    assert (status, [each.name for each in tmp_path.iterdir()]) == (1, ["trip-02.mcap"])
+    assert complaint == "trainlog: trip-01 does not arrive; check adhesion\n"
+    assert shell(*given, 1)[0] == 2
 
 
 def test_ctrl_c_while_python_still_loads_is_one_line():

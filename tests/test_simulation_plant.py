@@ -13,7 +13,7 @@ from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.railway import Axles, Brake, EffortCurve, RunningResistance
+from trainlog.railway import Axles, Brake, EffortCurve, LineReference, RunningResistance
 from trainlog.railway.motion import timetable_run
 from trainlog.simulation import Run, Scenario, draw_scenarios, drive, sensors as measuring
 from trainlog.simulation.drivers import Habits, Stop, TimetableDriver, plan
@@ -274,6 +274,11 @@ def test_timetable_driver_waits_and_is_roughly_on_time():
 def test_a_train_that_cannot_climb_is_refused():
     line = replace(hilly_line(), gradients=steps((0.0, 0.0), (3_000.0, 0.06)))
     refused(InfeasibleError, "does not arrive; at km 3", drive, journey(line, adhesion=0.05))
+    falling = LineReference("850", np.zeros(1), np.array([61e3]), np.array([50e3]))
+    back = replace(line.reversed(), reference=falling)
+    stops = plan(line, flirt(), line.stations)
+    stuck = journey(back, adhesion=0.05, direction="reverse", stops=stops)
+    refused(InfeasibleError, "does not arrive; at km 53", drive, stuck)
 
 
 def test_running_time_of_a_level_run():

@@ -124,6 +124,30 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
     assert line.reversed().kilometre(0.0) == pytest.approx(24_300.0)
 
 
+def test_a_table_whose_kilometres_fall(tmp_path):
+    """The same rows with rising and with falling kilometres give the same line."""
+    rising, falling = (
+        read_line_table(
+            put(
+                tmp_path / f"{name}.csv",
+                [
+                    "km;gradient [permil];limit [km/h];station;radius [m]",
+                    *(f"{km};{rest}" for km, rest in zip(kilometres, rows, strict=True)),
+                ],
+            ),
+            name="A-B",
+        )
+        for rows in [["0;60;A;", ";80;;500", "-25;;;0", ";50;B;"]]
+        for name, kilometres in (("up", (200, 201, 203, 204)), ("down", (204, 203, 201, 200)))
+    )
+    assert falling.length == 4_000.0
+    assert falling.kilometre([0.0, 1_000.0, 4_000.0]).tolist() == [204e3, 203e3, 200e3]
+    at = np.linspace(0.0, 4_000.0, 41)
+    for of in (Line.gradient, Line.speed_limit, Line.curvature):
+        np.testing.assert_array_equal(of(falling, at), of(rising, at))
+    assert falling.stations == rising.stations
+
+
 @given(st.lists(st.integers(1, 5_000), min_size=1, max_size=30), st.data())
 @quick
 def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
@@ -161,7 +185,10 @@ def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
         ("km;gradient [permil];limit [km/h]\n", "has no row"),
         ("km;gradient [permil];limit [km/h]\n0;1;80\n", "has one row; add a last row"),
         ("km;gradient [permil];limit [km/h]\n0;1;80\n;1;80\n9;;\n", "line 3: has no position"),
-        ("km;gradient [permil];limit [km/h]\n9;1;80\n5;1;80\n0;;\n", "chainage falls from row to"),
+        (
+            "km;gradient [permil];limit [km/h]\n9;1;80\n5;1;80\n6;;\n0;;\n",
+            "line 4: chainage 6000 m follows 5000 m; chainage must fall",
+        ),
         (
             "km;gradient [permil];limit [km/h]\n0;1;80\n5;x;80\n4;y;90\n9;;\n",
             r"3 problems: \(1\) line 3, column 'gradient': 'x' is.*\(3\) line 4: chainage 4000",

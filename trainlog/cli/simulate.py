@@ -68,7 +68,8 @@ def drive(
 
     Loads, weather, running resistance, drivers and slippery places vary with the seed; sensors have
     noise. With [bold]--traction cooperative[/bold] one program computes the efforts of all powered
-    axles, with the map of the rail ahead (Zhao et al., 2025).
+    axles, with the map of the rail ahead (Zhao et al., 2025). Trains stalled on a slippery gradient
+    are listed; the exit status is then 1.
 
     Example: trainlog simulate drive --line sample --train sample --count 12 -o results/trips
 
@@ -79,7 +80,9 @@ def drive(
     """
     the_line, the_train = line_and_train(line, train)
     scenarios = trainlog.draw_scenarios(the_line, the_train, count=count, seed=seed)
-    _drive(scenarios, output, characteristic, traction, _known_map(map_, traction, the_line))
+    known = _known_map(map_, traction, the_line)
+    _, stuck = _drive(scenarios, output, characteristic, traction, known)
+    _end(stuck, count)
 
 
 @simulate_app.command()
@@ -153,14 +156,19 @@ def follow(
         )
         for name, section in sections.items()
     }  # fmt: skip
+    stuck = 0
     for name, section in sections.items():
         if len(sections) > 1:
             scenarios[name] = [replace(s, name=f"{s.name}-{name}") for s in scenarios[name]]
         stated = partial(following_line, trajectory=section)
-        trips = _drive(scenarios[name], output, characteristic, traction, the_map, stated)
+        trips, failed = _drive(scenarios[name], output, characteristic, traction, the_map, stated)
+        stuck += failed
+        if not trips:
+            continue
         picture = output / (f"following-{name}.png" if len(sections) > 1 else "following.png")
         draw_charts(following_charts(trips), picture)
         wrote(picture)
+    _end(stuck, sum(map(len, scenarios.values())))
 
 
 @simulate_app.command()
@@ -203,12 +211,16 @@ def days(
     rail = trainlog.Rail.draw(the_line, days, start, seed, changes)
     scenarios = trainlog.draw_days(rail, [the_train], trips_per_day)
     known = _known_map(map_, traction, the_line)
-    stuck = list[InfeasibleError]()
-    _drive(scenarios, output, characteristic, traction, known, stuck=stuck)
+    _, stuck = _drive(scenarios, output, characteristic, traction, known)
     trainlog.write_weather(rail.table, output / "weather.csv")
     wrote(output / "weather.csv")
+    _end(stuck, len(scenarios))
+
+
+def _end(stuck: int, count: int) -> None:
+    """Exit with status 1 if trains of `count` did not arrive, 2 if none did."""
     if stuck:
-        raise typer.Exit(1)
+        raise typer.Exit(1 if stuck < count else 2)
 
 
 def _known_map(condition: Path | None, traction: str, line: Line) -> TrackConditionMap | None:
@@ -229,11 +241,10 @@ def _drive(
     traction: Literal["own", "cooperative", "readhesion"],
     known: TrackConditionMap | None,
     line_of: Callable[[Trip], str] | None = None,
-    stuck: list[InfeasibleError] | None = None,
-) -> list[Trip]:
-    """Drive the scenarios, write their logs and state each trip; those driven.
+) -> tuple[list[Trip], int]:
+    """Drive the scenarios, write their logs and state each trip and each train that is stuck.
 
-    Of days one train may be stopped for good by a slippery climb: it is added to `stuck`.
+    Returns the trips, if `line_of` states more of them, and the number of trains that are stuck.
     """
     from trainlog.formats.files import output_folder
     from trainlog.simulation import drive, recorded
@@ -255,9 +266,6 @@ def _drive(
             try:
                 run = drive(scenario)
             except InfeasibleError as error:
-                if stuck is None:
-                    raise
-                stuck.append(error)
                 print_error(str(error))
                 continue
             trip = recorded(scenario, run)
@@ -279,7 +287,7 @@ def _drive(
             if line_of is not None:
                 console.print(f"    {line_of(trip)}")
                 driven.append(trip)
-    return driven
+    return driven, len(scenarios) - len(trips)
 
 
 @simulate_app.command()

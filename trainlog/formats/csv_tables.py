@@ -333,7 +333,8 @@ def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
 
     Each row gives a chainage and what holds from there on; an empty cell leaves what held before. A
     row with a station names it. The last row is the line's end; what it states besides its chainage
-    and station does not matter. Chainage that begins elsewhere is counted from the first row.
+    and station does not matter. Chainage that begins elsewhere or falls is counted from the first
+    row; gradients and curves are those of a train that runs from the first row to the last.
 
     Parameters
     ----------
@@ -375,14 +376,16 @@ def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
         if np.isnan(known[kind][0]):
             remedy = f"give the {kind} that holds from the first row on"
             table.refuse(f"no {kind} at the line's begin", remedy, table.rows[0][0])
-    first, length = float(at[0]), float(at[-1] - at[0])
+    first, along = float(at[0]), np.abs(at - at[0])
     called, source = name or Path(path).stem.removesuffix(".line"), f"table {Path(path).name}"
-    track = TrackData(called, length, course_quality=f"from {source}")
+    falling = at[-1] < first
+    track = TrackData(called, float(along[-1]), course_quality=f"from {source}")
     if first:
         source += f"; position 0 is km {first / 1e3:.3f} of the table"
+        source += ", whose kilometres fall" * bool(falling)
         ends = np.array([first]), np.array([at[-1]])
         track.reference = LineReference(called, np.zeros(1), *ends)
-    at = at - first
+    at = along
     track.gradients = _stretches(at, known["gradient"])
     track.limits = [Limit(*each[:3]) for each in _stretches(at, known["limit"])]
     if "radius" in known:
@@ -421,17 +424,14 @@ def _line_numbers(table: HeadedTable, column: Column) -> FloatArray:
 
 
 def _check_positions(table: HeadedTable, at: FloatArray) -> None:
-    """Note positions that do not increase, unless one is not known."""
-    backwards = np.flatnonzero(np.diff(at) <= 0.0)
+    """Note positions that turn back or stay, unless one is not known."""
+    way, must = (-1.0, "fall") if at.size and at[-1] < at[0] else (1.0, "increase")
     if at.size < 2:
         problem, remedy = "has one row", "add a last row with the chainage of the line's end"
         table.note(table.line, problem, remedy)
-    elif at.size > 2 and backwards.size == at.size - 1:
-        table.note(table.line, "chainage falls from row to row", "reverse the order of the rows")
-    else:
-        for row in backwards:
-            problem = f"chainage {at[row + 1]:.12g} m follows {at[row]:.12g} m"
-            table.note(table.rows[row + 1][0], problem, "chainage must increase")
+    for row in np.flatnonzero(way * np.diff(at) <= 0.0):
+        problem = f"chainage {at[row + 1]:.12g} m follows {at[row]:.12g} m"
+        table.note(table.rows[row + 1][0], problem, f"chainage must {must}")
 
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

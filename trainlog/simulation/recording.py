@@ -13,6 +13,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InfeasibleError
 from trainlog.formats.files import sha256
 from trainlog.railway import Trajectory
+from trainlog.railway.line import km_words
 from trainlog.simulation import sensors as measuring
 from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
 from trainlog.simulation.scenario import LARGEST_LOAD, Scenario
@@ -64,7 +65,7 @@ def drive(scenario: Scenario) -> Run:
     """
     plant = scenario.plant()
     driver = scenario.driver()
-    trajectory = scenario.trajectory
+    line, trajectory = scenario.line, scenario.trajectory
     if trajectory is None:
         origin, patience = scenario.stops[0].position, 3.0 * scenario.stops[-1].arrival
     else:
@@ -91,9 +92,10 @@ def drive(scenario: Scenario) -> Run:
         if wanted.braking_effort > 0.0 or abs(position - place) > 1.0:
             moved, place = time, position
         if time > patience + 600.0 or time > moved + STUCK:
+            forward = scenario.direction == "forward"
+            at = km_words(line, position if forward else line.length - position)
             raise InfeasibleError(
-                f"trip '{scenario.name}': the train does not arrive; at km"
-                f" {position / 1e3:.3f} after {time:.0f} s",
+                f"trip '{scenario.name}': the train does not arrive; at {at} after {time:.0f} s",
                 remedy="check adhesion, gradients and tractive effort there",
             )
         if loop is None:
