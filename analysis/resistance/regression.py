@@ -171,7 +171,8 @@ UNLIKE = 3.0, 16.0
 stretch to none from which on it counts: some 1,800 are tried."""
 
 LEAST_FORCE = 0.006
-"""Force over mass [m/s²] below which a stretch is like the rest: surveys err by as much."""
+"""Force over mass [m/s²] below which a stretch is like the rest: surveys err by as much. Pulling is
+spread over the whole trip, and an offset of it has no such bound."""
 
 
 SHORT = 0.25
@@ -435,8 +436,7 @@ def _contradicted(white: White, found: Regression) -> bool:
     own = own - scaled @ np.linalg.lstsq(scaled, own)[0]
     if not (own @ found.residual) ** 2 > UNLIKE[0] ** 2 * float(own @ own):
         return False
-    odds, force = _odds(likelihood, white.noise, -pulled, found.rows.shape[1])
-    return odds > UNLIKE[1] and abs(force) > LEAST_FORCE
+    return _odds(likelihood, white.noise, -pulled, found.rows.shape[1])[0] > UNLIKE[1]
 
 
 def _unlike(used: Windows, likelihood: Likelihood, noise: NoiseModel, count: int) -> Stretch | None:
