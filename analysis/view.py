@@ -17,8 +17,9 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 import pandas as pd
+from scipy.integrate import cumulative_trapezoid
 
-from trainlog.arrays import BoolArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import check_kind, logs_of
@@ -30,9 +31,9 @@ from trainlog.mcap import DamageWarning, account_of, read_log, stream_log
 from trainlog.mcap.contents import checksum_holds, contents_of
 from trainlog.mcap.reader import identity_of_log, rows_of_log
 from trainlog.mcap.records import Source
-from trainlog.railway.line import Line
+from trainlog.railway.line import STATION_REACH, Line, km_words
 from trainlog.railway.train import Train
-from trainlog.resampling import interpolated
+from trainlog.resampling import forward_chainage, interpolated
 from trainlog.spans import ALWAYS, runs_of
 from trainlog.topics import (
     ENVIRONMENT,
@@ -70,8 +71,12 @@ SHORTEST_STOP = 5.0
 STANDING_ESTIMATE = 0.3
 """Estimated speed [m/s] up to which a train stands: satellites' speeds waver at rest."""
 
-LARGEST_SETBACK = 200.0
-"""Metres by which recorded chainage may run backwards on one run."""
+LARGEST_SETBACK, NOTED_SETBACK = 200.0, 2.0
+"""Metres by which recorded chainage may run backwards on one run, and that are stated."""
+
+SPIKE, SPIKE_SAMPLES = 50.0, 51
+"""A position so far [m] off the median of so many around it, less what the speed explains, is no
+position."""
 
 TOPICS = tuple(
     topic.name
@@ -203,6 +208,54 @@ def with_chainage(trip: Trip) -> Trip:
         return trip
     position = interpolated(estimated, "position", pd.DatetimeIndex(state.index))
     return trip.with_topic(state.assign(position=position))
+
+
+def one_way(
+    trip: str, line: Line | None, time: FloatArray, speed: FloatArray, recorded: FloatArray
+) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Recorded chainage without spikes, the nearest that never falls, and notes on both.
+
+    Parameters
+    ----------
+    trip : str
+    line : Line or None
+        As travelled.
+    time, speed, recorded : (n,) array [s], [m/s], [m]
+        All of them known.
+
+    Raises
+    ------
+    LogError
+        If the chainage runs backwards by more than `LARGEST_SETBACK`.
+    """
+    from scipy.ndimage import median_filter
+
+    notes = list[str]()
+    run = cumulative_trapezoid(speed, time, initial=0.0)
+    usual = run + median_filter(recorded - run, SPIKE_SAMPLES, mode="reflect")
+    spikes = np.abs(recorded - usual) > SPIKE
+    if spikes.any():
+        place = km_words(line, float(usual[spikes][0]))
+        samples = counted(int(spikes.sum()), "sample")
+        notes.append(f"chainage: {samples} far off left out, first at {place}")
+        recorded = np.where(spikes, usual, recorded)
+    position = forward_chainage(recorded)
+    moved = np.abs(position - np.maximum(recorded, 0.0))
+    worst = int(np.argmax(moved))
+    place = km_words(line, float(recorded[worst]))
+    if moved[worst] > LARGEST_SETBACK:
+        raise LogError(
+            f"trip '{trip}' runs backwards by {2.0 * moved[worst]:.0f} m",
+            place=place,
+            remedy="position must grow in the direction of travel: cut it into trips of one"
+            " direction (trainlog convert --from --to), or ingest it again with its line",
+        )
+    if moved[worst] > NOTED_SETBACK:
+        notes.append(f"chainage set back at {place}: moved by up to {moved[worst]:.1f} m")
+    beyond = 0.0 if line is None else float(position[-1] - line.length)
+    if beyond > STATION_REACH:
+        notes.append(f"ends {beyond:.0f} m beyond the line's end: chainage or line may be wrong")
+    return recorded, position, notes
 
 
 Given = Trip | TripView | str | Path

@@ -12,11 +12,12 @@ import pytest
 from refusals import refused
 from trip_parts import without
 
+from analysis import fit_trip, slip, with_estimates
 from analysis.comparison.compare import compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import compare_groups, punctuality, trip_cost
 from trainlog import read_line, read_train
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
@@ -209,6 +210,20 @@ def test_a_counter_that_starts_anew_is_left_out_with_the_reason():
     assert len(found.directions[0].trips) == 2
     assert "trip 'anew' runs backwards by" in found.left_out[0]
     refused(InputError, r"no trip can be compared: .*runs backwards", compare, anew)
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+def test_chainage_that_falls_beside_a_speed_is_refused_by_every_analysis(direction):
+    falling = moved(stopping(), lambda s: s.max() - s, "falling")
+    falling = replace(falling, metadata={**falling.metadata, "direction": direction})
+    for analysed in (driven_trip, slip, fit_trip, with_estimates):
+        said = "runs backwards by .* position must grow in the direction of travel"
+        refused(TrainlogError, said, analysed, falling)
+    # Spikes do not run backwards.
+    spiked = moved(
+        stopping(), lambda s: np.where(np.arange(s.size) % 4001 == 4000, 0.0, s), "spike"
+    )
+    assert len(slip(spiked).events) > 10
 
 
 # What was done to a driver who always drives as fast as his habits allow is the truth.

@@ -22,7 +22,7 @@ import pandas as pd
 
 from analysis.adhesion.axles import SLOW, PoweredAxles, powered_axles
 from analysis.resistance.passport import passport
-from analysis.view import Given, TripView, view_of
+from analysis.view import Given, TripView, one_way, view_of
 from estimators.adhesion import (
     NOISE_MULTIPLE,
     SLIP_THRESHOLD,
@@ -431,6 +431,7 @@ def _slip(view: TripView) -> SlipAnalysis:
     speed, factor = _train_speed(
         trip, train, axles, adhesion, noise, wheels.to_numpy(), other, reference
     )
+    one_way(trip.name, line, axles.time, speed.speed, place)
     slip_speed = axles.wheel_speed / factor - speed.speed[:, None]
     backwards = trip.metadata.get("direction") == "reverse"
     position = line.length - travelled if backwards else travelled

@@ -25,16 +25,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from analysis.adhesion.axles import protection_onsets
 from analysis.adhesion.slip import slip
 from analysis.view import (
-    LARGEST_SETBACK,
     SHORTEST_STOP,
     STANDING_ESTIMATE,
     Given,
     TripView,
+    one_way,
     view_of,
 )
 from trainlog.arrays import BoolArray, FloatArray, IntArray
@@ -42,7 +42,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of, recorded_load
 from trainlog.railway import Line, Train, Trajectory
-from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
+from trainlog.railway.line import in_km, km_words, station_at
 from trainlog.railway.passport import Quantity
 from trainlog.resampling import (
     GAP_DISTANCE,
@@ -320,13 +320,6 @@ TOPICS = (
 """What is read of a log."""
 
 
-NOTED_SETBACK = 2.0
-"""Metres by which recorded chainage runs backwards that are stated."""
-
-SPIKE, SPIKE_SAMPLES = 50.0, 51
-"""A position so far [m] off the median of so many around it, less what the speed explains, is no
-position."""
-
 JUMP = 20.0
 """Metres by which a position advances more than the speed explains: it was corrected."""
 
@@ -358,45 +351,6 @@ class Samples:
     sums: dict[str, FloatArray]
     gaps: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
-
-    def chainage(self, recorded: FloatArray, line: Line) -> tuple[FloatArray, list[str]]:
-        """Non-decreasing chainage, and what had to be moved for it."""
-        position = forward_chainage(recorded)
-        moved = np.abs(position - np.maximum(recorded, 0.0))
-        worst = int(np.argmax(moved))
-        if moved[worst] > LARGEST_SETBACK:
-            raise LogError(
-                f"trip '{self.trip}' runs backwards by {2.0 * moved[worst]:.0f} m",
-                place=km_words(line, float(recorded[worst])),
-                remedy="cut it into trips of one direction (trainlog convert --from --to), or"
-                " ingest it again with its line: a counter that starts anew is repaired there",
-            )
-        notes = []
-        if moved[worst] > NOTED_SETBACK:
-            notes.append(
-                f"chainage set back at {km_words(line, float(recorded[worst]))}:"
-                f" moved by up to {moved[worst]:.1f} m"
-            )
-        beyond = float(position[-1] - line.length)
-        if beyond > STATION_REACH:
-            notes.append(
-                f"ends {beyond:.0f} m beyond the line's end: chainage or line may be wrong"
-            )
-        return position, notes
-
-    def without_spikes(self, line: Line) -> tuple[FloatArray, list[str]]:
-        """Chainage without samples far off their neighbours, and how many there were."""
-        recorded = self.values["position"]
-        run = cumulative_trapezoid(self.speed, self.time, initial=0.0)
-        offset = recorded - run
-        usual = median_filter(offset, SPIKE_SAMPLES, mode="reflect")
-        spikes = np.abs(offset - usual) > SPIKE
-        if not spikes.any():
-            return recorded, []
-        place = km_words(line, float(run[spikes][0] + usual[spikes][0]))
-        samples = counted(int(spikes.sum()), "sample")
-        note = f"chainage: {samples} far off left out, first at {place}"
-        return np.where(spikes, run + usual, recorded), [note]
 
     @cached_property
     def speed(self) -> FloatArray:
@@ -935,8 +889,9 @@ def _reduced(trip: Trip, line: Line, train: Train | None) -> DrivenTrip:
             f"trip '{trip.name}' has one sample with a chainage: that shows no motion",
             remedy="leave it out",
         )
-    recorded, spikes = table.without_spikes(line)
-    position, notes = table.chainage(recorded, line)
+    recorded, position, notes = one_way(
+        trip.name, line, table.time, table.speed, table.values["position"]
+    )
     stands = table.stands(position)
     first, last = 0, table.time.size - 1
     if stands and stands[0][0] == 0:
@@ -994,7 +949,7 @@ def _reduced(trip: Trip, line: Line, train: Train | None) -> DrivenTrip:
             if column in table.values and np.isfinite(table.values[column]).any()
         },
         gain=gain,
-        notes=(*table.notes, *spikes, *notes, *more),
+        notes=(*table.notes, *notes, *more),
     )
 
 

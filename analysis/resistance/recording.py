@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from analysis.view import TripView, with_chainage
+from analysis.view import TripView, one_way, with_chainage
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, IntArray, numbered
 from trainlog.errors import LogError, NotIdentifiableError
@@ -555,8 +555,18 @@ def scale_of(view: TripView) -> SpeedScale:
 
 def _scale(view: TripView) -> SpeedScale:
     state = view.located["/train/state"]
+    time = seconds(state)
     speed, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
-    return speed_scale(view.trip, seconds(state), speed, position)
+    known = np.isfinite(speed + position)
+    if known.sum() > 1:
+        line = view.line if LINE_ATTACHMENT in view.trip.attachments else None
+        try:
+            one_way(view.name, line, time[known], speed[known], position[known])
+        except LogError as error:
+            raise TripRefusedError(
+                "contradiction", error.problem, place=error.place, remedy=error.remedy
+            ) from error
+    return speed_scale(view.trip, time, speed, position)
 
 
 def speed_scale(
