@@ -27,8 +27,8 @@ REWARD = 2.5
 LOOK_BACK = 100
 """Fixes that may be left out between two of the chain."""
 
-FASTEST = 100.0
-"""No train gains more chainage than this [m/s]."""
+FASTEST = 110.0
+"""No train is faster than this [m/s]: fixes that are do not belong to one train."""
 
 TURN_SHARE, IDLE_SPEED = 0.3, 2.0
 """Without a speed the distance driven is that between the fixes with a standard deviation of this

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from estimators.matching import FASTEST
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import in_si, is_text, words_in
@@ -40,7 +41,6 @@ from trainlog.ingest.profile import Column, LoadColumn, TripColumns, WeatherColu
 from trainlog.ingest.proposal.layout import MOST, Clock, Layout, Reading
 from trainlog.ingest.proposal.motion import (
     AMBIGUOUS,
-    FASTEST,
     TOLERANCE,
     Answer,
     Position,

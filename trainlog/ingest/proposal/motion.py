@@ -330,9 +330,6 @@ SCALES: dict[str, tuple[dict[str, Any], float]] = {
 SWAPPED = 1.5
 """Cost of taking latitude for longitude against the columns' names."""
 
-FASTEST = 110.0
-"""Speed [m/s] beyond which fixes do not belong to one train."""
-
 
 class Position(NamedTuple):
     """Latitude and longitude as they are read.
