@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from contents import put
 
 import analysis
 import trainlog
+from trainlog.cli.options import FOLDERS, destination
 from trainlog.errors import InfeasibleError
 from trainlog.formats.railway import write_parameters
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
@@ -351,3 +353,13 @@ def test_slip_events_of_all_logs_are_tabled(tmp_path, shell):
     assert (found["peak"] < found["release"]).all()
     np.testing.assert_allclose(found["energy_J"], events["energy"], rtol=1e-6)
     np.testing.assert_allclose(found["creepage"], events["creepage"], rtol=1e-6)
+
+
+def test_folders_of_a_command_outlast_one_that_it_runs(tmp_path, shell):
+    with ExitStack() as outer:
+        outer.callback(FOLDERS.reset, FOLDERS.set(outer))
+        destination(tmp_path / "outer" / "fit.png", ".png")
+        shell("settings")
+        assert shell("report", sample("nonstop.mcap"), "-o", tmp_path / "inner" / "a.pdf")[0] == 2
+        assert [each.name for each in tmp_path.iterdir()] == ["outer"]
+    assert not list(tmp_path.iterdir())

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import sys
 import warnings
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -55,7 +56,10 @@ def _main(
 def run(arguments: list[str]) -> int:
     """Run one command in this process and return its exit status; errors are raised."""
     command = typer.main.get_command(app)
-    with FOLDERS:
+    with ExitStack() as folders:
+        # Of this command: one that runs another, as the demo does, keeps its own.
+        own = FOLDERS.set(folders)
+        folders.callback(FOLDERS.reset, own)
         status: int = command.main(arguments, prog_name="trainlog", standalone_mode=False) or 0
     return status
 

@@ -46,6 +46,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -102,7 +103,7 @@ class Written:
         return destination(Path(given), self.suffix, self.other)
 
 
-FOLDERS = ExitStack()
+FOLDERS: ContextVar[ExitStack] = ContextVar("FOLDERS")
 """Those of the files that a command writes; one that was made and stays empty goes at its end."""
 
 POSITIVE = COUNT.between(1.0)
@@ -639,7 +640,7 @@ def destination(path: Path, suffix: str, other: str = "") -> Path:
 
     if path.is_dir():
         raise InputError("is a folder", file=path, remedy="name a file in it")
-    FOLDERS.enter_context(output_folder(path.absolute().parent))
+    FOLDERS.get().enter_context(output_folder(path.absolute().parent))
     return path
 
 

@@ -333,7 +333,7 @@ def fingerprint(path: Path, given: Given) -> dict[str, Any] | None:
     InputError
         If the file cannot be read, or is of no known format.
     """
-    rules, carried, chosen = _chosen(path, given.profile, given.format)
+    _, rules, carried, chosen = _chosen(path, given.profile, given.format)
     if is_registered(chosen):
         return None
     carried |= attachments_of(given.line, given.train)
@@ -370,9 +370,7 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
         If it cannot be read as its format, or holds no recording.
     """
     source = Path(path)
-    if profile is None and format is None:
-        profile = own_profile(source)
-    rules, carried, chosen = _chosen(source, profile, format)
+    profile, rules, carried, chosen = _chosen(source, profile, format)
     with in_file(source):
         try:
             read = chosen.read(source, rules)
@@ -403,12 +401,13 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
 
 def _chosen(
     path: Path, profile: str | Path | Profile | None, format: str | None
-) -> tuple[Profile | None, dict[str, bytes], Format]:
-    """The profile, the attachment that carries it along, and the format of a file."""
+) -> tuple[str | Path | Profile | None, Profile | None, dict[str, bytes], Format]:
+    """The profile as given or the user's own, read, its attachment, and the format of a file."""
     if profile is None and format is None:
         profile = own_profile(path)
     rules, carried = profile_of(profile)
-    return rules, carried, format_of(path, format or (rules.file.format if rules else None))
+    chosen = format_of(path, format or (rules.file.format if rules else None))
+    return profile, rules, carried, chosen
 
 
 def _finished(source: _Source, job: _Job, given: Given) -> Trip:
