@@ -15,7 +15,9 @@ from pathlib import Path
 import pytest
 from killed import PATIENCE
 
+from trainlog.cli import terminal
 from trainlog.mcap import account_of
+from trainlog.progress import task
 
 fcntl = pytest.importorskip("fcntl", reason="pseudo-terminals are those of POSIX")
 import termios  # noqa: E402
@@ -110,3 +112,14 @@ def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path):
     assert re.search(r"\d:\d\d left", seen.words)
     # What stays on the screen is behind the last erased line.
     assert seen.text.rstrip().rsplit("\x1b[2K", 1)[-1].count("driving") == 0
+
+
+def test_progress_is_stated_in_lines_where_no_bar_can_be_drawn(monkeypatch, capsys):
+    monkeypatch.setattr(terminal, "SILENCE", 0.02)
+    with terminal.progress_shown(), task("driving", total=2, unit="trip") as step:
+        step(1, note="trip-01")
+        time.sleep(0.2)
+    said = capsys.readouterr().err.splitlines()
+    # After 0.02, 0.06 and 0.14 s.
+    assert 1 <= len(said) <= 3
+    assert re.fullmatch(r"driving: 1 of 2 trips .* left trip-01", said[0])

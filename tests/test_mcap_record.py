@@ -25,6 +25,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.mcap import OverloadWarning, Recording, read_log, write_log, writer
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
+from trainlog.units import lasted
 
 STATE, AXLES = TRAIN_STATE.name, TRAIN_AXLES.name
 
@@ -298,7 +299,7 @@ large = trainlog.Trip({"/train/state": trainlog.frame_of(TRAIN_STATE, np.arange(
 log = trainlog.record("log.mcap", flush=0.05)
 def record():
     for number in range(100_000):
-        log.write("/train/state", number * 50 + np.arange(50), speed=random.random(50))
+        log.write("/train/state", (number * 50 + np.arange(50)) * 10**8, speed=random.random(50))
 for limit, call in (
     (800_000, record),
     (800_000, log.close),
@@ -342,6 +343,8 @@ def test_a_full_disk_is_reported_and_what_was_written_stays(tmp_path):
         state = read_log(tmp_path / "log.mcap")[STATE]
     assert len(state) == int(count) > 0
     np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(len(state)))
+    kept = lasted(0.1 * (len(state) - 1))
+    assert f"file too large; the log up to there is whole: {kept}; write to a file" in recorded
 
 
 @pytest.mark.parametrize("seconds", [1_735_689_600, [1_735_689_600, 1_735_689_601]])

@@ -46,16 +46,30 @@ GRAVITY = 9.81
 
 
 def clock(seconds: float) -> str:
-    """A duration [s] as timetables show it: minutes and seconds, hours where there are any.
+    """A duration [s] as timetables show it: minutes and seconds, hours and days if there are any.
 
     Examples
     --------
-    >>> clock(754.0), clock(4000.0)
-    ('12:34 min', '1:06:40 h')
+    >>> clock(754.0), clock(4000.0), clock(100_000.0)
+    ('12:34 min', '1:06:40 h', '1 d 3:46:40 h')
     """
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
+    if not hours:
+        return f"{minutes}:{rest:02d} min"
+    days, hours = divmod(hours, 24)
+    return f"{days:,} d " * (days > 0) + f"{hours}:{minutes:02d}:{rest:02d} h"
+
+
+def lasted(seconds: float) -> str:
+    """How long a recording is [s]: as `clock`, below a minute to a tenth of a second.
+
+    Examples
+    --------
+    >>> lasted(42.31), lasted(754.0)
+    ('42.3 s', '12:34 min')
+    """
+    return f"{seconds:.1f} s" if seconds < 60.0 else clock(seconds)
 
 
 @cache

@@ -32,7 +32,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.processes import handled
 from trainlog.progress import task
-from trainlog.units import KMH, TIME
+from trainlog.units import KMH, TIME, lasted
 
 if TYPE_CHECKING:
     from trainlog.formats.sfera import SferaJourney
@@ -475,7 +475,7 @@ def _summary(
     ]
     if not state(found):
         console.print(
-            f"  {counted(live.lines, 'line')} in {seconds:.1f} s: {total:,} messages of"
+            f"  {counted(live.lines, 'line')} in {lasted(seconds)}: {total:,} messages of"
             f" {counted(len(account.written), 'topic')}, {live.progress.distance / 1e3:.3f} km"
         )
         for sentence in sentences:

@@ -6,7 +6,8 @@ with `print_error`. What becomes of it is decided here: without options it is sh
 with ``--quiet`` only errors are shown. Standard output holds results, standard error the rest.
 
 Computing states its progress by `trainlog.progress`; a bar of it is drawn on standard error, with
-what is done of how much, the rate and the remaining time, unless that is no terminal.
+what is done of how much, the rate and the remaining time. Where that is no terminal, a line states
+it now and then (`SILENCE`).
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ import math
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, is_dataclass
 from datetime import date, datetime, timedelta
 from pathlib import Path
@@ -29,7 +32,7 @@ from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
 from trainlog.processes import handled
 from trainlog.progress import Step, shown_by
-from trainlog.units import clock
+from trainlog.units import lasted
 
 if TYPE_CHECKING:
     from rich.progress import Progress, Task
@@ -265,11 +268,7 @@ def plain(value: Any) -> Any:
 
 def about(known: Mapping[str, str], duration: float | None) -> str:
     """One line on a trip: its metadata, and how long it was [s]."""
-    parts = []
-    if duration is not None:
-        parts = [
-            f"{clock(duration)} recorded" if duration >= 60.0 else f"{duration:.1f} s recorded"
-        ]
+    parts = [] if duration is None else [f"{lasted(duration)} recorded"]
     parts += [known.get("direction", "")]
     parts += [f"{known['weather']} rail"] if known.get("weather") else []
     parts += [f"load {float(known['load']) / 1e3:.1f} t"] if known.get("load") else []
@@ -356,7 +355,7 @@ class ProgressDisplay:
             self.resume()
         bar = self._progress
         number = None if bar is None else bar.add_task(name, total=total, unit=unit, note="")
-        state: dict[str, Any] = {"completed": 0.0, "total": total}
+        state: dict[str, Any] = {"completed": 0.0, "total": total, "note": ""}
         self._depth += 1
 
         def step(
@@ -368,8 +367,10 @@ class ProgressDisplay:
             if bar is not None and number is not None:
                 bar.update(number, **state)
 
+        lines = self._depth == 1 and not errors.is_terminal and not current().quiet
         try:
-            yield step
+            with _lines(name, unit, state) if lines else nullcontext():
+                yield step
         except BaseException:
             if self._depth == 1 and len(unit) > 1 and (state["total"] or 0.0) > 1.0:
                 done = amount(state["completed"], state["total"], unit)
@@ -394,6 +395,34 @@ class ProgressDisplay:
             # Both streams are one screen: what is printed as a result goes above the bars.
             if console.is_terminal:
                 console.push_render_hook(self._progress.live)
+
+
+SILENCE = 30.0
+"""Time [s] after which progress is stated in a line where no bar can be drawn; each further one
+comes after twice the time of the one before."""
+
+
+@contextmanager
+def _lines(name: str, unit: str, state: Mapping[str, Any]) -> Iterator[None]:
+    """State on standard error how far a task is, now and then."""
+    over, began = threading.Event(), time.monotonic()
+
+    def run() -> None:
+        silence = SILENCE
+        while not over.wait(silence):
+            silence *= 2.0
+            elapsed, total = time.monotonic() - began, state["total"]
+            done = min(elapsed, total or 0.0) if unit == "s" else state["completed"]
+            how = f"{amount(done, total, unit)} {pace(elapsed, done, total, unit)}"
+            errors.print(" ".join(f"{name}: {how} {state['note']}".split()), soft_wrap=True)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def _bars() -> Progress:

@@ -28,6 +28,7 @@ from trainlog.presentation import Presented, WordTable, facts_table, new_table
 from trainlog.railway.line import Line, in_km
 from trainlog.topics import EVENTS, RECORDED, TOPICS, TRAIN_STATE, column_field
 from trainlog.trip import LINE_ATTACHMENT
+from trainlog.units import lasted
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
@@ -510,7 +511,7 @@ def _overview(description: LogDescription) -> WordTable:
     first, last, account = description.first, description.last, description.account
     rows: dict[str, str] = {}
     if first is not None and last is not None:
-        duration = _duration((last - first).total_seconds())
+        duration = lasted((last - first).total_seconds())
         rows["time"] = f"{_time(first)} to {_time(last)} UTC ({duration})"
     if description.position_span is not None:
         start, end = description.position_span
@@ -601,11 +602,6 @@ def _time(time: pd.Timestamp) -> str:
 
 def _time_of_day(time: pd.Timestamp | None) -> str:
     return "" if time is None else f"{time:%H:%M:%S}"
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds, 1), 60)
-    return f"{minutes:.0f} min {rest:.1f} s" if minutes else f"{rest:.1f} s"
 
 
 def _number(value: float, unit: str) -> str:

@@ -46,6 +46,7 @@ from trainlog.mcap.writer import (
 )
 from trainlog.topics import EVENTS, RECORDED, Topic
 from trainlog.trip import Trip, frame_of
+from trainlog.units import NANOSECONDS, lasted
 from trainlog.version import __version__
 
 QUEUE = 2**26
@@ -190,6 +191,7 @@ class Recording:
         self._declared: dict[str, Topic] = {}
         self._tables: dict[str, Table] = {}
         self._written: Counter[str] = Counter()
+        self._first, self._last = _UNBOUNDED, 0
         self._notes: dict[str, str] = {}
         self._observers: list[Callable[[Trip], object]] = []
         events = self._table(EVENTS.name, {})
@@ -496,6 +498,10 @@ class Recording:
             self._sink.put_chunk(chunk, index, positions)
             with self._lock:
                 self._written.update({topics[each]: len(rows) for each, rows in index.items()})
+            for stream, rows, _ in parts:
+                if stream.channel.topic != EVENTS.name:
+                    self._first = min(self._first, int(stream.time[rows.start]))
+                    self._last = max(self._last, int(stream.time[rows.stop - 1]))
         if self._sync:
             os.fsync(self._file.fileno())
         here, there = os.fstat(self._file.fileno()), self._path.stat()
@@ -532,6 +538,10 @@ class Recording:
     def _fail(self, error: OSError) -> None:
         """End the recording because the file cannot be written; what is whole in it stays."""
         found = writing_error(self._path, error)
+        if self._last and error.errno != errno.ENOENT:
+            kept = lasted((self._last - self._first) / NANOSECONDS)
+            problem = f"{found.problem}; the log up to there is whole: {kept}"
+            found = InputError(problem, file=found.file, remedy=found.remedy)
         with self._lock:
             self._failure = found
 
