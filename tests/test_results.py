@@ -255,6 +255,22 @@ class Runs(Presented):
         return ("± is the 95 % band.",)
 
 
+@pytest.mark.parametrize("width", [110, 120, 130])
+def test_short_cells_are_whole_where_columns_that_stand_closer_have_space(width):
+    heads = ("key", "trip", "train", "line", "start", "time", "km", "weather", "load, t")
+    table = new_table("Trips", *(Column(head) for head in heads))
+    table.add_row(
+        "2999b8a2", "flirt-01-2026-11-20-0614", "flirt-01", "Weissegg - Buchburg",
+        "2026-11-20 06:14 UTC", "21:58 min", "0.0 to 29.6", "frost", "11.4",
+    )  # fmt: skip
+    console = Console(file=io.StringIO(), width=width)
+    console.print(table)
+    said = console.file.getvalue()
+    assert "0.0 to 29.6" in said
+    assert all(word in said for word in ("2999b8a2", "flirt-01-2026-11-20-0614"))
+    assert max(map(len, said.splitlines())) <= width
+
+
 def runs() -> Runs:
     adhesion = Ends(0.15, 0.1, 0.2)
     first = Run("train 0", 20.0, None, adhesion)

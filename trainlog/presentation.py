@@ -37,8 +37,9 @@ Row = TypeVar("Row")
 MOST_ROWS = 60
 """Of a table in a notebook."""
 
-PADDING = 3
-"""Letters that each column of a table in a terminal takes beside its cells."""
+PADDING, CLOSE = 3, 2
+"""Letters that each column of a table in a terminal takes beside its cells, and where that breaks
+short cells."""
 
 LONGEST_WORD = 32
 """Letters of a word that is never broken: longer ones are checksums and paths."""
@@ -431,10 +432,12 @@ class WordTable:
         self._cut(least, kept, over, SHORTEST_NAME)
         if not self.plain:
             rows = [[_shortened(cell, least[n]) for n, cell in enumerate(row)] for row in rows]
-        widths = self._widths(
+        widths, close = self._widths(
             [heads[n] for n in kept], [[row[n] for n in kept] for row in rows], width
         )
-        table = Table(box=SIMPLE_HEAD, show_header=self.show_header)
+        table = Table(
+            box=SIMPLE_HEAD, show_header=self.show_header, padding=(0, 1, 0, int(not close))
+        )
 
         def literal(words: str, style: str = "") -> Text:
             """Words of files, in which brackets and colons mean themselves."""
@@ -477,8 +480,10 @@ class WordTable:
         longest = max((cell_len(word) for text in texts for word in text.split()), default=0)
         return min(longest, LONGEST_WORD) if self.plain else longest
 
-    def _widths(self, heads: list[str], rows: list[list[str]], width: int) -> list[int | None]:
-        """Of each column; None where all that it asks for is there."""
+    def _widths(
+        self, heads: list[str], rows: list[list[str]], width: int
+    ) -> tuple[list[int | None], bool]:
+        """Of each column, None where all that it asks for is there; whether they stand closer."""
         columns = [[row[n] for row in rows] for n in range(len(heads))]
         words = [self._longest([head, *cells]) for head, cells in zip(heads, columns, strict=True)]
         whole = [
@@ -486,21 +491,31 @@ class WordTable:
             for word, cells in zip(words, columns, strict=True)
         ]
         wishes = [max(_longest_line(head), row) for head, row in zip(heads, whole, strict=True)]
-        space = width - PADDING * len(heads) - 1
         lines = [[len(line) for cell in cells for line in cell.split("\n")] for cells in columns]
         short = [
             max([word, *(length for length in each if length <= SHORT)])
             for word, each in zip(words, lines, strict=True)
         ]
-        leasts = (whole, [*whole[:1], *short[1:]], short, [*whole[:1], *words[1:]], words)
+        space = width - PADDING * len(heads) - 1
+        if sum(wishes) <= space:
+            return [None] * len(heads), False
+        leasts = [whole, [*whole[:1], *short[1:]], short]
         least = next((each for each in leasts if sum(each) <= space), None)
-        if least is None or sum(wishes) <= space:
-            return [None] * len(heads)
+        if close := least is None:
+            space = width - CLOSE * len(heads) - 1
+            leasts = [*leasts[1:], [*whole[:1], *words[1:]], words]
+            least = next((each for each in leasts if sum(each) <= space), None)
+        if least is None:
+            return [None] * len(heads), close
+        # Of short cells those that would be broken most are whole first.
+        for n in sorted(range(len(heads)), key=lambda n: words[n] - short[n]):
+            if short[n] - least[n] <= space - sum(least):
+                least = [*least[:n], max(short[n], least[n]), *least[n + 1 :]]
         more, spare = sum(wishes) - sum(least), space - sum(least)
         return [
-            given + spare * (wish - given) // more
+            given + spare * (wish - given) // max(more, 1)
             for given, wish in zip(least, wishes, strict=True)
-        ]
+        ], close
 
     def _repr_html_(self) -> str:
         """The table as HTML, as a notebook shows it."""
