@@ -108,6 +108,39 @@ class PlantParameters(NamedTuple):
 CONSTANTS = len(PlantParameters._fields)
 
 
+class Step(NamedTuple):
+    """What holds throughout a step of integration.
+
+    Attributes
+    ----------
+    command : (n,) array [N]
+        Effort asked of each axle.
+    friction_demand : float [N]
+    track, rail : arrays
+        Rows of the tables under the train.
+    curve : array
+        Row of the characteristic's table; empty: the row of the rail is the curve.
+    loads : (n,) array [N]
+        Of the axles, each times its adhesion.
+    pieces : (4, n) array
+        See `find_pieces`.
+    end, at : arrays
+        States, as scratch: the end of a Runge-Kutta step is left in `end`.
+    p : PlantParameters
+    """
+
+    command: FloatArray
+    friction_demand: float
+    track: FloatArray
+    rail: FloatArray
+    curve: FloatArray
+    loads: FloatArray
+    pieces: FloatArray
+    end: FloatArray
+    at: FloatArray
+    p: PlantParameters
+
+
 CURVE = ("speed", "unit", "stiffness")
 """Where a row of the table of a characteristic begins: train speed [m/s], slip speed of a slip of 1
 [m/s] at it, and greatest change of the relative adhesion with slip. The relative adhesions follow,
@@ -224,102 +257,64 @@ def holding_effort(
 
 
 @njit(cache=True, error_model="numpy")
-def held_back(
-    y: FloatArray,
-    v: float,
-    command: FloatArray,
-    track: FloatArray,
-    rail: FloatArray,
-    p: PlantParameters,
-) -> tuple[float, float, float]:
+def held_back(y: FloatArray, v: float, now: Step) -> tuple[float, float, float]:
     """Running resistance, force along the track and friction braking effort on the train [N]."""
+    p, track, rail = now.p, now.track, now.rail
     resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
     within = y[0] - track[0]
     curves = curve_resistance(track[2] + track[3] * within, track[6], track[7])
     along = p.mass * GRAVITY * (track[1] + track[5] * within + curves)
-    friction = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], command, rail, p)
+    friction = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], now.command, rail, p)
     return resistance, along, friction
 
 
 @njit(cache=True, error_model="numpy")
-def net_force(
-    y: FloatArray,
-    command: FloatArray,
-    track: FloatArray,
-    rail: FloatArray,
-    curve: FloatArray,
-    weights: FloatArray,
-    p: PlantParameters,
-) -> float:
-    """Net force on a train that moves or is about to [N]; rows of the tables under it."""
-    pull, v = 0.0, y[1]
-    for i in range(command.size):
-        pull += adhesion(y[3 + i] - v, rail, curve) * weights[i]
-    resistance, along, friction = held_back(y, v, command, track, rail, p)
+def net_force(y: FloatArray, now: Step) -> float:
+    """Net force on a train that moves or is about to [N]."""
+    pull, v, rail, curve, loads = 0.0, y[1], now.rail, now.curve, now.loads
+    for i in range(loads.size):
+        pull += adhesion(y[3 + i] - v, rail, curve) * loads[i]
+    resistance, along, friction = held_back(y, v, now)
     return pull - resistance - along - friction
 
 
 @njit(cache=True, error_model="numpy")
-def shift_loads(
-    y: FloatArray,
-    command: FloatArray,
-    track: FloatArray,
-    rail: FloatArray,
-    curve: FloatArray,
-    weights: FloatArray,
-    transfer: FloatArray,
-    loads: FloatArray,
-    p: PlantParameters,
-) -> None:
+def shift_loads(y: FloatArray, now: Step, weights: FloatArray, transfer: FloatArray) -> None:
     """Loads of the axles under their present forces [N], times the adhesion of each.
 
     The forces are those of the loads a step before: the suspension needs longer than that.
     """
-    n = command.size
+    n, loads, track = weights.size, now.loads, now.track
     forces, total = np.empty(n), 0.0
     for i in range(n):
-        forces[i] = adhesion(y[3 + i] - y[1], rail, curve) * loads[i]
+        forces[i] = adhesion(y[3 + i] - y[1], now.rail, now.curve) * loads[i]
         total += forces[i]
-    resistance, along, friction = held_back(y, y[1], command, track, rail, p)
+    resistance, along, friction = held_back(y, y[1], now)
     net = total - resistance - along - friction
     # At rest the brakes hold what is left over.
-    acceleration = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
+    acceleration = net / now.p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
     specific = acceleration + GRAVITY * (track[1] + track[5] * (y[0] - track[0]))
     for i in range(n):
         change = transfer[i, n] * specific
         for j in range(n):
             change += transfer[i, j] * forces[j]
-        share = 1.0 + change / p.axle_weight
+        share = 1.0 + change / now.p.axle_weight
         loads[i] = weights[i] * max(share, LEAST_LOAD)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def stage(
-    y: FloatArray,
-    at: FloatArray,
-    end: FloatArray,
-    share: float,
-    reach: float,
-    command: FloatArray,
-    friction_demand: float,
-    track: FloatArray,
-    rail: FloatArray,
-    curve: FloatArray,
-    moving: bool,
-    weights: FloatArray,
-    pieces: FloatArray,
-    p: PlantParameters,
-) -> None:
-    """One stage of Runge-Kutta: the right-hand side at `at`, used as it is found.
+def stage(y: FloatArray, share: float, reach: float, moving: bool, now: Step) -> None:
+    """One stage of Runge-Kutta: the right-hand side at `now.at`, used as it is found.
 
-    `end` gains `share` times it, and `at` becomes `y` and `reach` times it; the works of `at` are
-    left alone, as nothing depends on them. Unless `moving`, the brakes and the resistances hold the
-    train where it stands.
+    `now.end` gains `share` times it, and `now.at` becomes `y` and `reach` times it; the works of
+    `now.at` are left alone, as nothing depends on them. Unless `moving`, the brakes and the
+    resistances hold the train where it stands.
     """
-    n = command.size
+    command, friction_demand, _, rail, curve, loads, pieces, end, at, p = now
+    n = loads.size
     v = at[1] if moving else 0.0
     works = 3 + 2 * n
-    resistance, along, friction = held_back(at, v, command, track, rail, p)
+    resistance, along, friction = held_back(at, v, now)
     pull = 0.0
     traction = 0.0
     braking = 0.0
@@ -328,7 +323,7 @@ def stage(
         wheel = at[3 + i]
         lagged = at[3 + n + i]
         effort = motor_effort(lagged, wheel, pieces, i, p)
-        contact = adhesion(wheel - v, rail, curve) * weights[i]
+        contact = adhesion(wheel - v, rail, curve) * loads[i]
         change = (effort - contact) / p.axle_inertia
         end[3 + i] += share * change
         at[3 + i] = y[3 + i] + reach * change
@@ -358,31 +353,15 @@ def stage(
 
 
 @njit(cache=True, error_model="numpy")
-def runge_kutta(
-    y: FloatArray,
-    h: float,
-    command: FloatArray,
-    friction_demand: float,
-    track: FloatArray,
-    rail: FloatArray,
-    curve: FloatArray,
-    moving: bool,
-    weights: FloatArray,
-    pieces: FloatArray,
-    p: PlantParameters,
-    end: FloatArray,
-    at: FloatArray,
-) -> None:
-    """One classical Runge-Kutta step of `h` [s] from `y` into `end`; `at` is scratch."""
+def runge_kutta(y: FloatArray, h: float, moving: bool, now: Step) -> None:
+    """One classical Runge-Kutta step of `h` [s] from `y` into `now.end`."""
+    end, at = now.end, now.at
     for j in range(y.size):
         end[j] = at[j] = y[j]
     for k in range(4):
         share = h / 6.0 if k in (0, 3) else h / 3.0
         reach = h if k == 2 else 0.5 * h
-        stage(
-            y, at, end, share, reach, command, friction_demand, track, rail, curve, moving,
-            weights, pieces, p,
-        )  # fmt: skip
+        stage(y, share, reach, moving, now)
 
 
 @njit(cache=True, error_model="numpy")
@@ -444,68 +423,34 @@ def dynamic_limit(speed: float, curve: FloatArray, p: PlantParameters) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def move(
-    y: FloatArray,
-    step: float,
-    command: FloatArray,
-    friction_demand: float,
-    track: FloatArray,
-    rail: FloatArray,
-    curve: FloatArray,
-    weights: FloatArray,
-    pieces: FloatArray,
-    p: PlantParameters,
-    end: FloatArray,
-    at: FloatArray,
-) -> None:
+def move(y: FloatArray, step: float, now: Step) -> None:
     """Advance the state by `step` [s], in place; a train that comes to rest stays at rest."""
-    moving = y[1] > 0.0 or net_force(y, command, track, rail, curve, weights, p) > 0.0
-    runge_kutta(
-        y, step, command, friction_demand, track, rail, curve, moving, weights, pieces, p, end, at
-    )
+    end = now.end
+    moving = y[1] > 0.0 or net_force(y, now) > 0.0
+    runge_kutta(y, step, moving, now)
     if moving and end[1] <= 0.0:
         if y[1] <= 0.0:
             # Not the literal False: numba would compile the step once more for it.
-            still = not moving
-            runge_kutta(
-                y, step, command, friction_demand, track, rail, curve, still, weights, pieces, p,
-                end, at,
-            )  # fmt: skip
+            runge_kutta(y, step, not moving, now)
         else:
-            stop(y, step, command, friction_demand, track, rail, curve, weights, pieces, p, end, at)
+            stop(y, step, now)
     for j in range(y.size):
         y[j] = end[j]
 
 
 @njit(cache=True, error_model="numpy")
-def stop(
-    y: FloatArray,
-    step: float,
-    command: FloatArray,
-    friction_demand: float,
-    track: FloatArray,
-    rail: FloatArray,
-    curve: FloatArray,
-    weights: FloatArray,
-    pieces: FloatArray,
-    p: PlantParameters,
-    end: FloatArray,
-    at: FloatArray,
-) -> None:
+def stop(y: FloatArray, step: float, now: Step) -> None:
     """A step within which the train stops: find the instant (secant), then hold the train there.
 
-    `end` holds the end of the whole step with the train moving, and is overwritten.
+    `now.end` holds the end of the whole step with the train moving, and is overwritten.
     """
-    moving = y[1] > 0.0
+    end, moving = now.end, y[1] > 0.0
     before, after = 0.0, step
     v_before, v_after = y[1], end[1]
     instant = after
     for _ in range(40):
         instant = before + (after - before) * v_before / (v_before - v_after)
-        runge_kutta(
-            y, instant, command, friction_demand, track, rail, curve, moving, weights, pieces, p,
-            end, at,
-        )  # fmt: skip
+        runge_kutta(y, instant, moving, now)
         if abs(end[1]) < 1e-13:
             break
         if end[1] > 0.0:
@@ -515,41 +460,27 @@ def stop(
     for j in range(y.size):
         y[j] = end[j]
     y[1] = 0.0
-    rest, still = step - instant, not moving
-    runge_kutta(
-        y, rest, command, friction_demand, track, rail, curve, still, weights, pieces, p, end, at
-    )
+    runge_kutta(y, step - instant, not moving, now)
 
 
 @njit(cache=True, error_model="numpy")
-def sample(
-    y: FloatArray,
-    out: FloatArray,
-    command: FloatArray,
-    track: FloatArray,
-    rail: FloatArray,
-    curve: FloatArray,
-    weights: FloatArray,
-    modes: IntArray,
-    pieces: FloatArray,
-    p: PlantParameters,
-) -> None:
+def sample(y: FloatArray, out: FloatArray, modes: IntArray, now: Step) -> None:
     """Write what `SAMPLE` lists, then wheel speeds and wheel efforts, into `out`."""
-    n = command.size
-    net = net_force(y, command, track, rail, curve, weights, p)
+    p, rail, n = now.p, now.rail, now.loads.size
+    net = net_force(y, now)
     out[0] = y[0]
     out[1] = y[1]
     out[2] = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
     out[3] = out[4] = 0.0
     for i in range(n):
-        effort = motor_effort(y[3 + n + i], y[3 + i], pieces, i, p)
+        effort = motor_effort(y[3 + n + i], y[3 + i], now.pieces, i, p)
         if effort > 0.0:
             out[3] += effort
         else:
             out[4] -= effort
         out[10 + i] = y[3 + i]
         out[10 + n + i] = effort + 0.0  # no negative zero
-    out[5] = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], command, rail, p)
+    out[5] = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], now.command, rail, p)
     out[6] = p.r0 + (p.r1 + p.r2 * y[1]) * y[1] if y[1] > 0.0 else 0.0
     out[7] = rail[1]
     out[8] = y[3 + 2 * n]
@@ -666,11 +597,11 @@ def advance(
             delay[head] = friction_demand
             places[2] = (head + 1) % delay.size
             friction_demand = delayed
+        now = Step(command, friction_demand, track, rail, curve, loads, pieces, end, at, p)
         for _ in range(SETTLING if k == 0 else 1):
             if transfer.shape[0] > 0:
-                shift_loads(y, command, track, rail, curve, weights, transfer, loads, p)
+                shift_loads(y, now, weights, transfer)
         if k % every == 0:
-            row = out[k // every]
-            sample(y, row, command, track, rail, curve, loads, places[3:], pieces, p)
+            sample(y, out[k // every], places[3:], now)
         for _ in range(parts):
-            move(y, part, command, friction_demand, track, rail, curve, loads, pieces, p, end, at)
+            move(y, part, now)
