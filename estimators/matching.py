@@ -13,6 +13,7 @@ the distance along the road against that between the fixes, where no speed was m
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -53,8 +54,7 @@ ALONG, REVERSED, ABSENT = 0, 1, 2
 """How a fix of the chain is reached from the one before it."""
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeGraph:
+class EdgeGraph(NamedTuple):
     """Edges by number, and where a train passes from one to another.
 
     Each edge `e` is travelled two ways: as course ``2 e`` along its chainage, as course ``2 e + 1``
@@ -71,8 +71,7 @@ class EdgeGraph:
     turns: IntArray
 
 
-@dataclass(frozen=True, eq=False)
-class Between:
+class Between(NamedTuple):
     """Shortest distances between courses.
 
     Attributes
@@ -128,8 +127,7 @@ def distances(graph: EdgeGraph, edges: IntArray, without: int = -1) -> Between:
     return Between(row, np.ascontiguousarray(found[:, :count]), before[:, :count])
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeNodes:
+class EdgeNodes(NamedTuple):
     """Fixes that may be in the chain, and their candidates on the edges.
 
     Attributes
@@ -195,8 +193,7 @@ class Chain:
     without: BoolArray
 
 
-@dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeftOut(NamedTuple):
     """A course that a chain may not use between two times [s], both included."""
 
     course: int
@@ -251,15 +248,8 @@ def best_chain(
     >>> chain.course
     array([0, 0, 4, 4])
     """
-    n = nodes
-    away = np.cumsum(np.diff(n.first) == 0).astype(np.int64)
-    other = left_out or LeftOut(-1, np.inf, -np.inf, between)
-    worth, before, link = _viterbi(
-        n.seconds, n.east, n.north, n.std, n.driven, n.driven_variance,
-        np.cumsum(n.stood).astype(np.int64), away, n.first, n.edge, n.chainage, n.distance,
-        graph.lengths, between.row, between.distance, other.between.row, other.between.distance,
-        other.course, other.begin, other.end, absence, reward,
-    )  # fmt: skip
+    n, other = nodes, left_out or LeftOut(-1, np.inf, -np.inf, between)
+    worth, before, link = _viterbi(graph.lengths, n, between, other, absence, reward)
     owner = np.repeat(np.arange(n.seconds.size), np.diff(n.first))
     states = list[int]()
     at = int(np.argmax(worth)) if worth.size else -1
@@ -279,29 +269,20 @@ def best_chain(
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _viterbi(
-    seconds: FloatArray,
-    east: FloatArray,
-    north: FloatArray,
-    std: FloatArray,
-    driven: FloatArray,
-    driven_variance: FloatArray,
-    stood: IntArray,
-    away: IntArray,
-    first: IntArray,
-    edge: IntArray,
-    chainage: FloatArray,
-    distance: FloatArray,
     lengths: FloatArray,
-    row: IntArray,
-    ahead: FloatArray,
-    other_row: IntArray,
-    other_ahead: FloatArray,
-    left_out: int,
-    begin: float,
-    end: float,
+    nodes: EdgeNodes,
+    between: Between,
+    other: LeftOut,
     absence: float,
     reward: float,
 ) -> tuple[FloatArray, IntArray, IntArray]:
+    seconds, east, north, std, driven, driven_variance, stands, first, edge, chainage, distance = (
+        nodes
+    )
+    row, ahead, _ = between
+    left_out, begin, end, (other_row, other_ahead, _) = other
+    stood = np.cumsum(stands.astype(np.int64))
+    away = np.cumsum((np.diff(first) == 0).astype(np.int64))
     worth = np.full(2 * chainage.size, -np.inf)
     before = np.full(2 * chainage.size, -1, dtype=np.int64)
     link = np.zeros(2 * chainage.size, dtype=np.int64)

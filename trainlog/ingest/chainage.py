@@ -454,7 +454,7 @@ class OnLine:
         found = places.owner, one, places.chainage, places.distance
         nodes = edge_nodes(edges, fixes, chosen, std[chosen], driven, found)
         # On a line the train does not turn round.
-        nodes = replace(nodes, stood=np.zeros(chosen.size, dtype=np.bool_))
+        nodes = nodes._replace(stood=np.zeros(chosen.size, dtype=np.bool_))
         between = distances(graph, np.zeros(1, dtype=np.int64))
         chain, back = (
             best_chain(graph, nodes, between, only, absence=np.inf)
