@@ -15,6 +15,7 @@ from satellite_trips import winding
 from scipy.integrate import cumulative_trapezoid
 from simulated_line import flirt, hilly_line
 
+import trainlog
 from trainlog import (
     InputError,
     Trip,
@@ -133,6 +134,30 @@ def test_a_stated_direction_that_the_fixes_contradict_is_refused(driven, tmp_pat
     if other == "forward":
         with pytest.raises(InputError, match="against the direction of travel"):
             ingest(path, profile(repair={"direction": False}), line=LINE)
+
+
+def test_trips_in_both_directions_in_one_file_need_no_direction(tmp_path):
+    ways = [
+        simulate(replace(draw_scenarios(LINE, TRAIN, 1, 4)[0], direction=way))
+        for way in ("forward", "reverse")
+    ]
+    tables = [pd.read_csv(recorded(each, tmp_path), parse_dates=["t"]) for each in ways]
+    tables[1]["t"] += tables[0]["t"].iloc[-1] - tables[1]["t"].iloc[0] + pd.Timedelta("2min")
+    path = tmp_path / "both.csv"
+    table = pd.concat(tables).drop(columns="s")
+    table.assign(t=table["t"].dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")).to_csv(path, index=False)
+    columns = {name: column for name, column in COLUMNS.items() if name != POSITION}
+    parted = plain_profile(columns=columns, limits={"pause": 60.0})
+    ingest_all(path, tmp_path / "cut", profile=parted, line=LINE)
+    directions = [
+        trainlog.read(log).metadata["direction"] for log in sorted((tmp_path / "cut").iterdir())
+    ]
+    assert directions == ["forward", "reverse"]
+    stated = ingest_all(path, tmp_path / "stated", profile=parted, line=LINE, direction="reverse")
+    assert len(list((tmp_path / "stated").iterdir())) == 1
+    assert "the fixes of each trip give it" in str(stated)
+    said = "a log that runs in both directions is two trips: cut it by pause under"
+    refused(InputError, said, ingest, path, plain_profile(columns=columns), line=LINE)
 
 
 def test_a_load_may_be_given_in_tonnes():

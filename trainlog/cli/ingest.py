@@ -96,7 +96,8 @@ def ingest(
     train : FILE
         Train of the trip, if known.
     reverse
-        The trip ran against the line's chainage.
+        All trips ran against the line's chainage; default: by the fixes of each, else by its stops
+        and gradients.
     set_ : KEY=VALUE
         Facts that the file does not state, for all its trips: weather=wet, load=12000 (kg) or 12t,
         start_position=0.2km, or =stations: by the stops.

@@ -133,6 +133,10 @@ CLOCKS = 1.0
 """Time [s] by which odometer and receiver may be apart."""
 
 
+TWO_TRIPS = "a log that runs in both directions is two trips: cut it by pause under [limits]"
+"""Said of one whose fixes turn back."""
+
+
 class AgainstLineError(InputError):
     """The fixes run against the direction of travel."""
 
@@ -466,9 +470,9 @@ class OnLine:
             raise AgainstLineError(
                 f"the fixes run from km {near[0]:.3f} to km {near[1]:.3f},"
                 " against the direction of travel",
-                remedy="correct the direction: 'reverse' instead of 'forward', or vice versa; it is"
-                " given by --reverse, direction= in Python, or direction under [trip] of the"
-                " profile",
+                remedy="correct the direction, 'reverse' instead of 'forward' or vice versa, or leave"
+                " it out (--reverse, direction= in Python, direction under [trip] of the profile):"
+                " the fixes of each trip give it",
             )
         if not chain.node.size:
             raise InputError(
@@ -482,8 +486,7 @@ class OnLine:
             raise InputError(
                 f"only {chain.node.size / near_line:.0%} of the fixes near the line follow it in"
                 " one direction",
-                remedy="give the line that was driven; a log that runs in both directions is two"
-                " trips",
+                remedy=f"give the line that was driven; {TWO_TRIPS}",
             )
         chainage = np.full(self.points.size, np.nan)
         chainage[chosen[chain.node]] = nodes.chainage[chain.candidate]

@@ -18,7 +18,13 @@ from trainlog.errors import InputError, TrainlogError, in_file
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.identity import source_of
-from trainlog.ingest.chainage import AgainstLineError, Estimate, estimated_state, position_offset
+from trainlog.ingest.chainage import (
+    TWO_TRIPS,
+    AgainstLineError,
+    Estimate,
+    estimated_state,
+    position_offset,
+)
 from trainlog.ingest.matching import placed
 from trainlog.ingest.motion import (
     FAR,
@@ -626,7 +632,7 @@ def _estimated(
     except AgainstLineError as error:
         raise InputError(
             "the fixes run along the line in both directions",
-            remedy="a log that runs in both directions is two trips",
+            remedy=TWO_TRIPS,
         ) from error
     found = Finding(
         "direction", 1, (), "", "'reverse': the fixes run so, and no direction is given"
