@@ -640,7 +640,8 @@ def destination(path: Path, suffix: str, other: str = "") -> Path:
 
     if path.is_dir():
         raise InputError("is a folder", file=path, remedy="name a file in it")
-    FOLDERS.get().enter_context(output_folder(path.absolute().parent))
+    if (folders := FOLDERS.get(None)) is not None:  # none where a command is read but not run
+        folders.enter_context(output_folder(path.absolute().parent))
     return path
 
 

@@ -470,9 +470,9 @@ class OnLine:
             raise AgainstLineError(
                 f"the fixes run from km {near[0]:.3f} to km {near[1]:.3f},"
                 " against the direction of travel",
-                remedy="correct the direction, 'reverse' instead of 'forward' or vice versa, or leave"
-                " it out (--reverse, direction= in Python, direction under [trip] of the profile):"
-                " the fixes of each trip give it",
+                remedy="correct the direction, 'reverse' instead of 'forward' or vice versa, or"
+                " leave it out (--reverse, direction= in Python, direction under [trip] of the"
+                " profile): the fixes of each trip give it",
             )
         if not chain.node.size:
             raise InputError(
