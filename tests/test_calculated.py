@@ -171,6 +171,7 @@ def test_efforts_that_are_missing_everywhere_explain_nothing():
     found = calculate(driven().with_topic(controls), TRAIN)
     assert (found.explained, found.residual) == ({}, 0.0)
     assert found.plot().axes
+    assert found.summary()["tractive work"] == "not determined"
 
 
 def test_brakes_that_are_not_recorded_are_no_error_of_the_model():
@@ -356,6 +357,12 @@ def test_what_a_model_does_not_determine_is_said_so():
     vague = replace(found, table=table)._repr_html_()
     assert "not determined" in vague
     assert f"does not determine the running time of {first}" in vague
+    assert replace(found, table=table).summary()["running time"] == "not determined"
+    stopping = calculate(sample("stopping.mcap"), TRAIN)
+    table = stopping.table.copy()
+    table["time_determined"] = table.index != table.index[0]
+    part = replace(stopping, table=table).summary()["running time"]
+    assert part.endswith(f" s measured on {len(table) - 1} of {len(table)} sections")
     # A resistance ten times the train's stops it before the section ends.
     own = TRAIN.resistance
     heavy = replace(TRAIN, resistance=RunningResistance(12 * own.r0, 12 * own.r1, 12 * own.r2))

@@ -867,16 +867,24 @@ class Calculation(Presented):
 
     def summary(self) -> dict[str, str]:
         """Work and time, calculated and measured."""
-        rows = {}
+        rows, table = {}, self.table
+
+        def stated(words: str, known: pd.Series) -> str:
+            number, of = int(known.sum()), len(known)
+            words += f" on {number} of {of} sections" * (number < of)
+            return words if number else "not determined"
+
         # What a trip has in common errs alike in all sections.
         total, std = self.total("calculated_work"), self.total("work_std")
-        rows["tractive work"] = f"{total / JOULES_PER_KWH:.1f} ± {1.96 * std / JOULES_PER_KWH:.1f}"
-        rows["tractive work"] += " kWh calculated"
+        work = f"{total / JOULES_PER_KWH:.1f} ± {1.96 * std / JOULES_PER_KWH:.1f} kWh calculated"
         if self.inputs.efforts:
-            rows["tractive work"] += f", {self.total('work') / JOULES_PER_KWH:.1f} kWh measured"
-            sure = self.table[self.table["time_determined"]]
+            work += f", {self.total('work') / JOULES_PER_KWH:.1f} kWh measured"
+        rows["tractive work"] = stated(work, table["work_std"].notna())
+        if self.inputs.efforts:
+            sure = table[table["time_determined"]]
             times = float(sure["calculated_time"].sum()), float(sure["time"].sum())
-            rows["running time"] = f"{times[0]:.0f} s calculated, {times[1]:.0f} s measured"
+            time = f"{times[0]:.0f} s calculated, {times[1]:.0f} s measured"
+            rows["running time"] = stated(time, table["time_determined"])
             shares = sorted(self.explained.items(), key=lambda item: -item[1])
             rows["residuals"] = ", ".join(f"{name} {share:.0%}" for name, share in shares[:4])
         rows["wind"] = self.wind_words
