@@ -61,6 +61,20 @@ def trip_page(tmp_path_factory: pytest.TempPathFactory) -> str:
     return (folder / "run.html").read_text("utf-8")
 
 
+@pytest.mark.parametrize(
+    ("moment", "times"),
+    [
+        ("2026-10-25T00:59:59.6Z", ["02:00:00", "03:00:00"]),
+        ("2026-03-29T00:59:59.6Z", ["03:00:00", "04:00:00"]),
+    ],
+)
+def test_times_are_stated_while_clocks_are_set(moment, times):
+    moments = pd.DatetimeIndex([moment, pd.Timestamp(moment) + pd.Timedelta("1h")])
+    zone = Zone("Europe/Zurich")
+    assert zone.times(moments) == [zone.time(each) for each in moments] == times
+    assert zone.date(moments[0]) == f"{moment[:10]} {times[0]}"
+
+
 def test_a_page_refers_to_nothing_outside_and_names_from_a_log_stay_text(trip_page):
     outline = Outline(trip_page)
     tags = [tag for tag, _ in outline.tags]

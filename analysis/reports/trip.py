@@ -73,18 +73,19 @@ class Zone:
         >>> Zone("Europe/Zurich").time(pd.Timestamp("2024-10-07T06:00:16.7Z"))
         '08:00:17'
         """
-        return f"{self._local(moment).round('s'):%H:%M:%S}"
+        return f"{self._local(moment):%H:%M:%S}"
 
     def date(self, moment: pd.Timestamp) -> str:
         """Day and time of day, to the second."""
-        return f"{self._local(moment).round('s'):%Y-%m-%d %H:%M:%S}"
+        return f"{self._local(moment):%Y-%m-%d %H:%M:%S}"
 
     def times(self, moments: pd.DatetimeIndex) -> list[str]:
         """The times of day of many moments."""
-        return [f"{each:%H:%M:%S}" for each in moments.tz_convert(self.name).round("s")]
+        # Local times come twice, or never, where clocks are set: round before.
+        return [f"{each:%H:%M:%S}" for each in moments.round("s").tz_convert(self.name)]
 
     def _local(self, moment: pd.Timestamp) -> pd.Timestamp:
-        return moment.tz_convert(self.name)
+        return moment.round("s").tz_convert(self.name)
 
 
 def known_zone(name: str) -> Zone:
