@@ -617,7 +617,9 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
         _draw_legend(axes, panel, share, known, chart.second is None)
     last: Axes = places[-1]
     last.set_xlabel(chart.x, color=INK)
-    last.set_xlim(*chart.ends)
+    # Of equal scales the limits give way, or the frame where the data's are fixed.
+    fixed = chart.span is not None or chart.panels[-1].limits is not None
+    last.set_xlim(*chart.ends, auto=chart.equal and not fixed)
     if not chart.x and all(panel.bare for panel in chart.panels):
         last.xaxis.set_visible(False)
         last.spines["bottom"].set_visible(False)
@@ -638,8 +640,6 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
         scale.tick_params(labelsize=8, colors=GREY)
         scale.spines["top"].set_color(GREY)
     if chart.equal:
-        # Where the data's limits are fixed, it is the frame that is adjusted.
-        fixed = chart.span is not None or chart.panels[-1].limits is not None
         last.set_aspect("equal", adjustable="box" if fixed else "datalim")
     figure.align_ylabels(places)
 

@@ -12,6 +12,7 @@ from refusals import refused
 from satellite_trips import Receiver, curve_of, drive, errors, winding
 
 from analysis import TripRefusedError, coast_down, fit_trip, geometry_of, line_of
+from analysis.charts import draw
 from analysis.geometry.centre_line import CentreLine
 from estimators.centre_line import CURVATURE_CHANGE, OVER, Ride, fitted_curve, height_profile
 from trainlog import Geometry, InputError, Trip
@@ -54,6 +55,11 @@ def of_rows(trip: Trip, rows: slice | np.ndarray) -> Trip:
 @pytest.fixture(scope="module")
 def centre_line() -> CentreLine:
     return geometry_of(trips(3))
+
+
+def test_a_picture_of_equal_scales_is_drawn_without_a_warning(centre_line, tmp_path, caplog):
+    draw(centre_line, tmp_path / "line.png", trips=trips(3))
+    assert not caplog.records
 
 
 def test_the_deviations_of_a_curve_are_its_errors():
@@ -149,6 +155,15 @@ def test_trips_without_fixes_make_no_line():
     trip = trips(1)[0]
     with pytest.raises(InputError, match="none of the trips has satellite fixes"):
         geometry_of([Trip({"/gnss/motion": trip["/gnss/motion"]}, trip.metadata)])
+
+
+def test_a_trip_with_too_few_fixes_is_reported_and_not_used():
+    first, second = trips(2)
+    short = of_rows(second, slice(10))
+    found = geometry_of([first, short])
+    reason = "it has 10 satellite fixes, at least 11 are needed"
+    assert (found.used, found.refused) == ((first.name,), ((second.name, reason),))
+    refused(InputError, "fixes enough: 10 at most, 11 are needed", geometry_of, [short])
 
 
 AALTO = Path(__file__).parents[2] / "shared" / "data" / "aalto" / "device_data.csv"

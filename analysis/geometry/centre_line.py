@@ -57,6 +57,10 @@ GAP = 100.0
 """Points of the rough line further apart than this [m] have a gap between them."""
 
 
+FEWEST_FIXES = 11
+"""Of a trip that adds to a line."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CentreLine(Presented):
     """A line's geometry, and what it rests on; arrays are (n,), one value a `STEP`.
@@ -213,7 +217,7 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     trips = [trip_of(trip) for trip in trips]
     same = same_drives([Known(trip.name, identity_of(trip), (trip.name,)) for trip in trips])
     again = {each.number for each in same}
-    passes = _passes([trip for number, trip in enumerate(trips) if number not in again])
+    passes, few = _passes([trip for number, trip in enumerate(trips) if number not in again])
     origin = _origin(passes)
     passes = [
         replace(p, points=to_plane(p.fixes.latitude, p.fixes.longitude, origin)) for p in passes
@@ -238,7 +242,8 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
             np.concatenate([_std_in_fit(p)[k] for p, k in zip(used, kept, strict=True)]),
         )
     found = _centre_line(curve, used, [p for p in passes if p.matched is None], origin)
-    return replace(found, refused=found.refused + tuple((s.trip, s.sentence) for s in same))
+    copies = tuple((s.trip, s.sentence) for s in same)
+    return replace(found, refused=(*found.refused, *few, *copies))
 
 
 def line_of(centre_line: CentreLine, name: str) -> Line:
@@ -307,14 +312,22 @@ def _heights(used: list[_Pass], length: float) -> tuple[HeightProfile | None, st
         return None, str(error)
 
 
-def _passes(trips: Sequence[Trip]) -> list[_Pass]:
-    """Trips with fixes."""
-    found = [_pass_of(trip) for trip in trips if count_placed(trip) > 10]
+def _passes(trips: Sequence[Trip]) -> tuple[list[_Pass], list[tuple[str, str]]]:
+    """Trips with fixes; and those with too few, with the reason."""
+    counts = [count_placed(trip) for trip in trips]
+    found = [trip for trip, count in zip(trips, counts, strict=True) if count >= FEWEST_FIXES]
     if not found:
+        most = max(counts, default=0)
+        enough = f" enough: {most} at most, {FEWEST_FIXES} are needed" * bool(most)
         raise InputError(
-            "none of the trips has satellite fixes", remedy="give trips with /gnss/fix"
+            f"none of the trips has satellite fixes{enough}", remedy="give trips with /gnss/fix"
         )
-    return found
+    few = [
+        (trip.name, f"it has {count} satellite fixes, at least {FEWEST_FIXES} are needed")
+        for trip, count in zip(trips, counts, strict=True)
+        if count < FEWEST_FIXES
+    ]
+    return [_pass_of(trip) for trip in found], few
 
 
 def _pass_of(trip: Trip) -> _Pass:

@@ -304,7 +304,7 @@ def _write_route(given: list[Path], output: Path, name: str | None) -> None:
     if len(given) > 1:
         raise InputError("several routes are given", remedy="give --from once")
     found = contents_of(given[0])
-    console.print(*found.parts())
+    console.print(*found.parts(), sep="\n")
     line = found.value.line
     trainlog.write_line(replace(line, name=name) if name else line, output)
     wrote(output)
@@ -324,7 +324,7 @@ def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Pa
         analysis.line_of(centre_line, name or output.stem.removesuffix(".line")), output
     )
     draw(centre_line, shown, trips=trips)
-    console.print(*centre_line.shown())
+    console.print(*centre_line.shown(), sep="\n")
     wrote(output, shown)
 
 
