@@ -14,6 +14,7 @@ import pytest
 from refusals import refused
 from report_folder import SCRIPT, hostile_trip, planned
 
+from analysis import adhesion_map
 from analysis.charts import Chart, Curve, Panel, figure_of, rows_to_draw
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
@@ -25,6 +26,7 @@ from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.resistance.logs import fit
 from analysis.view import TripView
 from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.mapfile import write_map
 from trainlog.formats.railway import line_of, write_parameters, write_trajectory
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import write_summaries
@@ -59,6 +61,15 @@ def trip_page(tmp_path_factory: pytest.TempPathFactory) -> str:
         folder / "run.mcap", folder / "run.html", ReportOptions(zone=Zone("Europe/Zurich"))
     )
     return (folder / "run.html").read_text("utf-8")
+
+
+def test_a_map_names_the_trips_that_it_states_something_of(tmp_path):
+    track = adhesion_map(sample("nonstop.mcap")).track
+    (known,) = track.trips
+    noted = replace(track, trips=({**known, "notes": ["set aside: by hand"]},))
+    write_map(noted, tmp_path / "a.map")
+    write_report(tmp_path / "a.map", tmp_path / "a.html")
+    assert "dry, trip-01: set aside: by hand" in (tmp_path / "a.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(

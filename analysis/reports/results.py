@@ -13,7 +13,7 @@ import pandas as pd
 
 from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_difference import map_history
-from analysis.adhesion.map_state import MapState, line_of_map, map_state
+from analysis.adhesion.map_state import MapState, line_of_map, map_state, summary
 from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, worded
 from analysis.reports.answers import map_words, summary_section
 from analysis.reports.page import Page, Part, Picture, Section, Warned
@@ -31,7 +31,7 @@ from analysis.trajectory.advice import (
 from analysis.trajectory.table import trajectory_table
 from analysis.verification.scoring import score_rolling
 from trainlog import __version__
-from trainlog.display import at_most, counted, lateness
+from trainlog.display import at_most, counted, few, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import (
@@ -199,7 +199,11 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
     sections = [
         summary_section(
             f"line {track.line}, {track.length / 1e3:.1f} km: {counted(len(track.trips), 'trip')}",
-            [*dict.fromkeys(said for trip in track.trips for said in trip.get("notes", ()))]
+            [
+                f"{each.layer}, {few(trips, 1)}: {said}"
+                for each in summary(track)
+                for said, trips in each.notes.items()
+            ]
             or "no recorder lacked what slip is measured by",
             map_words(bins_table(track, course)),
             "",
