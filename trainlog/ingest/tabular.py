@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -52,9 +52,6 @@ HABIT, FEWEST_WHOLE = 0.2, 2
 """Share of rows from which on those that end early at one cell are how the recorder writes, where
 more rows than so many have all cells."""
 
-MOST_RAGGED = 1000
-"""Rows with the wrong number of cells from which on all rows are looked at."""
-
 LINE_FEED, QUOTE, BLANK = b'\n" '
 
 UTF8_MARK = b"\xef\xbb\xbf"
@@ -73,32 +70,17 @@ class Parsed:
         Rows of the body with another number of cells.
     cells : list of int
         How many they have.
-    lines : list of str
-        Their text.
     """
 
     table: pa.Table = field(default_factory=lambda: pa.table({}))
     ragged: list[int] = field(default_factory=list)
     cells: list[int] = field(default_factory=list)
-    lines: list[str] = field(default_factory=list)
 
     def pass_over(self, row: pa.csv.InvalidRow) -> str:
         """Take note of a row that does not fit; what pyarrow is to do with it."""
         self.ragged.append(row.number - 1)
-        self.lines.append(row.text or "")
         self.cells.append(row.actual_columns)
         return "skip"
-
-    def fitting_but_for_empty_cells(self, named: int, delimiter: str) -> bool:
-        """Whether any of the rows has all named cells, and only empty ones beyond."""
-        if len(self.ragged) > MOST_RAGGED:
-            return True
-        fitting = (
-            line
-            for count, line in zip(self.cells, self.lines, strict=True)
-            if count >= named and not any(_split(line.encode(), delimiter)[named:])
-        )
-        return any(True for _ in fitting)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,60 +124,91 @@ class TextFile:
             alone = len(self.names) == 1
             kind = MismatchError if type(problems[0]) is MismatchError else InputError
             raise kind.listing(problems[:1] if alone else problems)
-        parsed, body = self._parsed(self.body, names), self.body
-        cut = np.zeros(0, dtype=np.int64)
-        needed = max(self.named, *(self.names.index(name) + 1 for name in names))
-        if parsed is None or parsed.fitting_but_for_empty_cells(needed, self.options.delimiter):
-            body, cut = without_empty_cells(self.body, self.options.delimiter, needed)
-            parsed = self._parsed(body, names, self.names[:needed])
+        parsed, cut = self._parsed(self.body, names), np.zeros(0, dtype=np.int64)
+        if parsed is None or parsed.ragged:
+            body, cut = self._evened()
+            parsed = self._parsed(body, names)
         if parsed is None:
             raise InputError("cannot be split into rows and cells", remedy=self._delimiter_remedy())
         ragged = np.union1d(np.array(parsed.ragged, dtype=np.int64), cut)
-        if ragged.size > SELDOM * self.rows.size:
-            padded = self._parsed(with_empty_cells(body, self.options.delimiter, needed), names)
-            if padded is not None and len(padded.ragged) < len(parsed.ragged):
-                parsed, cut = padded, np.zeros(0, dtype=np.int64)
-                ragged = np.array(parsed.ragged, dtype=np.int64)
         if ragged.size > MOST * self.rows.size:
             raise self._misfit(parsed, ragged.size)
-        table = parsed.table
-        if cut.size:
-            fits = np.delete(np.arange(self.rows.size), parsed.ragged)
-            table = table.filter(pa.array(~np.isin(fits, cut)))
-        text = dict(zip(parsed.ragged, parsed.lines, strict=True)) | self._lines(cut)
-        rows, lines = self.rows[ragged], [text[int(row)] for row in ragged]
+        if not ragged.size:
+            return Cells(parsed.table, self.rows, self.rows.size)
+        fits, rows = np.delete(np.arange(self.rows.size), parsed.ragged), self.rows[ragged]
         return Cells(
-            table,
+            parsed.table.filter(pa.array(~np.isin(fits, cut))),
             np.delete(self.rows, ragged),
             self.rows.size,
             tuple(Finding.met("truncated_rows", rows)),
-            Raw.lines("truncated_rows", rows, lines),
+            Raw.lines("truncated_rows", rows, self._lines(ragged)),
         )
 
-    def _lines(self, numbers: IntArray) -> dict[int, str]:
+    def _lines(self, numbers: Iterable[int]) -> list[str]:
         """The text of the numbered rows of the body."""
-        if not numbers.size:
-            return {}
         ends = np.flatnonzero(np.frombuffer(self.body, dtype=np.uint8) == LINE_FEED)
         starts = np.append(0, ends + 1)
         ends = np.append(ends, len(self.body))
-        return {
-            int(row): self.body[starts[row] : ends[row]].decode("utf-8", errors="replace")
-            for row in numbers
-        }
+        return [
+            self.body[starts[row] : ends[row]].decode("utf-8", errors="replace") for row in numbers
+        ]
 
-    def _parsed(
-        self, body: bytes, wanted: list[str], names: tuple[str, ...] | None = None
-    ) -> Parsed | None:
+    def _evened(self) -> tuple[bytes, IntArray]:
+        """The body with a cell for each column in all rows that hold every named one.
+
+        Empty cells beyond these are taken away, or added. Rows that have fewer cells than others,
+        as more than a share `HABIT` of all rows have, end at their last value: what is missing is
+        empty. Also rows that have all named cells, but fewer empty ones than usual, as no more than
+        `SELDOM` of the rows have: they were cut off, perhaps within their last cell.
+        """
+        body, mark, named = self.body, ord(self.options.delimiter), self.named
+        buffer = np.frombuffer(body if body.endswith(b"\n") else body + b"\n", dtype=np.uint8)
+        ends = np.flatnonzero(buffer == LINE_FEED)
+        starts = np.append(0, ends[:-1] + 1)
+        marks = np.flatnonzero(buffer == mark)
+        quotes = np.flatnonzero(buffer == QUOTE)
+        if quotes.size:
+            # Delimiters between quotation marks of a row part no cells.
+            row, first = np.searchsorted(ends, marks), np.searchsorted(quotes, starts)
+            single = np.diff(first, append=quotes.size) % 2 == 1
+            opened = np.searchsorted(quotes, marks) - first[row]
+            marks = marks[single[row] | (opened % 2 == 0)]
+        before = np.searchsorted(marks, starts)
+        cells = np.searchsorted(marks, ends) - before + 1
+        more = np.flatnonzero(cells > named)
+        last, full = ends.copy(), ends.copy()
+        last[more] = marks[before[more] + named - 1]
+        while more.size:
+            more = more[np.isin(buffer[full[more] - 1], (mark, BLANK))]
+            full[more] -= 1
+            more = more[full[more] > last[more]]
+        whole = (cells > named) & (full <= last)
+        counts = np.bincount(cells[whole | (cells == named)])
+        usual = int(np.argmax(counts)) if counts.size else named
+        seldom = np.flatnonzero(counts <= SELDOM * ends.size)
+        short = (cells >= named) & (cells < usual) & np.isin(cells, seldom)
+        cells[whole] = named
+        counts = np.bincount(cells, minlength=named + 1)
+        habit = np.flatnonzero(counts > HABIT * ends.size) if counts[named] > FEWEST_WHOLE else []
+        left_out = (cells < named) & np.isin(cells, habit)
+        short &= not left_out.any()
+        filled = left_out | (cells >= named) & (cells < len(self.names))
+        # One is added wherever a row's kept part ends or its dropped part does.
+        change = np.zeros(buffer.size + 1, dtype=np.int8)
+        change[last[whole]] += 1
+        change[ends[whole]] -= 1
+        kept = np.cumsum(change[:-1], dtype=np.int8) == 0
+        places = np.repeat(ends[filled], len(self.names) - cells[filled])
+        evened = np.insert(buffer, places, mark)[np.insert(kept, places, True)]
+        return evened.tobytes(), np.flatnonzero(short)
+
+    def _parsed(self, body: bytes, wanted: list[str]) -> Parsed | None:
         """The named columns of the body and the rows that do not fit; None if that cannot be."""
-        names = names or self.names
         # A single quotation mark swallows line ends: then it is no more than a character.
-        return self._parsed_once(body, wanted, names, quotes=True) or self._parsed_once(
-            body, wanted, names, quotes=False
-        )
+        return self._parsed_once(body, wanted, '"') or self._parsed_once(body, wanted, False)
 
     def _parsed_once(
-        self, body: bytes, wanted: list[str], names: tuple[str, ...], *, quotes: bool
+        self, body: bytes, wanted: list[str], quote: str | Literal[False]
     ) -> Parsed | None:
         """As `_parsed`; None if lines and rows do not correspond."""
         found = Parsed()
@@ -203,10 +216,10 @@ class TextFile:
             found.table = pa.csv.read_csv(
                 pa.BufferReader(body),
                 # Without threads the handler is given the number of the row.
-                read_options=pa.csv.ReadOptions(column_names=names, use_threads=False),
+                read_options=pa.csv.ReadOptions(column_names=self.names, use_threads=False),
                 parse_options=pa.csv.ParseOptions(
                     delimiter=self.options.delimiter,
-                    quote_char='"' if quotes else False,
+                    quote_char=quote,
                     invalid_row_handler=found.pass_over,
                 ),
                 convert_options=pa.csv.ConvertOptions(
@@ -242,8 +255,8 @@ class TextFile:
         elif remedy == DELIMITER_REMEDY and usual > 1:
             remedy = (
                 f"the last name is '{self.names[self.named - 1]}', the first such row is"
-                f" {parsed.lines[0][:60]!r}: remove the {self.named - usual} names without a"
-                " cell, or set header under [file] of the profile"
+                f" {self._lines([first])[0][:60]!r}: remove the {self.named - usual} names"
+                " without a cell, or set header under [file] of the profile"
             )
         source = f"the header of row {self.header}" if self.header else "the first row"
         return InputError(
@@ -326,85 +339,6 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
     if not any(names[len(first) :]) and not any(first[len(names) :]):
         names = (*names, *[""] * (len(first) - len(names)))[: max(len(first), named)]
     return TextFile(options, options.named(names), header, body, rows, named)
-
-
-def without_empty_cells(body: bytes, delimiter: str, named: int) -> tuple[bytes, IntArray]:
-    """The rows of a text with their empty cells beyond the first `named` taken away.
-
-    Parameters
-    ----------
-    body : bytes
-        Rows that end with a line feed.
-
-    Returns
-    -------
-    bytes
-        Rows with other than empty cells there, or with fewer cells, as they were.
-    (k,) int64 array
-        Rows that have all named cells, but fewer empty ones than usual, as no more than `SELDOM` of
-        the rows have: they were cut off, perhaps within their last cell.
-    """
-    buffer, ends, marks, before, cells = _counted(body, delimiter)
-    last = ends.copy()
-    more = np.flatnonzero(cells > named)
-    last[more] = marks[before[more] + named - 1]
-    full = ends.copy()
-    while more.size:
-        more = more[np.isin(buffer[full[more] - 1], (ord(delimiter), BLANK))]
-        full[more] -= 1
-        more = more[full[more] > last[more]]
-    whole = (cells > named) & (full <= last)
-    counts = np.bincount(cells[(cells >= named) & (whole | (cells == named))])
-    usual = int(np.argmax(counts)) if counts.size else named
-    seldom = np.flatnonzero(counts <= SELDOM * ends.size)
-    short = (cells >= named) & (cells < usual) & np.isin(cells, seldom)
-    cut = np.where(whole, last, ends)
-    # One is added wherever a row's kept part begins or its dropped part ends.
-    change = np.zeros(buffer.size + 1, dtype=np.int8)
-    change[cut[whole]] += 1
-    change[ends[whole]] -= 1
-    kept = np.cumsum(change[:-1], dtype=np.int8) == 0
-    return buffer[kept].tobytes(), np.flatnonzero(short)
-
-
-def with_empty_cells(body: bytes, delimiter: str, named: int) -> bytes:
-    """The rows of a text with the empty cells at their ends that a recorder leaves out.
-
-    Rows that have fewer cells than others, as more than a share `HABIT` of all rows have, end at
-    their last value: what is missing is empty.
-
-    Parameters
-    ----------
-    body : bytes
-        Rows that end with a line feed.
-    delimiter : str
-    named : int
-        Cells of a whole row.
-    """
-    buffer, ends, _, _, cells = _counted(body, delimiter)
-    counts = np.bincount(cells, minlength=named + 1)
-    if counts[named] <= FEWEST_WHOLE:
-        return body
-    habit = np.flatnonzero(counts > HABIT * ends.size)
-    short = (cells < named) & np.isin(cells, habit)
-    places = np.repeat(ends[short], named - cells[short])
-    return np.insert(buffer, places, ord(delimiter)).tobytes()
-
-
-def _counted(body: bytes, delimiter: str) -> tuple[Any, IntArray, IntArray, IntArray, IntArray]:
-    """Bytes, ends of rows, places of delimiters; by row, delimiters before it, and its cells."""
-    buffer = np.frombuffer(body if body.endswith(b"\n") else body + b"\n", dtype=np.uint8)
-    ends = np.flatnonzero(buffer == LINE_FEED)
-    starts = np.append(0, ends[:-1] + 1)
-    marks = np.flatnonzero(buffer == ord(delimiter))
-    quotes = np.flatnonzero(buffer == QUOTE)
-    if quotes.size:
-        # Delimiters between quotation marks of a row part no cells.
-        row = np.searchsorted(ends, marks)
-        opened = np.searchsorted(quotes, marks) - np.searchsorted(quotes, starts[row])
-        marks = marks[opened % 2 == 0]
-    before = np.searchsorted(marks, starts)
-    return buffer, ends, marks, before, np.searchsorted(marks, ends) - before + 1
 
 
 def _utf8(data: bytes, encoding: str) -> bytes:
