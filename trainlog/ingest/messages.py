@@ -153,16 +153,23 @@ def read_nmea(path: Path, profile: Profile | None) -> Recording:  # noqa: ARG001
     )
 
 
+@dataclass
+class Epoch:
+    """What sentences of one time of day say, and what stands before the first of them."""
+
+    row: int
+    prefix: str
+    of_day: datetime.time
+    date: datetime.date | None = None
+    values: dict[str, float] = field(default_factory=dict)
+
+
 class Epochs:
     """The epochs that sentences make, gathered one sentence after the other."""
 
-    def __init__(self) -> None:
+    def __init__(self, found: Sequence[Epoch] = ()) -> None:
         self.parse = load("pynmeagps").NMEAReader.parse
-        self.rows: list[int] = []
-        self.of_day: list[datetime.time] = []
-        self.prefixes: list[str] = []
-        self.dates: list[datetime.date | None] = []
-        self.values: list[dict[str, float]] = []
+        self.found = list(found)
         self.from_dop = False
 
     def take(self, row: int, prefix: str, sentence: str, messages: Messages) -> None:
@@ -185,32 +192,16 @@ class Epochs:
             if not isinstance(of_day, datetime.time):
                 messages.others[f"NMEA {kind} without a time"] += 1
                 return
-            if not self.of_day or of_day != self.of_day[-1]:
-                self._begin(row, prefix, of_day)
-        elif not self.of_day:
+            if not self.found or of_day != self.found[-1].of_day:
+                self.found.append(Epoch(row, prefix, of_day))
+        elif not self.found:
             messages.others[f"NMEA {kind} before the first time"] += 1
             return
-        date = _date(kind, parsed)
-        if date is not None:
-            self.dates[-1] = date
+        epoch = self.found[-1]
+        epoch.date = _date(kind, parsed) or epoch.date
         for name, value in _values(kind, parsed).items():
             if np.isfinite(value):
-                self.values[-1].setdefault(name, value)
-
-    def split(self, count: int) -> tuple[Epochs, Epochs]:
-        """The first epochs, and those behind them."""
-        parts = Epochs(), Epochs()
-        for part, kept in zip(parts, (slice(count), slice(count, None)), strict=True):
-            for name in ("rows", "of_day", "prefixes", "dates", "values"):
-                setattr(part, name, getattr(self, name)[kept])
-        return parts
-
-    def _begin(self, row: int, prefix: str, of_day: datetime.time) -> None:
-        self.rows.append(row)
-        self.prefixes.append(prefix)
-        self.of_day.append(of_day)
-        self.dates.append(None)
-        self.values.append({})
+                epoch.values.setdefault(name, value)
 
     def table(self) -> Table:
         """The epochs as a table.
@@ -220,13 +211,13 @@ class Epochs:
         InputError
             If there are none, or no date is known.
         """
-        if not self.rows:
+        if not self.found:
             raise InputError(
                 "has no RMC, GGA or GNS sentence with a time",
                 remedy="have the receiver write them, and give its log",
             )
         columns = {
-            name: np.array([found.get(name, np.nan) for found in self.values])
+            name: np.array([epoch.values.get(name, np.nan) for epoch in self.found])
             for name in (*COLUMNS, "hdop", "fixed")
         }
         # What a receiver without a fix repeats is no position.
@@ -240,7 +231,8 @@ class Epochs:
         signals: dict[str, FloatArray] = {
             COLUMNS[name]: values for name, values in columns.items() if np.isfinite(values).any()
         }
-        return Table(self._time(), np.array(self.rows, dtype=np.int64), signals)
+        rows = np.array([epoch.row for epoch in self.found], dtype=np.int64)
+        return Table(self._time(), rows, signals)
 
     def metadata(self) -> dict[str, str]:
         """Metadata of how values were come by."""
@@ -250,29 +242,28 @@ class Epochs:
 
     def _time(self) -> IntArray:
         """UTC of the epochs [ns]: the date that their sentences give, or that of those around."""
-        of_day = np.array([_nanoseconds(time) for time in self.of_day], dtype=np.int64)
+        of_day = np.array([_nanoseconds(epoch.of_day) for epoch in self.found], dtype=np.int64)
         step = np.diff(of_day, prepend=of_day[:1])
         day = np.cumsum((step < -DAY // 2).astype(np.int64) - (step > DAY // 2))
-        dated = np.array(
-            [NO_TIME if date is None else pd.Timestamp(date).value for date in self.dates]
-        )
+        dates = [epoch.date for epoch in self.found]
+        dated = np.array([NO_TIME if day is None else pd.Timestamp(day).value for day in dates])
         if np.all(dated == NO_TIME):
             dated = self._logged_dates(of_day)
         known = dated != NO_TIME
         if not known.any():
             raise InputError(
                 "gives the time of day, but no date",
-                place=f"row {self.rows[0]}",
+                place=f"row {self.found[0].row}",
                 remedy="have the receiver write RMC or ZDA too",
             )
         base = dated[known] - day[known] * DAY
-        dates, counts = np.unique(base, return_counts=True)
-        date = np.where(known, dated, dates[np.argmax(counts)] + day * DAY)
+        usual, counts = np.unique(base, return_counts=True)
+        date = np.where(known, dated, usual[np.argmax(counts)] + day * DAY)
         return np.asarray(date + of_day)
 
     def _logged_dates(self, of_day: IntArray) -> IntArray:
         """Dates [ns] that the logger wrote before the sentences; `NO_TIME` where it wrote none."""
-        words = pd.Series(self.prefixes).str.strip(" ,;:\t[]")
+        words = pd.Series([epoch.prefix for epoch in self.found]).str.strip(" ,;:\t[]")
         stamps = pd.to_datetime(
             words.where(words.str.contains("-", regex=False)),
             format="ISO8601",

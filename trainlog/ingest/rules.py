@@ -720,51 +720,29 @@ RULES = (
 
 
 def changes(rule: str, before: Table, after: Table) -> list[Raw]:
-    """What `rule` did to a table."""
+    """What `rule` did to a table: rows that it moved or dropped, and values that it changed."""
     if before is after:
         return []
     place = np.full(int(before.samples.max(initial=-1)) + 1, -1, dtype=np.int64)
     place[before.samples] = np.arange(len(before))
     source = place[after.samples]
+    time = np.full(len(before), NO_TIME)
+    time[source] = after.time
     dropped = np.ones(len(before), dtype=np.bool_)
     dropped[source] = False
-    found = _dropped(rule, before, dropped)
-    rows, old, new = after.rows, before.time[source], after.time
-    moved = old != new
+    moved = dropped | (time != before.time)
     if np.any(np.diff(source) < 0):
-        out_of_order = ~longest_nondecreasing(before.time)
-        moved |= out_of_order[source]
-    if moved.any():
-        found.append(Raw(rule, "", rows[moved], None, old[moved], new[moved]))
-    for name, values in after.signals.items():
-        if values is before.signals[name]:
-            continue
-        raw = before.signals[name][source]
-        cells = (raw != values) & ~(np.isnan(raw) & np.isnan(values))
-        if cells.any():
-            times = None, old[cells], new[cells]
-            found.append(Raw(rule, name, rows[cells], *times, raw[cells], values[cells]))
-    return found
-
-
-def _dropped(rule: str, before: Table, dropped: BoolArray) -> list[Raw]:
-    """The rows that a rule dropped, and every value in them."""
-    if not dropped.any():
-        return []
-    time = before.time[dropped]
-    none = np.full(time.size, NO_TIME)
-    found = [Raw(rule, "", before.rows[dropped], None, time, none)]
+        moved |= ~longest_nondecreasing(before.time)
+    found = [Raw(rule, "", before.rows, None, before.time, time).take(moved)]
     for name, values in before.signals.items():
-        cells = dropped & np.isfinite(values)
-        if cells.any():
-            rows, time = before.rows[cells], before.time[cells]
-            found.append(Raw(rule, name, rows, None, time, none[: rows.size], values[cells]))
+        new = np.full(len(before), np.nan)
+        new[source] = after.signals[name]
+        cells = (values != new) & ~(np.isnan(values) & np.isnan(new))
+        found.append(Raw(rule, name, before.rows, None, before.time, time, values, new).take(cells))
     for name, texts in before.texts.items():
         cells = dropped & np.asarray(texts != "", dtype=np.bool_)
-        if cells.any():
-            rows, time = before.rows[cells], before.time[cells]
-            found.append(Raw(rule, name, rows, texts[cells], time, none[: rows.size]))
-    return found
+        found.append(Raw(rule, name, before.rows, texts, before.time, time).take(cells))
+    return [each for each in found if each.rows.size]
 
 
 def refuse_switched_off(findings: tuple[Finding, ...], repair: Repair) -> None:

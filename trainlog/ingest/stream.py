@@ -592,19 +592,21 @@ class _Sentences:
 
     def give(self, decoded: Decoded, waiting: int = 0) -> None:
         """Give the epochs but for the last ones, which may not be whole yet."""
-        if self._epochs is None or len(self._epochs.rows) <= waiting:
+        if self._epochs is None or len(self._epochs.found) <= waiting:
             return
-        epochs, self._epochs = self._epochs.split(len(self._epochs.rows) - waiting)
-        if self._last != NO_TIME and all(date is None for date in epochs.dates):
-            of_day = epochs.of_day[0]
+        whole = len(self._epochs.found) - waiting
+        found, self._epochs.found = self._epochs.found[:whole], self._epochs.found[whole:]
+        epochs, first = Epochs(found), found[0]
+        if self._last != NO_TIME and all(epoch.date is None for epoch in found):
             last = pd.Timestamp(self._last, tz="UTC")
-            later = (of_day.hour * 60 + of_day.minute) < (last.hour * 60 + last.minute) - 720
-            epochs.dates[0] = (last + pd.Timedelta(days=int(later))).date()
+            minute = first.of_day.hour * 60 + first.of_day.minute
+            later = minute < (last.hour * 60 + last.minute) - 720
+            first.date = (last + pd.Timedelta(days=int(later))).date()
         try:
             table = epochs.table()
         except InputError as error:
-            for row in epochs.rows:
-                decoded.refuse(row, b"", error.problem)
+            for epoch in found:
+                decoded.refuse(epoch.row, b"", error.problem)
             return
         self._last = int(table.time[-1])
         decoded.tables["nmea"] = table
