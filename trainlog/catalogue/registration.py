@@ -11,6 +11,7 @@ import json
 import math
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -175,11 +176,9 @@ def _read(source: Source, contents: Contents) -> tuple[Trip, tuple[float, float]
 
 def _entry(trip: Trip, span: tuple[float, float] | None, contents: Contents) -> LogEntry:
     known, account = trip.metadata, contents.account
-    counts = contents.counts()
-    topics: dict[str, int] = {}
-    for number, count in counts.items():
-        topic = contents.channels[number].topic
-        topics[topic] = topics.get(topic, 0) + count
+    topics = Counter[str]()
+    for number, count in contents.counts().items():
+        topics[contents.channels[number].topic] += count
     filled = [chunk for chunk in contents.chunks if chunk.counts]
     start = min(chunk.start for chunk in filled)
     end = max(chunk.end for chunk in filled)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -342,9 +342,22 @@ def fingerprint(path: Path, given: Given) -> dict[str, Any] | None:
     _, rules, carried, chosen = _chosen(path, given.profile, given.format)
     if is_registered(chosen):
         return None
-    carried |= attachments_of(given.line, given.train)
-    digests = {name: sha256(data) for name, data in carried.items()}
+    return _making(chosen, rules, given, [path], carried | attachments_of(given.line, given.train))
+
+
+def _making(
+    chosen: Format,
+    rules: Profile | None,
+    given: Given,
+    files: Sequence[Path],
+    attachments: Mapping[str, bytes],
+) -> dict[str, Any]:
+    """How a trip is made of files, as its provenance states it."""
+    digests = {file.name: sha256_of(file) for file in files}
+    digests |= {name: sha256(data) for name, data in attachments.items()}
     if given.network is not None:
+        # The route's line follows from the network and the recording.
+        digests.pop(LINE_ATTACHMENT, None)
         digests[NETWORK_INPUT] = given.network.sha256
     return {
         "software": f"trainlog {__version__}",
@@ -352,7 +365,7 @@ def fingerprint(path: Path, given: Given) -> dict[str, Any] | None:
         "format": chosen.name,
         "profile": rules.name if rules else None,
         "options": given.options,
-        "inputs": {path.name: sha256_of(path)} | digests,
+        "inputs": digests,
     }
 
 
@@ -442,21 +455,13 @@ def _finished(source: _Source, job: _Job, given: Given) -> Trip:
         which["recording"] = named["trip"] = recording.metadata["trip"]
         which["recordings"] = len(source.recordings)
     attachments = source.carried | trip.attachments
-    files = {file.name: sha256_of(file) for file in (source.path, *recording.inputs)}
-    digests = {name: sha256(data) for name, data in attachments.items()}
-    if given.network is not None:
-        # The route's line follows from the network and the recording.
-        digests.pop(LINE_ATTACHMENT, None)
-        digests[NETWORK_INPUT] = given.network.sha256
+    files = source.path, *recording.inputs
+    making = _making(source.chosen, source.profile, given, files, attachments)
+    digests = [making["inputs"][file.name] for file in files]
     return Trip(trip.topics, named, (), attachments | recording.attachments | raw).with_step(
         "ingest",
-        software=f"trainlog {__version__}",
-        code=code_version(),
-        format=source.chosen.name,
-        profile=source.profile.name if source.profile else None,
-        source=source_of([*files.values()], which.get("recording", "")),
-        options=given.options,
-        inputs=files | digests,
+        **making,
+        source=source_of(digests, which.get("recording", "")),
         report=report.details(),
         **which,
     )

@@ -189,8 +189,8 @@ class TextFile:
         short = (cells >= named) & (cells < usual) & np.isin(cells, seldom)
         cells[whole] = named
         counts = np.bincount(cells, minlength=named + 1)
-        habit = np.flatnonzero(counts > HABIT * ends.size) if counts[named] > FEWEST_WHOLE else []
-        left_out = (cells < named) & np.isin(cells, habit)
+        habit = (counts > HABIT * ends.size) & (counts[named] > FEWEST_WHOLE)
+        left_out = (cells < named) & habit[cells]
         short &= not left_out.any()
         filled = left_out | (cells >= named) & (cells < len(self.names))
         # One is added wherever a row's kept part ends or its dropped part does.

@@ -58,7 +58,6 @@ from trainlog.mcap.records import (
     damaged,
     fills,
     gone_through,
-    index_of,
     opened,
     parsed,
     records,
@@ -394,7 +393,7 @@ def index_in(source: Source, place: ChunkPlace) -> Index:
     if place.indexes:
         with suppress(LogError):
             return fetched_index(source, place, place.counts)
-    index = index_of(opened(fetched(source, place), place.offset), place.offset)
+    index, _ = gone_through(opened(fetched(source, place), place.offset), place.offset)
     return {channel: entries for channel, entries in index.items() if channel in place.counts}
 
 
@@ -983,7 +982,7 @@ def _is_right(source: Source, at: int) -> bool:
             return end - at == RECORD_HEAD + _DATA_END_LENGTH and follows(source, end)
         if opcode == Opcode.CHUNK:
             content = opened(chunk_at(source, at), at)
-            index_of(content, at)
+            gone_through(content, at)
             return bool(content)
         if opcode == Opcode.ATTACHMENT:
             attachment_at(source, at)

@@ -41,7 +41,7 @@ from trainlog.mcap.records import (
     attachment_at,
     checksum,
     fills,
-    index_of,
+    gone_through,
     nothing_of,
     opened,
 )
@@ -575,7 +575,7 @@ def _chunk(source: Source, place: ChunkPlace) -> tuple[Chunk, Index]:
     content = opened(chunk, place.offset)
     index = index_in(source, place)
     if not fills(content, index):
-        index = index_of(content, place.offset)
+        index, _ = gone_through(content, place.offset)
     kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
     if place.loose or len(kept) < len(index):
         # Nothing but the messages that the index lists, in the order they had.
@@ -585,6 +585,7 @@ def _chunk(source: Source, place: ChunkPlace) -> tuple[Chunk, Index]:
             for at in sorted(int(at) for entries in kept.values() for at in entries[:, 1])
         )
         seconds = [time for entries in kept.values() for time in entries[:, 0].tolist()]
-        return packed(data, min(seconds, default=0), max(seconds, default=0)), index_of(data, 0)
+        index, _ = gone_through(data, 0)
+        return packed(data, min(seconds, default=0), max(seconds, default=0)), index
     times = {"message_start_time": place.start, "message_end_time": place.end}
     return replace(chunk, **times, uncompressed_crc=checksum(content)), kept

@@ -48,7 +48,7 @@ from trainlog.mcap.records import (
     RECORD_HEAD,
     Account,
     Source,
-    index_of,
+    gone_through,
     opened,
     shown,
 )
@@ -442,7 +442,7 @@ def _frames(source: Source, contents: Contents, channels: list[Channel]) -> Fore
             continue
         try:
             content = opened(fetched(source, place), place.offset)
-            index = index_of(content, place.offset)
+            index, _ = gone_through(content, place.offset)
         except LogError as error:
             if contents.indexed and isinstance(error, MisplacedError):
                 raise

@@ -653,8 +653,8 @@ def stored_index(source: Source, at: int) -> tuple[int, UintArray, int]:
     raise damaged(at, "the message index record cannot be read")
 
 
-def index_of(content: bytes, offset: int) -> Index:
-    """The message index of a chunk, found by going through its records.
+def gone_through(content: bytes, offset: int) -> tuple[Index, list[Schema | Channel]]:
+    """The message index of a chunk, and its schemas and channels, found in its records.
 
     Parameters
     ----------
@@ -667,14 +667,6 @@ def index_of(content: bytes, offset: int) -> Index:
     ------
     LogError
         If the content is not one record after the other.
-    """
-    return gone_through(content, offset)[0]
-
-
-def gone_through(content: bytes, offset: int) -> tuple[Index, list[Schema | Channel]]:
-    """The message index of a chunk, and its schemas and channels.
-
-    Parameters and errors as `index_of`.
     """
 
     def read(at: int, length: int) -> bytes:

@@ -22,7 +22,7 @@ from trainlog.errors import LogError
 from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather, topic_of
 from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
 from trainlog.mcap.foreign import BrokenMessage, Decode, Message, UndecodableError, decoder_of
-from trainlog.mcap.records import Index, Source, index_of, message_data, opened, unusable
+from trainlog.mcap.records import Index, Source, gone_through, message_data, opened, unusable
 from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, attributes, column_field
 from trainlog.trip import frame_of
 
@@ -291,7 +291,7 @@ def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel
             if index and all(np.all(each[1:, 1] > each[:-1, 1]) for each in index.values()):
                 return _pieces(content, index, place, ours)
         # An index that does not fit the chunk is made again from the chunk's records.
-        return _pieces(content, index_of(content, place.offset), place, ours)
+        return _pieces(content, gone_through(content, place.offset)[0], place, ours)
     except LogError as error:
         if chunk.uncompressed_crc and not isinstance(error, MisplacedError):
             # These are the bytes that were written.
