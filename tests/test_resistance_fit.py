@@ -287,6 +287,32 @@ def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded():
     refused(TripRefusedError, r"masked \d+ s, which the speeds of all powered", fit_trip, fewer)
 
 
+def at_one_speed(kmh: float) -> Trip:
+    """A start, and nothing but one speed behind it."""
+    return trip(
+        lambda time: kmh / 3.6 * np.sin(0.5 * np.pi * np.clip(time / 60.0, 0.0, 1.0)),
+        name=f"at {kmh:.0f}", seed=round(kmh),
+    )  # fmt: skip
+
+
+def test_trips_at_one_speed_each_determine_the_curve_together():
+    made = [at_one_speed(kmh) for kmh in (36.0, 72.0, 120.0)]
+    for one in made:
+        refused(TripRefusedError, "speed and effort vary too little", fit_trip, one)
+    found = analysis.fit(made)
+    speed = np.linspace(10.0, 33.0, 24)
+    low, high = found.common.band(speed)
+    true = RESISTANCE(speed)
+    assert np.all((low <= true) & (true <= high))
+    assert np.max(np.abs(found.common.resistance(speed) / true - 1.0)) < 0.02
+    assert [one.trip for one in found.trips] == ["at 120", "at 36", "at 72"]
+    assert not found.refused
+    assert any("alone too little is known of the curve" in note for note in found.notes)
+    # What they do not show together stays refused.
+    near = [at_one_speed(kmh) for kmh in (36.0, 40.0, 44.0)]
+    refused(NotIdentifiableError, "no trip determines the running resistance", analysis.fit, near)
+
+
 @pytest.mark.parametrize(
     ("number", "offset"), [(0, 2000.0), (1, 2000.0), (0, -2000.0), (2, -1000.0), (1, 500.0)]
 )

@@ -276,6 +276,11 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     )
 
 
+WIDE = 0.2
+"""Relative standard deviation at the highest speed from which on a trip shows a part of the curve
+alone."""
+
+
 @dataclass(frozen=True, eq=False)
 class NodeCurves:
     """Curves of trips by their values at a few speeds, over the median of all trips there.
@@ -306,10 +311,15 @@ class NodeCurves:
 def node_curves(rows: pd.DataFrame) -> NodeCurves:
     """Curves of trips that were accepted, by their values at three speeds."""
     top = float(rows["asked_highest"].min())
-    betas = parameters_of(rows)[:, :-1]
-    nodes = nodes_over(np.linspace(0.0, top, len(TERMS)), betas)
+    betas, covariances = parameters_of(rows)[:, :-1], covariances_of(rows)[:, :-1, :-1]
+    usual, at = betas, basis(top)
+    if np.any(np.sqrt(at @ covariances @ at) > WIDE * np.abs(betas @ at)):
+        # Of trips that show a part of the curve each the weighted mean is all that is known.
+        weights = np.linalg.inv(covariances)
+        usual = np.linalg.solve(weights.sum(0), np.einsum("kij,kj->i", weights, betas))[None]
+    nodes = nodes_over(np.linspace(0.0, top, len(TERMS)), usual)
     values = betas @ nodes.T
-    variances = nodes @ covariances_of(rows)[:, :-1, :-1] @ nodes.T
+    variances = nodes @ covariances @ nodes.T
     gain_std = np.nan_to_num(rows["assumed_gain_std"].to_numpy(np.float64))
     variances -= gain_std[:, None, None] ** 2 * values[:, :, None] * values[:, None, :]
     survey = nodes @ surveys_of(rows) @ nodes.T

@@ -429,14 +429,13 @@ def fit_trip(
             f" {'high' if force > 0.0 else 'low'} while pulling, by the motion while coasting:"
             " check their zero; left to itself"
         )
-    _check_curve(name, regression, covariance, unlike, asked, timeline, largest_std)
-    covariance = _with_gain(regression.beta, covariance, gain_std)
+    without_gain, covariance = covariance, _with_gain(regression.beta, covariance, gain_std)
     used = windows.select(regression.kept)
     merged = used.merged()
     ends = np.searchsorted(used.end, merged.end)
     residual = regression.residual
     limit = power_limit(corrected, prepared, train, float(np.hypot(scale.std, gain_std)))
-    return TripFit(
+    fit = TripFit(
         trip=name,
         train=train.name,
         resistance=RunningResistance.of(regression.beta[:-1]),
@@ -485,6 +484,12 @@ def fit_trip(
         identity=text_of(view.identity),
         tunnels=TunnelResistance.of(view, prepared, regression),
     )
+    try:
+        _check_curve(name, regression, without_gain, unlike, asked, timeline, largest_std)
+    except TripRefusedError as error:
+        error.fit = fit
+        raise
+    return fit
 
 
 def effort_passport(view: TripView) -> Passport:
@@ -684,7 +689,8 @@ def _check_curve(
             f"trip '{name}': speed and effort vary too little to separate mass and"
             f" coefficients (condition number {regression.condition:.0f}, at most"
             f" {LARGEST_CONDITION:.0f})",
-            remedy=_slip_words(timeline) or "a trip with starts, coasting and several speeds",
+            remedy=_slip_words(timeline)
+            or "a trip with starts, coasting and several speeds, or several trips at other speeds",
             timeline=timeline,
         )
     std = curve_std(covariance[:-1, :-1], speed)

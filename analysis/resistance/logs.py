@@ -25,18 +25,25 @@ from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import diagnosed
 from analysis.view import Given, TripView, each_given, views_of
 from trainlog.display import counted, few, span
-from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.errors import LogError, NotIdentifiableError, TrainlogError
 from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.railway import train_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
 from trainlog.presentation import Presented, Said, WordTable, new_table
 from trainlog.railway.network import unused
+from trainlog.railway.resistance import LARGEST_STD
 from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip
 from trainlog.units import KMH
 
 UNVARIED = frozenset({"not recorded", "contradiction", "gap"})
 """Reasons for which trips are refused however long and varied they are."""
+
+LITTLE = frozenset({"condition", "excitation"})
+"""Reasons of trips that show a part of the curve, such as those at one speed."""
+
+NOT_ALONE = "alone too little is known of the curve; it is that of all trips together"
+"""Of a trip that is accepted with others."""
 
 
 class AllRefusedError(NotIdentifiableError):
@@ -179,6 +186,7 @@ class _Read:
     held: set[str] = field(default_factory=set)
     known: int = 0
     rows: list[pd.DataFrame] = field(default_factory=list)
+    little: dict[int, tuple[str, TripFit]] = field(default_factory=dict)
     trips: list[TripFit] = field(default_factory=list)
     refused: dict[str, TripRefusedError] = field(default_factory=dict)
 
@@ -198,14 +206,41 @@ class _Read:
             try:
                 one = fit_trip(view, speeds)
             except TripRefusedError as error:
-                self.refused[unused(view.name, set(self.refused))] = error
+                name = unused(view.name, set(self.refused))
+                self.refused[name] = error
                 refused, trains = {view.name: error}, {view.name: _train_name(view.trip)}
+                if error.fit is not None and error.reason in LITTLE:
+                    self.little[len(self.rows)] = name, error.fit
                 self.rows.append(summarised([], refused, trains=trains, digests=digests))
             else:
                 self.trips.append(one)
                 self.rows.append(summarised([one], digests=digests))
         if digest:
             self.held.add(digest)
+
+    @property
+    def summaries(self) -> pd.DataFrame:
+        """Of all trips."""
+        return merged([*self.earlier, summarised([]), *self.rows])
+
+    def join(self) -> None:
+        """Accept trips none of which determines the curve, where all of them together do."""
+        alone, joined = self.rows, list(self.rows)
+        for number, (_, one) in self.little.items():
+            joined[number] = summarised([one]).assign(sha256=alone[number]["sha256"])
+        self.rows = joined
+        try:
+            common = combine(each_drive_once(self.summaries))
+        except TrainlogError:
+            self.rows = alone
+            return
+        speed = np.linspace(*common.asked, 61)
+        if np.any(common.std(speed) > LARGEST_STD * common.resistance(speed)):
+            self.rows = alone
+            return
+        for name, one in self.little.values():
+            self.trips.append(replace(one, notes=(*one.notes, NOT_ALONE)))
+            del self.refused[name]
 
 
 def _doubts(drives: pd.DataFrame) -> list[str]:
@@ -272,12 +307,15 @@ def fit(
     read = _Read()
     for given in each_given(trips):
         read.add(given, speeds)
-    summaries = merged([*read.earlier, summarised([]), *read.rows])
+    summaries = read.summaries
     if summaries.empty:
         raise NotIdentifiableError(
             "the summaries that were given have no trip" if read.earlier else "no log was given",
             remedy="give logs, folders of logs, or summaries of earlier fits",
         )
+    if len(read.little) > 1 and not (summaries["refused"] == "").any():
+        read.join()
+        summaries = read.summaries
     if not (summaries["refused"] == "").any():
         first = summaries["message"].iloc[0]
         others = len(summaries) - 1

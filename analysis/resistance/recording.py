@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -22,6 +22,9 @@ from trainlog.resampling import filled, interpolated, interpolated_columns
 from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY
+
+if TYPE_CHECKING:
+    from analysis.resistance.fit import TripFit
 
 Reason = Literal[
     "not recorded",
@@ -94,6 +97,8 @@ class TripRefusedError(NotIdentifiableError):
         One of `Reason`.
     timeline : Timeline or None
         What was masked; None if nothing could be made of the recording.
+    fit : TripFit or None
+        What the trip shows, where it shows too little: others may add to it.
 
     Examples
     --------
@@ -114,6 +119,7 @@ class TripRefusedError(NotIdentifiableError):
         super().__init__(problem, place=place, remedy=remedy)
         self.reason: Reason = reason
         self.timeline = timeline
+        self.fit: TripFit | None = None
 
 
 LOWEST_SPEED = 2.0
