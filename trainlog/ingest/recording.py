@@ -393,9 +393,9 @@ def _frame(topic: Topic, table: Table, fixed: dict[str, Any]) -> pd.DataFrame | 
     """The frame of a topic that a table gives; None if it has no value of it."""
     signals = _of_topic(table.signals, topic.name)
     texts = _of_topic(table.texts, topic.name)
-    present = _any([np.isfinite(values) for values in signals.values()], len(table))
-    if texts:
-        present = _any([words != "" for words in texts.values()], len(table))
+    masks = [words != "" for words in texts.values()]
+    masks = masks or [np.isfinite(values) for values in signals.values()]
+    present = np.logical_or.reduce(np.reshape(masks, (len(masks), len(table))))
     if not present.any():
         return None
     data = {name: column[present] for name, column in {**signals, **texts}.items()}
@@ -404,10 +404,6 @@ def _frame(topic: Topic, table: Table, fixed: dict[str, Any]) -> pd.DataFrame | 
         level = np.nan_to_num(data.get("level", np.full(count, INFO)), nan=INFO)
         data["level"] = level.astype(np.int64)
     return frame_of(topic, _index(table.time[present]), {**_filled(fixed, count), **data})
-
-
-def _any(masks: list[BoolArray], count: int) -> BoolArray:
-    return np.logical_or.reduce(masks) if masks else np.zeros(count, dtype=np.bool_)
 
 
 def _filled(fixed: dict[str, Any], count: int) -> dict[str, Any]:

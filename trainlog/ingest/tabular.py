@@ -125,7 +125,9 @@ class TextFile:
             kind = MismatchError if type(problems[0]) is MismatchError else InputError
             raise kind.listing(problems[:1] if alone else problems)
         parsed, cut = self._parsed(self.body, names), np.zeros(0, dtype=np.int64)
-        if parsed is None or parsed.ragged:
+        short = 0 if parsed is None else sum(count < self.named for count in parsed.cells)
+        # A few rows that were cut off need no second look.
+        if parsed is None or short < len(parsed.ragged) or short > HABIT * self.rows.size:
             body, cut = self._evened()
             parsed = self._parsed(body, names)
         if parsed is None:
@@ -135,9 +137,12 @@ class TextFile:
             raise self._misfit(parsed, ragged.size)
         if not ragged.size:
             return Cells(parsed.table, self.rows, self.rows.size)
-        fits, rows = np.delete(np.arange(self.rows.size), parsed.ragged), self.rows[ragged]
+        table, rows = parsed.table, self.rows[ragged]
+        if cut.size:
+            fits = np.delete(np.arange(self.rows.size), parsed.ragged)
+            table = table.filter(pa.array(~np.isin(fits, cut)))
         return Cells(
-            parsed.table.filter(pa.array(~np.isin(fits, cut))),
+            table,
             np.delete(self.rows, ragged),
             self.rows.size,
             tuple(Finding.met("truncated_rows", rows)),
@@ -145,13 +150,11 @@ class TextFile:
         )
 
     def _lines(self, numbers: Iterable[int]) -> list[str]:
-        """The text of the numbered rows of the body."""
-        ends = np.flatnonzero(np.frombuffer(self.body, dtype=np.uint8) == LINE_FEED)
-        starts = np.append(0, ends + 1)
-        ends = np.append(ends, len(self.body))
-        return [
-            self.body[starts[row] : ends[row]].decode("utf-8", errors="replace") for row in numbers
-        ]
+        """The text of the numbered rows of the body, in their order there."""
+        wanted = set(numbers)
+        every = enumerate(io.BytesIO(self.body))
+        lines = (line for row, line in every if row in wanted)
+        return [line.removesuffix(b"\n").decode("utf-8", errors="replace") for line in lines]
 
     def _evened(self) -> tuple[bytes, IntArray]:
         """The body with a cell for each column in all rows that hold every named one.
