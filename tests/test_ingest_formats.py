@@ -341,21 +341,24 @@ def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path):
 
 
 def test_columns_without_a_name_are_not_used(tmp_path):
-    """Where the header has empty cells for them, they may hold values."""
+    """Where the header has empty cells for them, they may hold values, in all rows or in some."""
     run = clean_run(60, 1.0)
-    rows = [f"{row},7,8" + "," * (i % 4) for i, row in enumerate(run.rows())]
-    trip = read(tmp_path, rows, "t,v,s,,")
-    assert report_of(trip).findings == ()
-    np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
+    some = [",7," if i % 5 == 3 else "," * (2 + i % 4) for i in range(60)]
+    for ends in ([",7,8" + "," * (i % 4) for i in range(60)], some):
+        rows = [row + end for row, end in zip(run.rows(), ends, strict=True)]
+        trip = read(tmp_path, rows, "t,v,s,,")
+        assert report_of(trip).findings == ()
+        np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
 
 
-def test_rows_that_end_at_their_last_value_are_whole(tmp_path):
+@pytest.mark.parametrize("header", ["t,v,s", "t,v,s,,"])
+def test_rows_that_end_at_their_last_value_are_whole(tmp_path, header):
     """A writer that leaves out the empty cells at the end of a row, as every other row has some."""
     rows = [
         f"{row},{60 + 0.1 * (row.second % 7)},{300 + row.second}" if n % 2 else f"{row},{60.5}"
         for n, row in enumerate(pd.date_range("2024-05-01T06:00:00Z", periods=200, freq="s"))
     ]
-    path = put(tmp_path / "run.csv", ["t,v,s", *rows])
+    path = put(tmp_path / "run.csv", [header, *rows])
     profile = plain_profile(
         columns={
             "/train/state.speed": {"column": "v", "unit": "km/h"},
