@@ -8,7 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 from refusals import refused
-from trajectory_cases import FLIRT, drawn, hilly_line, observed, optimised, optimised_journey
+from simulated_line import steps
+from trajectory_cases import (
+    FLIRT,
+    drawn,
+    hilly_line,
+    level_line,
+    observed,
+    optimised,
+    optimised_journey,
+)
 
 from analysis.trajectory.journey import JourneyPlan, sections_of
 from trainlog.errors import InfeasibleError, InputError
@@ -137,6 +146,16 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere():
             )
         ]  # fmt: skip
         assert sum(parts) > plan.certificate["energy"]
+
+
+def test_a_section_that_feeds_back_more_than_it_takes_gets_its_reserve():
+    line = replace(level_line(6_000.0, (0.0, 90.0)), gradients=steps((0.0, 0.0), (3_500.0, -0.03)))
+    journey = Journey("down", line.name, (stop(0.0, 0.0, 0.0), stop(3_000.0), stop(6_000.0)))
+    options = {"reserve": 0.1, "cells": 60, "objective": "line"}
+    plan = optimised_journey(line, FLIRT, observed(FLIRT, 1.0), journey, **options)
+    assert plan.sections[1].certificate["energy"] < 0.0
+    prices = [sum(each.certificate["time_price"].values()) for each in plan.sections]
+    assert prices[0] == pytest.approx(prices[1], rel=0.15)
 
 
 @pytest.mark.usefixtures("unrenewed")

@@ -55,7 +55,7 @@ class Schedule:
 
     def __init__(self, least: FloatArray, low: FloatArray, high: FloatArray, dwell: float) -> None:
         self.least, self.low, self.high, self.dwell = least, low, high, dwell
-        self.times, self.energies = cp.Variable(low.shape), cp.Variable(least.size, nonneg=True)
+        self.times, self.energies = cp.Variable(low.shape), cp.Variable(least.size)
         self.running = self.times[:, 1] - self.times[:, 0]
         late = np.nonzero(np.isfinite(high))
         self.limits = [self.times >= low, self.times[late] <= high[late]]
