@@ -14,6 +14,7 @@ from refusals import refused
 from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis import Follower, OptimiserOptions, TrajectoryProblem, following_scenarios, optimise
+from analysis.comparison.groups import trip_cost
 from analysis.control import prediction as prediction
 from analysis.control.follow import MARGIN, Observer, Odometry, effort_reversals, following_line
 from analysis.control.plot import following_charts
@@ -395,9 +396,13 @@ def test_simulated_scenarios_are_the_trips_of_the_command():
     words = following_line(trips[0], trajectory)
     assert re.fullmatch(
         r"running time [\d:]+ min from departure to arrival, [\d:]+ min planned;"
-        r" slip protection acted \d+ times?; \d reversals? from .* beyond 20 kN, \d in the plan",
+        r" traction [\d.]+ kWh, [\d.]+ kWh planned; slip protection acted \d+ times?;"
+        r" \d reversals? from .* beyond 20 kN, \d in the plan",
         words,
     )
+    energies = re.search(r"traction ([\d.]+) kWh, ([\d.]+) kWh planned", words)
+    assert float(energies[2]) == pytest.approx(trajectory.certificate["energy"] / 3.6e6, abs=0.006)
+    assert float(energies[1]) == pytest.approx(trip_cost(trips[0]).traction / 3.6e6, abs=0.006)
     with pytest.raises(InputError, match="no configuration 'none'"):
         following_scenarios(trajectory, line, train, configurations="none")
 

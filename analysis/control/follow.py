@@ -36,6 +36,7 @@ from estimators.motion import OdometryFilter
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.presentation import kwh
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation import Scenario, trajectory_scenarios
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
@@ -391,7 +392,7 @@ def effort_reversals(tractive: ArrayLike, braking: ArrayLike) -> int:
 
 
 def following_line(trip: Trip, trajectory: Trajectory) -> str:
-    """How a trip follows, in words: its running time, slip protection and reversals of effort.
+    """How a trip follows, in words: running time, energy, slip protection, reversals of effort.
 
     The running time is that from departure to arrival, as a plan has it, without what is recorded
     before and after. Efforts count while the train moves.
@@ -407,11 +408,13 @@ def following_line(trip: Trip, trajectory: Trajectory) -> str:
     driven, planned = counts
     onsets = protection_onsets(trip)
     acted = "is not recorded" if onsets is None else f"acted {counted(len(onsets), 'time')}"
-    took, planned_time = driven_trip(trip).duration, float(trajectory.running_time)
+    run, planned_time = driven_trip(trip), float(trajectory.running_time)
+    work = float(trajectory.tractive_effort @ np.diff(trajectory.positions))
     return (
-        f"running time {clock(took)} from departure to arrival, {clock(planned_time)} planned;"
-        f" slip protection {acted}; {counted(driven, 'reversal')} from traction to braking or back"
-        f" beyond {REVERSAL / 1e3:g} kN, {planned} in the plan"
+        f"running time {clock(run.duration)} from departure to arrival, {clock(planned_time)}"
+        f" planned; traction {kwh(run.work('traction'))}, {kwh(work)} planned; slip protection"
+        f" {acted}; {counted(driven, 'reversal')} from traction to braking or back beyond"
+        f" {REVERSAL / 1e3:g} kN, {planned} in the plan"
     )
 
 
