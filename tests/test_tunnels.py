@@ -9,15 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.comparison.calculated import calculate
 from analysis.resistance.fit import TripFit, fit_trip
 from analysis.resistance.recording import TripRefusedError
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.table import PlannedRun
 from analysis.truth import truth_of
-from trainlog.formats.railway import read_line, read_train, train_to_bytes
+from trainlog.formats.railway import line_to_bytes, read_line, read_train, train_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.ttobench import read_track, read_train as read_published_train
+from trainlog.mcap import read_log
 from trainlog.railway import Line, Train, Tunnel
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import TRAIN_ATTACHMENT, Trip
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -43,6 +48,23 @@ def trips(line: Line, train: Train, strength: float, count: int) -> Iterator[tup
         trip = simulate(scenario)
         stated = {TRAIN_ATTACHMENT: train_to_bytes(shown)}
         yield replace(trip, attachments={**trip.attachments, **stated}), true
+
+
+def test_tunnels_that_add_no_resistance_are_stated():
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    line = replace(line, tunnels=(Tunnel(1_000.0, 500.0, 40.0), Tunnel(2_400.0, 500.0, 40.0)))
+    silent = replace(train, tunnel_resistance=())
+    words = "km of tunnels add no resistance: the train file has no tunnel_resistance"
+    assert words in silent.unknown_tunnels(line)[0]
+    problem = TrajectoryProblem.nominal(line, silent, start=500.0, end=2_500.0)
+    run = PlannedRun(problem, optimise(problem, OptimiserOptions(cells=30)))
+    assert any(note.startswith(f"0.6 {words}") for note in run.notes)
+    stated = replace(problem, train=replace(train, tunnel_resistance=((40.0, 5.0),)))
+    assert not any(words in note for note in PlannedRun(stated, run.run).notes)
+    trip = read_log(sample("nonstop.mcap"))
+    files = {LINE_ATTACHMENT: line_to_bytes(line), TRAIN_ATTACHMENT: train_to_bytes(silent)}
+    found = calculate(replace(trip, attachments={**trip.attachments, **files}), silent)
+    assert f"1.0 {words}" in " ".join(found.notes)
 
 
 def check(fit: TripFit, trip: Trip, true: Train) -> tuple[bool, bool]:

@@ -1010,8 +1010,9 @@ def calculate(
 
 
 def _notes(inputs: Inputs, cells: Cells) -> list[str]:
-    """What the recorded efforts are divided by, and which are taken from the motion."""
-    found, brakes = list[str](), inputs.unrecorded_brakes
+    """What tunnels lack, what efforts are divided by, and which are taken from the motion."""
+    brakes, ends = inputs.unrecorded_brakes, cells.nodes[[0, -1]].tolist()
+    found = inputs.model.train.unknown_tunnels(inputs.model.line, *ends)
     if inputs.efforts and abs(inputs.gain.value - 1.0) > SAID_GAIN:
         found.append(
             f"recorded efforts are divided by their gain, {inputs.gain.value:.3f}, found by the"

@@ -110,6 +110,9 @@ class PlannedRun(Presented):
         ):
             assumed = ", ".join(name.replace("_", " ") for name in names)
             found += [f"Assumed of the {what}: {assumed}."] if assumed else []
+        ends = (each.positions[[0, -1]].tolist() for each in (self.sections[0], self.sections[-1]))
+        (start, _), (_, end) = ends
+        found += self.problem.train.unknown_tunnels(self.problem.line, start, end)
         if any(not each.protected_length for each in self.sections):
             length = self.problem.train.length
             state = "" if length else "state the length in the train file and "

@@ -674,6 +674,17 @@ class Train(Declared):
         )
         return np.where(section > 0.0, found, 0.0)
 
+    def unknown_tunnels(self, line: Line, start: float = 0.0, end: float = np.inf) -> list[str]:
+        """That tunnels between two positions [m] add no resistance, where the train states none."""
+        ends = [(each.position, each.position + each.length) for each in line.tunnels]
+        length = sum(max(min(last, end) - max(first, start), 0.0) for first, last in ends)
+        if self.tunnel_resistance or not length:
+            return []
+        return [
+            f"{length / 1e3:.1f} km of tunnels add no resistance: the train file has no"
+            " tunnel_resistance; 'trainlog fit' of trips through them states it"
+        ]
+
     def track_force(self, line: Line, position: ArrayLike, mass: float) -> FloatArray:
         """Resistance of the track [N] that does not depend on speed: gradient and curves."""
         return np.asarray(mass * line.track_acceleration(position, self.strip_length))
