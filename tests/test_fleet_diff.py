@@ -286,6 +286,7 @@ def test_parameters_that_change_the_bins_of_a_map(place, tmp_path, shell):
         ),
         ("adhesion.bin_length=x", "adhesion.bin_length is 'x'; give a positive number"),
         ("resistance.speeds=30", "resistance.speeds is 30; give two numbers, as [5, 40]"),
+        ("resistance.speeds=[40, 5]", "speeds is [40, 5]; give two numbers, as [5, 40]"),
     ],
 )
 def test_what_is_no_version_is_refused(place, side, message, shell):

@@ -330,6 +330,8 @@ def test_parameters_are_part_of_what_identifies_a_result():
     assert coarse.digest != ANALYSES["adhesion"].digest
     fine, rough = (each.table(view_of(LOGS[0])) for each in (ANALYSES["adhesion"], coarse))
     assert fine["bins"][0] > 2 * rough["bins"][0]
+    given = ANALYSES["resistance"].with_parameters(speeds=(5, 40.0), largest_std=0.2)
+    assert given.parameters == {"speeds": (5, 40.0), "largest_std": 0.2}
     refused(InputError, "no parameter 'bins'", ANALYSES["adhesion"].with_parameters, bins=3)
     # An analysis of one's own takes whatever it declares.
     own = replace(coarse, name="mine", parameters={"layer": "wet", "window": 10.0, "ends": None})

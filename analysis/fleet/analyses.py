@@ -170,6 +170,9 @@ class FleetAnalysis:
         it by its name. Raises `TrainlogError` where a trip cannot be used.
     parameters : mapping of str to JSON values
         What the result depends on beside trip and code.
+    numbers : mapping of str to int
+        Of parameters that are a positive number 1, of those that are a lower and a higher one 2;
+        others are checked by `run`.
 
     Examples
     --------
@@ -185,6 +188,7 @@ class FleetAnalysis:
     columns: tuple[Column, ...]
     run: Run
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    numbers: Mapping[str, int] = field(default_factory=dict)
 
     def table(self, trip: TripView) -> pd.DataFrame:
         """The table of a trip, with the declared columns in their order.
@@ -203,7 +207,7 @@ class FleetAnalysis:
         Raises
         ------
         InputError
-            If it has no such parameter, or the value is not a positive number, or a list of two.
+            If it has no such parameter, or the value is not of its `numbers`.
 
         Examples
         --------
@@ -217,18 +221,17 @@ class FleetAnalysis:
                 raise InputError(
                     f"analysis '{self.name}' has no parameter '{name}'", remedy=f"it has {known}"
                 )
-            # What an analysis of one's own takes is its own to check.
-            if self.name in ANALYSES and value != (default := self.parameters[name]):
-                pair = default is None
-                numbers = value if pair and isinstance(value, list) else [value]
-                right = all(
-                    isinstance(each, int | float) and 0 <= each < np.inf for each in numbers
+            count = self.numbers.get(name)
+            if count is None or value == self.parameters[name]:
+                continue
+            given = list(value) if isinstance(value, list | tuple) else [value]
+            right = len(given) == count and all(isinstance(each, int | float) for each in given)
+            steps = np.diff([0.0, *given]) if right else np.zeros(1)
+            if not (np.isfinite(steps).all() and steps.min() >= 0.0 and steps[-1] > 0.0):
+                remedy = "a positive number" if count == 1 else "two numbers, as [5, 40]"
+                raise InputError(
+                    f"{self.name}.{name} is {value!r}", remedy=f"give {remedy}, in SI units"
                 )
-                if not right or not any(numbers) or len(numbers) != 1 + pair:
-                    remedy = "two numbers, as [5, 40]" if pair else "a positive number"
-                    raise InputError(
-                        f"{self.name}.{name} is {value!r}", remedy=f"give {remedy}, in SI units"
-                    )
         return replace(self, parameters={**self.parameters, **parameters})
 
     @property
@@ -386,10 +389,16 @@ ANALYSES: dict[str, FleetAnalysis] = {
     each.name: each
     for each in (
         FleetAnalysis(
-            "resistance", SUMMARY, resistance, {"speeds": None, "largest_std": LARGEST_STD}
+            "resistance",
+            SUMMARY,
+            resistance,
+            {"speeds": None, "largest_std": LARGEST_STD},
+            {"speeds": 2, "largest_std": 1},
         ),
         FleetAnalysis("passport", PASSPORT, passport_row),
-        FleetAnalysis("adhesion", ADHESION, adhesion, {"bin_length": BIN_LENGTH}),
+        FleetAnalysis(
+            "adhesion", ADHESION, adhesion, {"bin_length": BIN_LENGTH}, {"bin_length": 1}
+        ),
         FleetAnalysis("driving", DRIVING, driving),
         FleetAnalysis("checks", CHECKS, checks),
     )
