@@ -191,7 +191,11 @@ def contents_of(path: str | Path) -> Contents:
         file, places = named
         return Contents(path, "route", read_network(file).route(*places))
     if path.is_dir():
-        return _trip_of_folder(path)
+        from trainlog.formats.trip_tables import read_parquet, trip_index
+
+        kind = trip_index(path).FORMAT.partition("-")[2]
+        names = {"parquet": "trip as Parquet", "csv": "trip as CSV"}
+        return Contents(path, names[kind], read_parquet(path))
     head = head_of(path)
     if head.startswith(MCAP):
         from trainlog.mcap import describe
@@ -284,14 +288,6 @@ def _period(days: list[int]) -> str:
     """Days since 1970-01-01: how many, the first and the last."""
     ends = dict.fromkeys(str(np.datetime64(day, "D")) for day in (*days[:1], *days[-1:]))
     return f"{counted(len(days), 'day')}, {' to '.join(ends)}" if days else "no evidence"
-
-
-def _trip_of_folder(path: Path) -> Contents:
-    from trainlog.formats.trip_tables import read_parquet, trip_index
-
-    kind = trip_index(path).FORMAT.partition("-")[2]
-    names = {"parquet": "trip as Parquet", "csv": "trip as CSV"}
-    return Contents(path, names[kind], read_parquet(path))
 
 
 def _of_format(path: Path, stated: str) -> Contents:

@@ -417,7 +417,18 @@ def agreement_of(rows: TripRows, second: BoolArray, order: IntArray) -> Agreemen
         own = rows.of(group)
         lag[group] = lags_of(own, factors_of(own)[0].log)[group]
         own = own.moved(-lag)
-        found, others, level = _set_aside(own, group, order)
+        # Factors of some trips, which of them are of another condition, and the others' levels.
+        others = np.zeros(own.trips, dtype=np.bool_)
+        found, level = factors_of(own)
+        for _ in range(ROUNDS):
+            # Where several are of another condition, one more is no surprise.
+            least = DOUBT if others.sum() < 2 else DOUBT / 2.0
+            new = group & (np.abs(found.log) > LEAST) & (found.doubt > least)
+            new &= ~_changed(found, new, group, order)
+            if np.array_equal(new, others) or 2 * new.sum() >= group.sum():
+                break
+            others = new
+            found, level = factors_of(own, ~others)
         aside |= others
         within = [bool((group & ~second).any()), bool((group & second).any())]
         placing[within] = _placing_variance(own, level, lag[group & ~others])
@@ -442,24 +453,6 @@ def _apart(rows: TripRows, second: BoolArray) -> float:
             return 0.0
         sides.append(middle)
     return 0.5 * (sides[0] - sides[1]) if sides[0] * sides[1] < 0.0 else 0.0
-
-
-def _set_aside(
-    rows: TripRows, group: BoolArray, order: IntArray
-) -> tuple[Factors, BoolArray, FloatArray]:
-    """Factors of some trips, which of them are of another condition, and the others' levels."""
-    aside = np.zeros(rows.trips, dtype=np.bool_)
-    found, level = factors_of(rows)
-    for _ in range(ROUNDS):
-        # Where several are of another condition, one more is no surprise.
-        least = DOUBT if aside.sum() < 2 else DOUBT / 2.0
-        new = group & (np.abs(found.log) > LEAST) & (found.doubt > least)
-        new &= ~_changed(found, new, group, order)
-        if np.array_equal(new, aside) or 2 * new.sum() >= group.sum():
-            break
-        aside = new
-        found, level = factors_of(rows, ~aside)
-    return found, aside, level
 
 
 def _changed(found: Factors, new: BoolArray, group: BoolArray, order: IntArray) -> BoolArray:

@@ -153,8 +153,8 @@ def test_noise_is_found_as_large_as_it_is():
     for seed in range(5):
         columns = np.column_stack([windows.x, windows.x @ np.array([1.0, 1e3, 10.0, 1.0]) / 1e5])
         columns[:, -1] += drawn_errors(windows, NOISE, seed)
-        found.append(estimate_noise(Likelihood(parts, columns, np.zeros((0, 5)))).sizes)
-    ratio = np.median(found, axis=0)[:3] / np.array(NOISE.sizes)[:3]
+        found.append(estimate_noise(Likelihood(parts, columns, np.zeros((0, 5)))))
+    ratio = np.median(found, axis=0)[:3] / np.array(NOISE)[:3]
     assert np.all((ratio > 0.75) & (ratio < 1.35)), ratio
 
 
@@ -257,7 +257,7 @@ def test_what_the_survey_brings_in_is_what_its_errors_do():
     scaled = x * prior
     gain = np.linalg.solve(scaled.T @ precision @ scaled + np.eye(6), scaled.T @ precision)
     gain *= prior[:, None]
-    only_map = replace(fit.noise, speed=0.0, effort=0.0)
+    only_map = fit.noise._replace(speed=0.0, effort=0.0)
     found = gain @ dense(windows, only_map) @ gain.T
     mass = fit.beta[3]
     jacobian = np.zeros((4, 6))

@@ -226,7 +226,16 @@ def _fitted(
                 remedy="leave one of the two out",
             )
         given = replace(given, speeds=np.full(given.slips.size, speed))
-    _check_points(given)
+    if given.slips.size < 5:
+        raise NotIdentifiableError(
+            f"{given.slips.size} points do not determine a characteristic",
+            remedy="give five at least",
+        )
+    if not np.max(given.adhesions) > 0.0:
+        raise InputError(
+            "points of adhesion: none is positive",
+            remedy="give points with slip and adhesion above 0",
+        )
     findings: list[str] = []
     wanted: list[Family] = ["polach", "exponentials"] if family is None else [family]
     fitted: dict[str, _Solution] = {}
@@ -247,20 +256,6 @@ def _fitted(
     elif given.speeds is not None and np.ptp(given.speeds) < 0.1 * np.mean(given.speeds):
         findings.append("points of one train speed: how the curve changes with it is Polach's law")
     return _judged(best, fitted, given, findings)
-
-
-def _check_points(points: AdhesionPoints) -> None:
-    """Refuse points that cannot show a maximum whatever the family."""
-    if points.slips.size < 5:
-        raise NotIdentifiableError(
-            f"{points.slips.size} points do not determine a characteristic",
-            remedy="give five at least",
-        )
-    if not np.max(points.adhesions) > 0.0:
-        raise InputError(
-            "points of adhesion: none is positive",
-            remedy="give points with slip and adhesion above 0",
-        )
 
 
 @dataclass(frozen=True, eq=False)

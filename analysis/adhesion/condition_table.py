@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.presentation import ADHESION, KILOMETRE, Column, Ends
 from trainlog.railway.condition import (
@@ -468,6 +468,9 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
         limits["speed_limit_reverse_km_h"] = line.speed_limits_reverse
     unknown = np.full(start.size, np.nan)
     gradient = PER_MILLE * line.gradients.mean(start, end)
+    inside = np.zeros(start.size, dtype=np.bool_)
+    for tunnel in line.tunnels:
+        inside |= (start < tunnel.position + tunnel.length) & (end > tunnel.position)
     return pd.DataFrame(
         {
             "start_m": start,
@@ -481,7 +484,7 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
                 else (KMH * _least(each, start, end)).round(3)
                 for name, each in limits.items()
             },
-            "tunnel": _in_tunnel(line, start, end),
+            "tunnel": inside,
             "station": _stations(line, track),
         }
     )
@@ -520,14 +523,6 @@ def _extreme(
     within = (index >= 0) & (positions < end[np.maximum(index, 0)])
     extreme.at(found, index[within], values[within])
     return found
-
-
-def _in_tunnel(line: Line, start: FloatArray, end: FloatArray) -> BoolArray:
-    """Whether any of each bin lies in a tunnel, (n,)."""
-    inside = np.zeros(start.size, dtype=np.bool_)
-    for tunnel in line.tunnels:
-        inside |= (start < tunnel.position + tunnel.length) & (end > tunnel.position)
-    return inside
 
 
 def _stations(line: Line, track: TrackConditionMap) -> list[str | None]:

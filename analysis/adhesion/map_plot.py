@@ -124,7 +124,8 @@ def map_charts(
     start, end = sorted(part or (0.0, track.length))
     bins = bins_table(track, line, at)
     bins = bins[(bins["end_m"] > start) & (bins["start_m"] < end)]
-    places = lowest_places(bins)
+    rows = lowest_bins(bins)
+    places = (0.5 * (rows["start_m"] + rows["end_m"])).tolist()
     now = at or last_evidence(track)
     when = "" if now is None else f"; expected at {now:%Y-%m-%d %H:%M} UTC"
     panels = [
@@ -156,12 +157,6 @@ def lowest_bins(bins: pd.DataFrame, most: int = LOWEST) -> pd.DataFrame:
     place = middle + 1e9 * pd.factorize(observed["line"])[0]
     rows = lowest_apart(place, observed["expected_low"], np.ones(len(place)), APART, most)
     return observed.iloc[rows]
-
-
-def lowest_places(bins: pd.DataFrame) -> list[float]:
-    """The middles of the `lowest_bins` [m]."""
-    rows = lowest_bins(bins)
-    return (0.5 * (rows["start_m"] + rows["end_m"])).tolist()
 
 
 def low_by_bin(track: TrackConditionMap, bins: pd.DataFrame) -> FloatArray:

@@ -496,12 +496,25 @@ def map_state(
     if at is not None:
         track = known_before(track, at)
     chosen, last = track.layers, last_evidence(track)
+    names = list(chosen)
+    every = [each for each in summary(track, 0) if each.layer in names]
+    days = [track.layer(each.layer).evidence.days for each in every]
     return MapState(
         track=track,
         line=line,
         at=at or last,
         last_evidence=last,
-        layers=_layers(track, list(chosen)),
+        layers=pd.DataFrame(
+            {
+                "layer": [each.layer for each in every],
+                "trips": [each.trips for each in every],
+                "onsets": [each.events for each in every],
+                "observed_m": [round(each.observed_length, 3) for each in every],
+                "observed_bins": [each.observed_bins for each in every],
+                "bins": [each.bins for each in every],
+                "last_day": [day_name(int(each[-1])) if each.size else None for each in days],
+            }
+        ),
         lowest=_lowest(track, line, at, list(chosen)),
         model=_model(chosen),
         spots=spots_table(track, line, at, list(chosen)),
@@ -524,22 +537,6 @@ def _without_changes(layers: Mapping[str, ConditionLayer]) -> Iterator[str]:
             where = counted(places, "bin") if places else "no bin"
             have = "has" if places <= 1 else "have"
             yield f"{name}: no lasting change found; {where} {have} onsets of two days or more."
-
-
-def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
-    every = [each for each in summary(track, 0) if each.layer in names]
-    days = [track.layer(each.layer).evidence.days for each in every]
-    return pd.DataFrame(
-        {
-            "layer": [each.layer for each in every],
-            "trips": [each.trips for each in every],
-            "onsets": [each.events for each in every],
-            "observed_m": [round(each.observed_length, 3) for each in every],
-            "observed_bins": [each.observed_bins for each in every],
-            "bins": [each.bins for each in every],
-            "last_day": [day_name(int(each[-1])) if each.size else None for each in days],
-        }
-    )
 
 
 def _trips(track: TrackConditionMap) -> pd.DataFrame:

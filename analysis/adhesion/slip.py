@@ -667,23 +667,15 @@ def _reference(trip: Trip, axles: PoweredAxles) -> tuple[FloatArray, FloatArray]
         for start, stop in runs_of(np.diff(recorded) == 0.0):
             if axles.time[stop] - axles.time[start] >= MEMORY:
                 recorded[start : stop + 1] = np.nan
-        if _is_apart(recorded, axles):
+        # Slower than all powered wheels, or faster, within `MEMORY`: no filter of theirs gives it.
+        around = 2 * max(1, round(MEMORY / axles.sampling)) + 1
+        slowest = pd.Series(axles.wheel_speed.min(axis=1)).rolling(around, center=True).min()
+        fastest = pd.Series(axles.wheel_speed.max(axis=1)).rolling(around, center=True).max()
+        beyond = SLIP_THRESHOLD + 0.02 * recorded
+        apart = (slowest.to_numpy() - recorded > beyond) | (recorded - fastest.to_numpy() > beyond)
+        if np.count_nonzero(apart) >= FEWEST_APART:
             return recorded, np.full(len(clock), SATELLITE_STD)
     return speed, std
-
-
-def _is_apart(speed: FloatArray, axles: PoweredAxles) -> bool:
-    """Whether a recorded speed of the train does not come from its powered wheels.
-
-    Slower than all of these, or faster, within `MEMORY` of the sample: no filter of theirs gives
-    it.
-    """
-    around = 2 * max(1, round(MEMORY / axles.sampling)) + 1
-    slowest = pd.Series(axles.wheel_speed.min(axis=1)).rolling(around, center=True).min()
-    fastest = pd.Series(axles.wheel_speed.max(axis=1)).rolling(around, center=True).max()
-    beyond = SLIP_THRESHOLD + 0.02 * speed
-    apart = (slowest.to_numpy() - speed > beyond) | (speed - fastest.to_numpy() > beyond)
-    return bool(np.count_nonzero(apart) >= FEWEST_APART)
 
 
 def _position(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray:

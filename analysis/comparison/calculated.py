@@ -386,7 +386,16 @@ def inputs_of(view: TripView, model: ParameterSet | Train, wind_std: float | Non
         name: values / (gain.value * factor) if "unknown" not in name else values
         for name, values in driven.sums.items()
     }
-    driven = replace(driven, speed=driven.speed / factor, sums=sums, signals=_signals(bare, driven))
+    # The signals, with the head wind at all samples or not at all, as the fit takes it.
+    signals = {name: values for name, values in driven.signals.items() if name != "head_wind"}
+    stamps = driven.departure + np.rint(driven.time * NANOSECONDS).astype(np.int64)
+    wind = recorded_head_wind(bare, pd.DatetimeIndex(stamps, tz="UTC"))
+    driven = replace(
+        driven,
+        speed=driven.speed / factor,
+        sums=sums,
+        signals=(signals if wind is None else signals | {"head_wind": wind}),
+    )
     windy = "head_wind" in driven.signals
     wind_std = (RECORDED_WIND if windy else HEAD_WIND) if wind_std is None else wind_std
     fitted = model if isinstance(model, ParameterSet) else None
@@ -402,14 +411,6 @@ def inputs_of(view: TripView, model: ParameterSet | Train, wind_std: float | Non
         wind_std,
         weighed,
     )
-
-
-def _signals(trip: Trip, driven: DrivenTrip) -> dict[str, FloatArray]:
-    """The signals, with the head wind at all samples or not at all, as the fit takes it."""
-    signals = {name: values for name, values in driven.signals.items() if name != "head_wind"}
-    stamps = driven.departure + np.rint(driven.time * NANOSECONDS).astype(np.int64)
-    wind = recorded_head_wind(trip, pd.DatetimeIndex(stamps, tz="UTC"))
-    return signals if wind is None else signals | {"head_wind": wind}
 
 
 def _mass(load: Quantity | None, train: Train, model: ParameterSet | Train) -> Quantity:
@@ -551,24 +552,16 @@ class Cells:
         return [each for each in found if each[1] - each[0] >= 3]
 
 
-def steps_of(inputs: Inputs) -> FloatArray:
-    """The model as it is, and one standard deviation of each thing off that is not known of it.
-
-    Coefficients of the resistance, mass [kg], gain, gradient and speed at a section's start [m/s],
-    a row each: first all to one side, then all to the other.
-    """
+def predicted(inputs: Inputs, cells: Cells) -> tuple[pd.DataFrame, FloatArray, FloatArray]:
+    """Times and works by section with their bands, and the calculated speeds with theirs."""
+    # The model as it is, and one standard deviation of each thing off that is not known of it.
     model, mass, gain = inputs.model, inputs.mass, inputs.gain
     gain_std = gain.std / gain.value if np.isfinite(gain.std) else UNCALIBRATED.std
     own = np.append(model.resistance.coefficients, [mass.value, 1.0, 0.0, 0.0])
     curve, off = len(TERMS), np.zeros((own.size, own.size))
     off[:curve, :curve] = model.principal_axes
     off[curve:, curve:] = np.diag([mass.std, gain_std, inputs.slope[0], SPEED_STD])
-    return own + np.vstack([np.zeros(own.size), off, -off])
-
-
-def predicted(inputs: Inputs, cells: Cells) -> tuple[pd.DataFrame, FloatArray, FloatArray]:
-    """Times and works by section with their bands, and the calculated speeds with theirs."""
-    steps = steps_of(inputs)
+    steps = own + np.vstack([np.zeros(own.size), off, -off])
     works = np.array([_work(inputs, cells, each) for each in steps])
     times, speeds = zip(*(_driven(inputs, cells, each) for each in steps), strict=True)
     fast = np.zeros(cells.step.size, dtype=np.bool_)

@@ -362,23 +362,6 @@ def _stand_at(both: Sequence[DrivenTrip], end: int) -> bool:
     return stand and abs(places[0] - places[1]) <= STATION_REACH
 
 
-def running_times(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> FloatArray:
-    """Time without stands [s] at which a trip reaches each node of a common range."""
-    found = trip.at(trip.running, nodes)
-    if common.starts:
-        found[0] = 0.0
-    if common.ends:
-        found[-1] = trip.running[-1]
-    return np.asarray(found)
-
-
-def counted_stands(trip: DrivenTrip, common: CommonRange) -> list[Stand]:
-    """Stands in a common range; at an end where only one of two trips ends they do not count."""
-    low = -np.inf if common.starts else common.first + STATION_REACH
-    high = np.inf if common.ends else common.last - STATION_REACH
-    return [each for each in trip.stands if low < each.position < high]
-
-
 CELL = 10.0
 """Length of the cells [m]."""
 
@@ -465,17 +448,25 @@ class _Cells:
     def of(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> _Cells:
         middle = 0.5 * (nodes[1:] + nodes[:-1])
         doubtful = trip.flags.get("doubtful", np.zeros(trip.time.size))
+        # Time without stands [s] at which a trip reaches each node of a common range.
+        found = trip.at(trip.running, nodes)
+        if common.starts:
+            found[0] = 0.0
+        if common.ends:
+            found[-1] = trip.running[-1]
+        low = -np.inf if common.starts else common.first + STATION_REACH
+        high = np.inf if common.ends else common.last - STATION_REACH
         return _Cells(
             trip,
             nodes,
-            np.diff(running_times(trip, nodes, common)),
+            np.diff(found),
             trip.at(trip.speed, middle),
             trip.limit_at(middle),
             trip.share_of("slip", nodes) > 0.2,
             trip.share_of("full_effort", nodes) > 0.5,
             np.diff(trip.at(np.cumsum(doubtful, dtype=np.float64), nodes))
             > 0.0,  # also of a jump while the train stands
-            counted_stands(trip, common),
+            [each for each in trip.stands if low < each.position < high],
         )
 
     @property
@@ -524,7 +515,18 @@ def lost_time(
         started = _later_start(trip, reference, common)
         rows.append((started, "start", f"at {sections.ends[0]}", 0, common.first, common.first))
     losses = pd.DataFrame(rows, columns=["lost", "cause", "place", "section", "first", "last"])
-    losses = pd.concat([_of_cells(lost, causes, nodes, sections), losses])
+    # Running time lost by section and cause.
+    first, last = nodes[:-1], nodes[1:]
+    section = sections.of(first)
+    cells = pd.DataFrame(
+        {"lost": lost, "cause": causes, "section": section, "first": first, "last": last}
+    )
+    found = cells.groupby(["section", "cause"], as_index=False).agg(
+        lost=("lost", "sum"), first=("first", "min"), last=("last", "max")
+    )
+    losses = pd.concat(
+        [found.assign(place=np.array(sections.names, dtype=object)[found["section"]]), losses]
+    )
     total = float(losses["lost"].sum())
     losses = losses[losses["lost"].abs() > ROUNDING]
     losses = losses.sort_values(
@@ -577,21 +579,6 @@ def _of_stands(mine: _Cells, other: _Cells, sections: Sections) -> list[tuple[ob
     return found
 
 
-def _of_cells(
-    lost: FloatArray, causes: NDArray[np.object_], nodes: FloatArray, sections: Sections
-) -> pd.DataFrame:
-    """Running time lost by section and cause."""
-    first, last = nodes[:-1], nodes[1:]
-    section = sections.of(first)
-    cells = pd.DataFrame(
-        {"lost": lost, "cause": causes, "section": section, "first": first, "last": last}
-    )
-    found = cells.groupby(["section", "cause"], as_index=False).agg(
-        lost=("lost", "sum"), first=("first", "min"), last=("last", "max")
-    )
-    return found.assign(place=np.array(sections.names, dtype=object)[found["section"]])
-
-
 def _causes(mine: _Cells, other: _Cells, lost: FloatArray) -> NDArray[np.object_]:
     """The cause of each cell, one of `CAUSES`."""
     slower = _smoothed(lost) > 0.0
@@ -624,20 +611,16 @@ def _events(kind: str, mine: _Cells, other: _Cells) -> Iterable[tuple[int, int]]
     found = [
         (cell, cell + 1)
         for stand in (mine.halts if stations else mine.stands)
-        if bool(stand.station) == stations and not _stands_near(other, stand)
+        if bool(stand.station) == stations
+        and not any(
+            abs(each.position - stand.position) <= STATION_REACH
+            or (stand.station and each.station == stand.station)
+            for each in other.trip.stands
+        )
         for cell in [_cell(mine, stand.position)]
         if cell is not None
     ]
     return found if stations else [*found, *_crawls(mine, other)]
-
-
-def _stands_near(cells: _Cells, stand: Stand) -> bool:
-    """Whether a trip stands where the other does."""
-    return any(
-        abs(each.position - stand.position) <= STATION_REACH
-        or (stand.station and each.station == stand.station)
-        for each in cells.trip.stands
-    )
 
 
 def _cell(cells: _Cells, position: float) -> int | None:
@@ -1299,14 +1282,7 @@ def _compared(
         return ComparedTrip(trip, table, None, None)
     shared = sections_between(trip.line, common.first, common.last)
     lost = lost_time(trip, reference, common, shared, by_time_of_day=by_time_of_day)
-    table = table.assign(lost=_lost_in(table, shared, lost))
-    whole = common.starts and common.ends
-    energy = normalised_energy(trip, reference, forces) if whole and forces is not None else None
-    return ComparedTrip(trip, table, lost, (common.first, common.last), energy)
-
-
-def _lost_in(table: pd.DataFrame, shared: Sections, lost: Lost) -> Any:
-    """Time lost in the rows of a trip's table; NaN in sections that are not in common."""
+    # Time lost in the rows of a trip's table; NaN in sections that are not in common.
     # A section of the common range lies in one of the table, of which it may be a part.
     inner = 0.5 * (shared.edges[1:] + shared.edges[:-1])
     row = np.searchsorted(table["last"], inner)
@@ -1315,4 +1291,7 @@ def _lost_in(table: pd.DataFrame, shared: Sections, lost: Lost) -> Any:
         np.bincount(row[within], weights, minlength=len(table))
         for weights in (None, lost.by_section(inner.size)[within])
     )
-    return np.where(count > 0, seconds, np.nan)
+    table = table.assign(lost=np.where(count > 0, seconds, np.nan))
+    whole = common.starts and common.ends
+    energy = normalised_energy(trip, reference, forces) if whole and forces is not None else None
+    return ComparedTrip(trip, table, lost, (common.first, common.last), energy)

@@ -16,7 +16,7 @@ known: neither is the work there, and a calculation starts anew behind it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -284,16 +284,6 @@ def _silences(trip: Trip, topic: str, missing: str, origin: pd.Timestamp) -> lis
     return [Gap(*each, missing) for each in ends]
 
 
-def time_in(gaps: Iterable[Gap], time: FloatArray, position: FloatArray) -> FloatArray:
-    """Time [s] in gaps until each sample; those in which the train did not move do not count."""
-    found = np.zeros(time.size)
-    for gap in gaps:
-        low, high = np.interp([gap.first, gap.last], time, position)
-        if high - low > GAP_DISTANCE:
-            found = found + np.clip(time, gap.first, gap.last) - gap.first
-    return found
-
-
 SAMPLING = 0.1
 """Least time between two samples that are kept [s]; work is summed over all of them."""
 
@@ -488,7 +478,12 @@ def _thinned(trip: Trip, state: str, frame: pd.DataFrame) -> Samples:
     columns = {name: frame[name].to_numpy(dtype=np.float64)[kept] for name in frame.columns}
     time = time[kept]
     unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
-    silent = time_in(unknown, time, columns["position"])
+    position = columns["position"]
+    silent = np.zeros(time.size)
+    for gap in unknown:
+        low, high = np.interp([gap.first, gap.last], time, position)
+        if high - low > GAP_DISTANCE:
+            silent = silent + np.clip(time, gap.first, gap.last) - gap.first
     for name in (f"unknown_{work}" for work in EFFORTS.values()):
         if name in sums:
             sums[name] = sums[name] + silent

@@ -83,7 +83,21 @@ class ForceModel:
         """
         if model is not None:
             model.check_train(train.name)
-            common, covariance = resistance_of(model, HEAD_WIND if wind_std is None else wind_std)
+            # Common running resistance of a fit, and its covariance for one more trip.
+            betas = np.array([each.resistance.coefficients for each in model.configurations])
+            common = (
+                RunningResistance.of(betas.mean(axis=0)) if model.common is None else model.common
+            )
+            none = np.zeros((betas.shape[1], betas.shape[1]))
+            known = none if model.common_covariance is None else model.common_covariance
+            if model.common_covariance is None and len(betas) == 1:
+                known = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
+            off = betas - common.coefficients
+            # Few trips hardly show how much they differ: what they differ by anyway counts as some.
+            weight = PRIOR_TRIPS + len(betas) - 1
+            spread = trip_spread(common, HEAD_WIND if wind_std is None else wind_std)
+            between = (PRIOR_TRIPS * spread + off.T @ off) / weight
+            covariance = known + between * weight / (weight - 2)
             return ForceModel(FIT, train, line, common, covariance)
         own = train.resistance
         spread = RESISTANCE_SHARE**2 * np.outer(own.coefficients, own.coefficients)
@@ -112,27 +126,6 @@ def trip_spread(resistance: RunningResistance, wind_std: float = HEAD_WIND) -> F
     covariance[1, 1] += (2.0 * resistance.r2 * wind_std) ** 2
     covariance[0, 0] += 2.0 * (resistance.r2 * wind_std**2) ** 2
     return np.asarray(covariance)
-
-
-def resistance_of(
-    model: ParameterSet, wind_std: float = HEAD_WIND
-) -> tuple[RunningResistance, FloatArray]:
-    """Common running resistance of a fit, and its covariance for one more trip.
-
-    A trip differs from the common curve by what trips differ among each other.
-    """
-    betas = np.array([each.resistance.coefficients for each in model.configurations])
-    common = RunningResistance.of(betas.mean(axis=0)) if model.common is None else model.common
-    none = np.zeros((betas.shape[1], betas.shape[1]))
-    known = none if model.common_covariance is None else model.common_covariance
-    if model.common_covariance is None and len(betas) == 1:
-        known = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
-    off = betas - common.coefficients
-    # Few trips hardly show how much they differ: what trips differ by anyway counts as some.
-    weight = PRIOR_TRIPS + len(betas) - 1
-    between = (PRIOR_TRIPS * trip_spread(common, wind_std) + off.T @ off) / weight
-    covariance = known + between * weight / (weight - 2)
-    return common, covariance
 
 
 def normalised_energy(trip: DrivenTrip, reference: DrivenTrip, model: ForceModel) -> Band | None:

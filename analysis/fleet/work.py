@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 import pandas as pd
 import pyarrow as pa
@@ -22,9 +22,6 @@ from trainlog.errors import TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.processes import LINEAR_ALGEBRA, begin_worker
 from trainlog.version import code_version
-
-if TYPE_CHECKING:
-    from analysis.view import TripView
 
 THREADS = (*LINEAR_ALGEBRA, "NUMBA_NUM_THREADS")
 """Environment of a worker: one thread each. Workers share out the processors among trips."""
@@ -243,25 +240,21 @@ def _of_trip(
     try:
         for trip in views_of(Path(job.path), TOPICS, sha256=job.sha256, checked=True):
             for number, each in gathered.items():
-                _gather(each, analyses[number], trip)
+                began = time.perf_counter()
+                try:
+                    frame = analyses[number].table(trip)
+                except Exception as error:  # noqa: BLE001
+                    each.reasons.append(_stated(error))
+                else:
+                    each.frames.append(frame)
+                    if _is_refused(frame):
+                        each.reasons.append(("refused", str(frame["message"].iloc[0])))
+                each.seconds += time.perf_counter() - began
     except Exception as error:  # noqa: BLE001  # what is wrong with one trip stops no other
         state, reason = _stated(error)
         for each in gathered.values():
             each.frames, each.reasons = [], [(state, reason)]
     return {number: _outcome(job, each) for number, each in gathered.items()}
-
-
-def _gather(gathered: _Gathered, analysis: FleetAnalysis, trip: TripView) -> None:
-    began = time.perf_counter()
-    try:
-        frame = analysis.table(trip)
-    except Exception as error:  # noqa: BLE001
-        gathered.reasons.append(_stated(error))
-    else:
-        gathered.frames.append(frame)
-        if _is_refused(frame):
-            gathered.reasons.append(("refused", str(frame["message"].iloc[0])))
-    gathered.seconds += time.perf_counter() - began
 
 
 def _is_refused(frame: pd.DataFrame) -> bool:

@@ -343,11 +343,16 @@ def _energy(fleet: _Fleet) -> list[Part]:
         return ["No trip has its times and energy computed."]
     rows = rows[rows["distance"] > 0.0]
     by_edge, by_train = (_energy_of(rows, by) for by in ("edge", "train"))
+    sources = rows["line_energy_source"]
+    words = "; ".join(
+        f"{_SOURCES.get(str(name), str(name))}: {counted(int(count), 'run')}"
+        for name, count in sources.fillna("").value_counts().items()
+    )
     return [
         "A run is that of a trip over one edge, or over the whole line where trips run on no"
         " network. Traction and dynamic brake are work at the wheel rims; from the line is what was"
         " drawn less what was fed back.",
-        energy_sources(rows["line_energy_source"]),
+        f"Energy from the line, of runs over an edge, {words}.",
         _bars(by_train, "train"),
         _energy_table(by_train, "train"),
         _bars(by_edge, "line or edge"),
@@ -362,15 +367,6 @@ _SOURCES = {
     "": "not known",
 }
 """Words of where the energy from the line is from."""
-
-
-def energy_sources(sources: pd.Series) -> str:
-    """Where the energy from the line of runs over an edge is from, with their number."""
-    words = "; ".join(
-        f"{_SOURCES.get(str(name), str(name))}: {counted(int(count), 'run')}"
-        for name, count in sources.fillna("").value_counts().items()
-    )
-    return f"Energy from the line, of runs over an edge, {words}."
 
 
 def _energy_of(rows: pd.DataFrame, by: str) -> pd.DataFrame:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_difference import map_history
-from analysis.adhesion.map_state import MapState, line_of_map, map_state, summary
+from analysis.adhesion.map_state import line_of_map, map_state, summary
 from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, worded
 from analysis.reports.answers import map_words, summary_section
 from analysis.reports.page import Page, Part, Picture, Section, Warned
@@ -218,15 +218,6 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
         Section("Places, spots and changes", state.shown(), folded=True),
     ]
     note(f"{path.name}: history of the lowest places")
-    histories = _histories(track, state, course)
-    sections.append(Section("History of the lowest places", histories, folded=True))
-    note(f"{path.name}: verification")
-    sections.append(Section("Verification", _verified(track), folded=True))
-    return sections
-
-
-def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> list[Part]:
-    """The place of least expected adhesion of each layer, over the days."""
     parts: list[Part] = []
     for name in track.layers:
         lowest = state.lowest[state.lowest["layer"] == name]
@@ -234,11 +225,16 @@ def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> 
             continue
         row = lowest.nsmallest(1, "expected").iloc[0]
         middle = 0.5 * (float(row["start_m"]) + float(row["end_m"]))
-        found = map_history(track, middle, name, line=line, days=HISTORY_DAYS)
+        found = map_history(track, middle, name, line=course, days=HISTORY_DAYS)
         if len(found.known) > 1:
             parts += found.charts()
         parts += found.shown()
-    return parts or ["No place was observed."]
+    sections.append(
+        Section("History of the lowest places", parts or ["No place was observed."], folded=True)
+    )
+    note(f"{path.name}: verification")
+    sections.append(Section("Verification", _verified(track), folded=True))
+    return sections
 
 
 def _verified(track: TrackConditionMap) -> list[Part]:

@@ -115,7 +115,9 @@ def report(folder: str | Path) -> Report:
             file=folder,
             remedy="name the folder that holds the results",
         )
-    logs = _logs_in(folder)
+    usual = sorted((folder / "trips").glob("*.mcap"))
+    inner = [log for log in folder.glob("*/*.mcap") if not log.parent.name.startswith("driven")]
+    logs = usual or [*sorted(folder.glob("*.mcap")), *sorted(inner)]
     simulated, results = SimulatedLogs(logs), results_in(folder)
     rows = [
         _recorded(logs),
@@ -136,13 +138,6 @@ def report(folder: str | Path) -> Report:
             " parameters.json, a map (.map), trajectory.json; or by any other name",
         )
     return Report(folder, tuple(found))
-
-
-def _logs_in(folder: Path) -> list[Path]:
-    """Logs of recorded trips: those in ``trips``, without them in the folder and in those in it."""
-    usual = sorted((folder / "trips").glob("*.mcap"))
-    inner = [log for log in folder.glob("*/*.mcap") if not log.parent.name.startswith("driven")]
-    return usual or [*sorted(folder.glob("*.mcap")), *sorted(inner)]
 
 
 def copies_in(logs: Sequence[Path]) -> list[SameDrive]:

@@ -251,13 +251,23 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
     slipped = _tried(lambda: slip(view))
     course = _tried(lambda: trip_charts(trip, zone=zone))
     course = [Warned(f"{course}.")] if isinstance(course, TrainlogError) else course
+    # What follows from what the trip shows.
+    name = shlex.quote(log.name)
+    steps = ["see what is doubtful under Recording"] if judged.level else []
+    if line is None:
+        steps.append(f"{name} has no line: trainlog ingest RECORDING --line LINE -o FOLDER adds it")
+    if isinstance(slipped, SlipAnalysis) and len(slipped.events) and line is not None:
+        steps.append(f"add its slip to a map: trainlog map update {name} --map LINE.map")
+    if judged.level < 2 and line is not None:
+        steps.append(f"fit the running resistance: trainlog fit {name} -o parameters.json")
+    steps.append(f"look at it over time and position: trainlog replay {name}")
     sections = [
         summary_section(
             _driven(trip, motion, line, zone, cost),
             str(judged),
             slip_words(slipped, line),
             _cost_words(cost),
-            _next_steps(log, slipped, judged, line),
+            steps,
         ),
         Section("Speed and efforts", course),
         Section("Stops and stations", _stops_part(trip, motion, line, zone), folded=True),
@@ -325,20 +335,6 @@ def _cost_words(cost: object) -> list[str]:
     if cost.late is not None:
         words.append(f"on arrival {lateness(cost.late)}, against the trajectory")
     return words
-
-
-def _next_steps(log: Path, slipped: object, judged: Verdict, line: Line | None) -> list[str]:
-    """What follows from what the trip shows."""
-    name = shlex.quote(log.name)
-    steps = ["see what is doubtful under Recording"] if judged.level else []
-    if line is None:
-        steps.append(f"{name} has no line: trainlog ingest RECORDING --line LINE -o FOLDER adds it")
-    if isinstance(slipped, SlipAnalysis) and len(slipped.events) and line is not None:
-        steps.append(f"add its slip to a map: trainlog map update {name} --map LINE.map")
-    if judged.level < 2 and line is not None:
-        steps.append(f"fit the running resistance: trainlog fit {name} -o parameters.json")
-    steps.append(f"look at it over time and position: trainlog replay {name}")
-    return steps
 
 
 def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:

@@ -757,23 +757,12 @@ def _located(view: TripView) -> tuple[Motion, Line]:
             place="topics /estimates/state and /train/state",
             remedy="ingest the recording with --line, which turns satellite fixes into chainage",
         )
-    check_gradients(view.name, view.line)
-    return motion, view.line
-
-
-def check_gradients(trip: str, line: Line) -> None:
-    """Refuse a line that only assumes its gradients, or states them too roughly.
-
-    Raises
-    ------
-    NotIdentifiableError
-        Coasting and a slight effort are distinguished only where gradients are known to half of
-        the spacing of the levels of effort.
-    """
+    # Refuse a line that only assumes its gradients, or states them too roughly.
+    line = view.line
     worst = 0.5 * SPACING / GRAVITY
     if line.survey is not None and line.survey.gradient_std > worst:
         raise NotIdentifiableError(
-            f"trip '{trip}': the gradients of line '{line.name}' are known to"
+            f"trip '{view.name}': the gradients of line '{line.name}' are known to"
             f" {PER_MILLE * line.survey.gradient_std:.1f} per mille only, and coasting cannot be"
             f" found from motion above {PER_MILLE * worst:.1f} per mille",
             remedy="give more rides or better altitudes when the line is built, or take what needs"
@@ -781,10 +770,11 @@ def check_gradients(trip: str, line: Line) -> None:
         )
     if "gradients" in line.assumed:
         raise NotIdentifiableError(
-            f"trip '{trip}': the gradients of line '{line.name}' are not known",
+            f"trip '{view.name}': the gradients of line '{line.name}' are not known",
             remedy="build the line from three or more rides whose receivers give altitudes, state"
             " its gradients, or take what needs none ('--gradient unknown')",
         )
+    return motion, line
 
 
 def fit_segments(
@@ -818,7 +808,7 @@ def fit_segments(
     # How noisy the speed is was seen on the whole trip, not only where it coasts.
     ordinary = Expected.on(line)
     speed_noise = motion.noise * np.sqrt(motion.period / width)
-    noise = replace(ordinary, sizes=replace(ordinary.sizes, speed=speed_noise))
+    noise = replace(ordinary, sizes=ordinary.sizes._replace(speed=speed_noise))
     while True:
         windows = build_windows(coasting_recording(motion, line, segments, strip_length), width)
         _check_windows(motion, windows)
@@ -835,7 +825,14 @@ def fit_segments(
         outliers += (segments[worst],)
         segments = segments[:worst] + segments[worst + 1 :]
     theta, covariance = fitted.over_mass
-    covariance = covariance + _misjudged(segments, owner, used, fitted)
+    # Efforts that were taken for coasting: with the probability that a segment was not coasting
+    # it carried the nearest level of effort, to either side.
+    held = used.duration[:, None] * (owner[:, None] == np.arange(len(segments)))
+    rows = NoiseParts.of(used, 1.0).whiten(fitted.noise, np.column_stack([used.x, held]))
+    terms = used.x.shape[1]
+    moved = fitted.over_mass[1] @ rows[:, :terms].T @ rows[:, terms:] / fitted.cluster_factor
+    doubt = np.array([1.0 - segment.probability for segment in segments])
+    covariance = covariance + np.asarray((moved * doubt * SPACING**2) @ moved.T)
     effect = theta * np.append(1.0, 1.0 - np.arange(len(TERMS))) * motion.scale.std
     free = theta, covariance + np.outer(effect, effect)
     theta, covariance, ratio = with_ratio(*free, expected)
@@ -849,7 +846,7 @@ def fit_segments(
         segments=segments,
         outlier_segments=outliers,
         windows={"used": used.count, "outlier": int(np.sum(~fitted.kept))},
-        noise=dict(zip(CAUSES[:3], fitted.noise.sizes[:3], strict=True)),
+        noise=dict(zip(CAUSES[:3], fitted.noise[:3], strict=True)),
         cluster_factor=fitted.cluster_factor,
         residual_std=float(np.sqrt(residual @ residual / max(residual.size - theta.size, 1))),
         points=fitted.points(windows),
@@ -932,22 +929,6 @@ def _outlier_segment(count: int, owner: IntArray, fitted: WindowFit) -> int | No
     size = np.maximum(np.bincount(owner, minlength=count), 1) * fitted.cluster_factor
     z = np.abs(total) / np.sqrt(size)
     return int(np.argmax(z)) if z.max() > OUTLIER_SEGMENT else None
-
-
-def _misjudged(
-    segments: tuple[Segment, ...], owner: IntArray, used: Windows, fitted: WindowFit
-) -> FloatArray:
-    """Covariance (4, 4) that efforts bring in which were taken for coasting.
-
-    With the probability that a segment was not coasting it carried the nearest level of effort, to
-    either side: least squares gives what that does to the parameters.
-    """
-    held = used.duration[:, None] * (owner[:, None] == np.arange(len(segments)))
-    rows = NoiseParts.of(used, 1.0).whiten(fitted.noise, np.column_stack([used.x, held]))
-    terms = used.x.shape[1]
-    moved = fitted.over_mass[1] @ rows[:, :terms].T @ rows[:, terms:] / fitted.cluster_factor
-    doubt = np.array([1.0 - segment.probability for segment in segments])
-    return np.asarray((moved * doubt * SPACING**2) @ moved.T)
 
 
 def combined(
@@ -1126,7 +1107,17 @@ def _without_gradient(sources: Sources, spans: Mapping[str, Spans] | None) -> Co
         for view in sources.views
     ]
     rows = pd.concat(found.values(), ignore_index=True)
-    _check_repeated(rows["piece"])
+    # Refuse passages of which none repeats a piece at another speed, or hardly any do.
+    piece = rows["piece"]
+    count = piece.value_counts()
+    again = int(count[count > 1].sum())
+    if again - int((count > 1).sum()) - len(TERMS) < FEWEST_FREE:
+        raise NotIdentifiableError(
+            f"with the gradient unknown, {len(piece)} passages over {len(count)} pieces of"
+            f" {PIECE:.0f} m, {again} of them over a piece coasted more than once, do"
+            " not separate resistance from gradient",
+            remedy="give the line's gradients, or more trips that coast over the same track",
+        )
     return with_origin(replace(_solved(rows), train=train, trips=notes), sources.digests)
 
 
@@ -1203,19 +1194,6 @@ def passages(motion: Motion, spans: Spans, length: float | None) -> pd.DataFrame
             remedy="give trips that coast for longer",
         )
     return pd.concat(parts).assign(way=way)
-
-
-def _check_repeated(piece: pd.Series) -> None:
-    """Refuse passages of which none repeats a piece at another speed, or hardly any do."""
-    count = piece.value_counts()
-    again = int(count[count > 1].sum())
-    if again - int((count > 1).sum()) - len(TERMS) < FEWEST_FREE:
-        raise NotIdentifiableError(
-            f"with the gradient unknown, {len(piece)} passages over {len(count)} pieces of"
-            f" {PIECE:.0f} m, {again} of them over a piece coasted more than once, do"
-            " not separate resistance from gradient",
-            remedy="give the line's gradients, or more trips that coast over the same track",
-        )
 
 
 def _whitened(rows: pd.DataFrame, columns: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -452,7 +452,7 @@ def fit_trip(
         speed_range=(float(used.mean_speed.min()), float(used.mean_speed.max())),
         condition=regression.condition,
         scale=scale,
-        noise=asdict(regression.noise),
+        noise=regression.noise._asdict(),
         delay=known.effort_delay.value + regression.delay,
         brake_scale=regression.brake_scale,
         cluster_factor=regression.cluster_factor,

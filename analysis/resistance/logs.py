@@ -172,7 +172,13 @@ class Fits(Presented):
         words += [f"{', '.join(trips)}: {doubt}" for doubt, trips in of.items()]
         words += [f"refused, {error.reason}: {error}" for error in self.refused.values()]
         words += [f"counted once: {sentence}" for sentence in self.same]
-        words += _doubts(self.drives)
+        used = self.drives[self.drives["refused"] == ""]
+        unknown = used["trip"][(used["identity"] == "") & used.duplicated("trip", keep=False)]
+        words += [
+            f"trip '{name}': of one log of that name the drive is not known (summary of an older"
+            " version); if it is that of the other, fit from the logs"
+            for name in sorted(set(unknown))
+        ]
         words += _observed_set(self)
         words += [f"{self.parameters.assumed_power}."] * bool(self.parameters.assumed_power)
         return words
@@ -241,17 +247,6 @@ class _Read:
         for name, one in self.little.values():
             self.trips.append(replace(one, notes=(*one.notes, NOT_ALONE)))
             del self.refused[name]
-
-
-def _doubts(drives: pd.DataFrame) -> list[str]:
-    """Trips of one name of which not all drives are known, in words."""
-    used = drives[drives["refused"] == ""]
-    unknown = used["trip"][(used["identity"] == "") & used.duplicated("trip", keep=False)]
-    return [
-        f"trip '{name}': of one log of that name the drive is not known (summary of an older"
-        " version); if it is that of the other, fit from the logs"
-        for name in sorted(set(unknown))
-    ]
 
 
 def fit(

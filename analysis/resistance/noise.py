@@ -55,8 +55,8 @@ Giesbrecht, F. G., Burns, J. C. (1985), Two-stage analysis based on a mixed mode
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -328,8 +328,7 @@ does in another trip: the errors of a line that a train runs up and down all day
 all stay in the filter's state."""
 
 
-@dataclass(frozen=True, slots=True)
-class NoiseModel:
+class NoiseModel(NamedTuple):
     """Standard deviation of each cause of noise.
 
     Attributes
@@ -349,14 +348,9 @@ class NoiseModel:
     position: float
     effort: float
 
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """The four of them, in this order."""
-        return tuple(float(getattr(self, item.name)) for item in fields(self))
 
-
-CAUSES = tuple(item.name for item in fields(NoiseModel))
-"""The causes, in the order of `NoiseModel.sizes`."""
+CAUSES = NoiseModel._fields
+"""The causes, in the order of `NoiseModel`."""
 
 PRIOR = NoiseModel(speed=0.01, gradient=0.5e-3, position=10.0, effort=0.01)
 """Where the search begins: an ordinary survey and odometer."""
@@ -388,13 +382,12 @@ class Expected:
         if line.survey is None:
             return Expected()
         return Expected(
-            replace(PRIOR, gradient=line.survey.gradient_std),
-            replace(PRIOR_WIDTH, gradient=SURVEYED_WIDTH),
+            PRIOR._replace(gradient=line.survey.gradient_std),
+            PRIOR_WIDTH._replace(gradient=SURVEYED_WIDTH),
         )
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseParts:
+class NoiseParts(NamedTuple):
     """How each cause of noise enters the windows, at unit size.
 
     Attributes
@@ -442,7 +435,14 @@ class NoiseParts:
         groups.eliminate_zeros()
         groups.sort_indices()
         column = groups.indices.astype(np.int64)
-        passage = _passages(groups.indptr, column, windows.start)
+        # Number of the passage that each entry belongs to, (e,): columns cut at `LONGEST_APART`.
+        time = np.repeat(windows.start, np.diff(groups.indptr))
+        order = np.argsort(column, kind="stable")
+        begins = np.ones(column.size, dtype=bool)
+        begins[1:] = np.diff(column[order]) > 0
+        begins[1:] |= np.diff(time[order]) > LONGEST_APART
+        passage = np.empty(column.size, dtype=np.int64)
+        passage[order] = np.cumsum(begins) - 1
         count = int(passage.max(initial=-1)) + 1
         slot, fresh, slots = _slots(groups.indptr.astype(np.int64), passage, count)
         joined = np.zeros(windows.count, dtype=bool)
@@ -464,35 +464,7 @@ class NoiseParts:
         A whitened row depends on that window and earlier ones only, so that least squares over
         the first k rows is the answer after k windows.
         """
-        return self._filtered(noise, columns)[0]
-
-    def _filtered(self, noise: NoiseModel, columns: FloatArray) -> tuple[FloatArray, float]:
-        """The whitened columns, and half the logarithm of the covariance's determinant."""
-        white, logarithm = _whitened(
-            self.joined,
-            noise.effort**2 * self.effort + FLOOR**2,
-            noise.speed**2,
-            self.first_entry,
-            self.value,
-            np.where(self.position, noise.position**2, noise.gradient**2),
-            self.slot,
-            self.fresh,
-            self.slots,
-            np.ascontiguousarray(columns, dtype=np.float64),
-        )
-        return np.asarray(white), float(logarithm)
-
-
-def _passages(first_entry: IntArray, column: IntArray, start: FloatArray) -> IntArray:
-    """Number of the passage that each entry belongs to, (e,): columns cut at `LONGEST_APART`."""
-    time = np.repeat(start, np.diff(first_entry))
-    order = np.argsort(column, kind="stable")
-    begins = np.ones(column.size, dtype=bool)
-    begins[1:] = np.diff(column[order]) > 0
-    begins[1:] |= np.diff(time[order]) > LONGEST_APART
-    passage = np.empty(column.size, dtype=np.int64)
-    passage[order] = np.cumsum(begins) - 1
-    return passage
+        return np.asarray(_whitened(self, noise, np.ascontiguousarray(columns, np.float64))[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -520,19 +492,19 @@ class Likelihood:
     @property
     def width(self) -> FloatArray:
         """Standard deviation of the natural logarithm of each size around what is expected."""
-        return np.array(self.expected.width.sizes)
+        return np.array(self.expected.width)
 
     def sizes(self, place: FloatArray) -> NoiseModel:
         """The sizes at a place (4,)."""
-        return NoiseModel(*np.exp(np.log(self.expected.sizes.sizes) + self.width * place).tolist())
+        return NoiseModel(*np.exp(np.log(self.expected.sizes) + self.width * place).tolist())
 
     def place(self, noise: NoiseModel) -> FloatArray:
         """Where the sizes are, (4,)."""
-        return np.asarray(np.log(np.divide(noise.sizes, self.expected.sizes.sizes)) / self.width)
+        return np.asarray(np.log(np.divide(noise, self.expected.sizes)) / self.width)
 
     def square(self, place: FloatArray) -> tuple[FloatArray, float]:
         """Products (p + 1, p + 1) of the whitened columns, and half the log determinant."""
-        white, log_determinant = self.parts._filtered(self.sizes(place), self.columns)
+        white, log_determinant = _whitened(self.parts, self.sizes(place), self.columns)
         return white.T @ white + self.prior.T @ self.prior, log_determinant
 
     def deviance(self, place: FloatArray) -> float:
@@ -601,21 +573,16 @@ def _slots(
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _whitened(
-    joined: BoolArray,
-    own: FloatArray,
-    speed: float,
-    first_entry: IntArray,
-    value: FloatArray,
-    variance: FloatArray,
-    slot: IntArray,
-    fresh: BoolArray,
-    slots: int,
-    columns: FloatArray,
+    parts: NoiseParts, noise: NoiseModel, columns: FloatArray
 ) -> tuple[FloatArray, float]:
     """Innovations over their standard deviations, and half the sum of the log variances.
 
     The state's mean is one for each column; its covariance is the same for all.
     """
+    joined, first_entry, value = parts.joined, parts.first_entry, parts.value
+    slot, fresh, slots = parts.slot, parts.fresh, parts.slots
+    own, speed = noise.effort**2 * parts.effort + FLOOR**2, noise.speed**2
+    variance = np.where(parts.position, noise.position**2, noise.gradient**2)
     out = np.empty_like(columns)
     number = columns.shape[1]
     mean = np.zeros((slots, number))

@@ -275,7 +275,12 @@ def choose(features: FloatArray, cover: float, most: int | None = None) -> Chose
     else:
         # So few trips cannot promise that much; then each of them counts.
         rows = np.arange(count) if count <= limit else rows
-    return Chosen(rows, _nearest(points, rows), _level(points, rows, judges))
+    distances = [np.sum((points - points[row]) ** 2, axis=1) for row in rows]
+    return Chosen(
+        rows,
+        np.bincount(np.argmin(distances, axis=0), minlength=rows.size),
+        _level(points, rows, judges),
+    )
 
 
 def _few(points: FloatArray, directions: FloatArray, share: float, most: int) -> IntArray:
@@ -321,12 +326,6 @@ def _whitened(features: FloatArray) -> FloatArray:
     variance, vectors = np.linalg.eigh(np.cov(relative, rowvar=False))
     kept = variance > NEGLIGIBLE**2
     return np.asarray(relative @ vectors[:, kept] / np.sqrt(variance[kept]))
-
-
-def _nearest(points: FloatArray, rows: IntArray) -> IntArray:
-    """How many points are nearest to each of the rows."""
-    distances = [np.sum((points - points[row]) ** 2, axis=1) for row in rows]
-    return np.bincount(np.argmin(distances, axis=0), minlength=rows.size)
 
 
 def _spread_out(common: CommonFit) -> FloatArray:

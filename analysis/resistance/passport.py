@@ -390,7 +390,7 @@ class _Motion:
         self._sampling = SAMPLING * step
         white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan
         per_end = (white if np.isfinite(white) else 0.1) * np.sqrt(step / self._width)
-        self._noise = replace(Expected.on(view.line).sizes, speed=max(float(per_end), 0.002))
+        self._noise = Expected.on(view.line).sizes._replace(speed=max(float(per_end), 0.002))
 
     def quantities(self) -> tuple[Quantity, Quantity, Quantity]:
         """Delay, effort over mass, and lead by creep.

@@ -448,7 +448,7 @@ def _unlike(used: Windows, likelihood: Likelihood, noise: NoiseModel, count: int
     """
     if used.count < 4 * PIECES:
         return None
-    small = replace(noise, gradient=min(noise.gradient, likelihood.expected.sizes.gradient))
+    small = noise._replace(gradient=min(noise.gradient, likelihood.expected.sizes.gradient))
     edges = np.linspace(0, used.count, PIECES + 1).astype(np.int64)
     for _ in range(2):
         score, first, last = _best_stretch(used, likelihood, small, edges)

@@ -1080,7 +1080,15 @@ class Line(Declared):
         Averaged over a train, the curves are part of the sine, which is linear in each piece.
         """
         if train_length > 0.0:
-            return self._pieces_under(train_length)
+            # Pieces of at most `LONGEST_PIECE` between the edges, for a train of a length.
+            edges = self.edges(train_length)
+            counts = np.ceil(np.diff(edges) / LONGEST_PIECE).astype(np.int64)
+            cell, number = numbered(counts)
+            start = edges[cell] + number / counts[cell] * np.diff(edges)[cell]
+            width = np.diff(np.append(start, self.length))
+            sine = self.track_acceleration(np.append(start, self.length), train_length) / GRAVITY
+            none = np.zeros(start.size)
+            return Pieces(start, width, sine[:-1], np.diff(sine) / width, none, none, none, none)
         changes = [self._crossings(step) for step in self._steps()[1:]]
         return self._pieces_between(np.unique(np.concatenate((self.breakpoints, *changes))))
 
@@ -1095,17 +1103,6 @@ class Line(Declared):
         of_curves = curve_coefficients(curvature + 0.5 * width * bend, self.curve_resistance)
         sine = slope / np.hypot(1.0, slope)
         return Pieces(start, width, sine, np.zeros(start.size), curvature, bend, *of_curves)
-
-    def _pieces_under(self, train_length: float) -> Pieces:
-        """Pieces of at most `LONGEST_PIECE` between the edges, for a train of a length."""
-        edges = self.edges(train_length)
-        counts = np.ceil(np.diff(edges) / LONGEST_PIECE).astype(np.int64)
-        cell, number = numbered(counts)
-        start = edges[cell] + number / counts[cell] * np.diff(edges)[cell]
-        width = np.diff(np.append(start, self.length))
-        sine = self.track_acceleration(np.append(start, self.length), train_length) / GRAVITY
-        none = np.zeros(start.size)
-        return Pieces(start, width, sine[:-1], np.diff(sine) / width, none, none, none, none)
 
     def limits_over(self, train_length: float) -> StepProfile:
         """The speed limits [m/s] as a train meets them whose rear must have passed a restriction.

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import FloatArray
 from trainlog.declaration import Column, Declared, Quantity
 from trainlog.errors import InputError
 
@@ -453,7 +453,17 @@ class EffortCurve(Declared):
         v = np.append((knots[:-1, None] + np.diff(knots)[:, None] * parts).ravel(), knots[-1])
         efforts = self(v)
         efforts[0] = max(efforts[0], self.efforts[self.speeds <= _SLOW].max())
-        side = _concave_hull(1.0 / v[::-1], efforts[::-1])
+        x = 1.0 / v[::-1]
+        y = efforts[::-1]
+        kept: list[int] = []
+        for i in range(x.size):
+            while len(kept) > 1:
+                a, b = kept[-2], kept[-1]
+                if (y[b] - y[a]) * (x[i] - x[a]) > (y[i] - y[a]) * (x[b] - x[a]):
+                    break
+                kept.pop()
+            kept.append(i)
+        side = np.array(kept, dtype=np.int64)
         tau, top = 1.0 / v[::-1][side], efforts[::-1][side]
         powers = np.diff(top) / np.diff(tau)
         rising = powers > 0.0
@@ -484,19 +494,6 @@ def _without_rise(x: FloatArray, efforts: FloatArray) -> tuple[FloatArray, Float
     every = np.concatenate((x, crossing))[order]
     kept = np.append(True, np.diff(every) > 0.0)
     return every[kept], np.concatenate((least, least[at]))[order][kept]
-
-
-def _concave_hull(x: FloatArray, y: FloatArray) -> IntArray:
-    """Indices of the points of the least concave curve above points that grow in `x`."""
-    kept: list[int] = []
-    for i in range(x.size):
-        while len(kept) > 1:
-            a, b = kept[-2], kept[-1]
-            if (y[b] - y[a]) * (x[i] - x[a]) > (y[i] - y[a]) * (x[b] - x[a]):
-                break
-            kept.pop()
-        kept.append(i)
-    return np.array(kept, dtype=np.int64)
 
 
 NO_CURVE = (np.ones(1), np.full(1, np.inf))

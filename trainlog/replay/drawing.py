@@ -930,6 +930,11 @@ class Drawing:
             about = rr.TextDocument(_about(bare, self._name), media_type="text/markdown")
             send_static(self._recording, f"{root}/about", about)
             self._entities.add("about")
+        tops: dict[str, float] = {}
+        for curve in self._curves:
+            if curve.entity in self._known.tops:
+                top = HEADROOM * self._known.tops[curve.entity]
+                tops[curve.panel] = max(tops.get(curve.panel, 0.0), top)
         return Shown(
             name=self._name,
             root=root,
@@ -938,7 +943,7 @@ class Drawing:
             colour=self._colour,
             entities=frozenset(self._entities),
             layer=layer,
-            tops=self._tops(),
+            tops=tops,
             extent=extent,
             panels=panels_of(bare),
             brief=self._brief,
@@ -955,14 +960,6 @@ class Drawing:
             return self.finish(None, None)
         finally:
             self._known, self._entities = before, entities
-
-    def _tops(self) -> dict[str, float]:
-        tops: dict[str, float] = {}
-        for curve in self._curves:
-            if curve.entity in self._known.tops:
-                top = HEADROOM * self._known.tops[curve.entity]
-                tops[curve.panel] = max(tops.get(curve.panel, 0.0), top)
-        return tops
 
     def _add_curve(self, curve: Curve, piece: Trip) -> None:
         points = self._pens[curve.entity].samples(piece)

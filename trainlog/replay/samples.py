@@ -244,20 +244,6 @@ PANELS: tuple[Panel, ...] = (
 """The plots of a trip from top to bottom; those without data are left out."""
 
 
-def _further_panels() -> tuple[Panel, ...]:
-    """Panels that curves name and `PANELS` does not list: titled by name and unit."""
-    listed = {panel.entity for panel in PANELS}
-    units = {
-        curve.panel: curve.topic.field(curve.fields[0]).usual_unit
-        for curve in CURVES
-        if curve.panel not in listed
-    }
-    return tuple(
-        Panel(name, f"{name.replace('_', ' ').capitalize()} [{unit}]", 1.0, beside=True)
-        for name, unit in units.items()
-    )
-
-
 def curves_of(trip: Trip) -> tuple[Curve, ...]:
     """Every curve that a trip can have, those of a recorder's own topics among them."""
     own = _own_fields(trip)
@@ -277,7 +263,20 @@ def panels_of(trip: Trip) -> tuple[Panel, ...]:
         Panel(f"recorded_{number}", f"Recorded [{unit}]", 1.0, beside=True)
         for number, unit in enumerate(_units(_own_fields(trip)), start=1)
     )
-    return (*PANELS, *_further_panels(), *own)
+    listed = {panel.entity for panel in PANELS}
+    units = {
+        curve.panel: curve.topic.field(curve.fields[0]).usual_unit
+        for curve in CURVES
+        if curve.panel not in listed
+    }
+    return (
+        *PANELS,
+        *(
+            Panel(name, f"{name.replace('_', ' ').capitalize()} [{unit}]", 1.0, beside=True)
+            for name, unit in units.items()
+        ),
+        *own,
+    )
 
 
 def _own_fields(trip: Trip) -> list[tuple[Topic, str]]:

@@ -524,7 +524,21 @@ class ConsistPlant:
             self.variation.angular_frequency, state.largest_stretch,
         )  # fmt: skip
         state.time += steps * self.step
-        self._check_motion(state)
+        valid = self._couplers[:, [DRAFT + LARGEST, BUFF + LARGEST]]
+        for number, side in np.argwhere(state.largest_stretch >= valid):
+            raise InputError(
+                f"coupler {number + 1} of consist '{self.consist.name}' was"
+                f" {('pulled apart', 'pushed together')[side]} by"
+                f" {1e3 * state.largest_stretch[number, side]:.0f} mm; its softening spring is"
+                f" valid to {1e3 * valid[number, side]:.0f} mm",
+                remedy="give it a smaller |epsilon| or more stiffness, or lower the efforts",
+            )
+        if not np.all(np.isfinite(state.values)):
+            raise InputError(
+                f"the motion of consist '{self.consist.name}' is not finite after"
+                f" {state.time:.1f} s",
+                remedy="use a smaller step",
+            )
 
     def coupler_forces(self, state: ConsistState) -> FloatArray:
         """Force in each coupler [N], positive when pulled apart; (n - 1,) array."""
@@ -610,23 +624,6 @@ class ConsistPlant:
                 f"step of {1e3 * self.step:g} ms is too coarse for consist '{name}': its brakes"
                 f" and its resistance take {strongest:.1f} m/s²",
                 remedy=f"use at most {2e3 * FRICTION_SPEED / strongest:.1f} ms",
-            )
-
-    def _check_motion(self, state: ConsistState) -> None:
-        valid = self._couplers[:, [DRAFT + LARGEST, BUFF + LARGEST]]
-        for number, side in np.argwhere(state.largest_stretch >= valid):
-            raise InputError(
-                f"coupler {number + 1} of consist '{self.consist.name}' was"
-                f" {('pulled apart', 'pushed together')[side]} by"
-                f" {1e3 * state.largest_stretch[number, side]:.0f} mm; its softening spring is"
-                f" valid to {1e3 * valid[number, side]:.0f} mm",
-                remedy="give it a smaller |epsilon| or more stiffness, or lower the efforts",
-            )
-        if not np.all(np.isfinite(state.values)):
-            raise InputError(
-                f"the motion of consist '{self.consist.name}' is not finite after"
-                f" {state.time:.1f} s",
-                remedy="use a smaller step",
             )
 
 

@@ -364,7 +364,17 @@ class TimetableDriver:
             self._standing_since = observation.time
             self._lever.position = 0.0
             return Demand(0.0, HOLDING * self.mass)
-        if self._must_stop(observation, distance):
+        usual = self.habits.deceleration
+        if self._stopping:
+            # Too early after all: let go, roll on, and brake again when it is time.
+            rolls_on = self._brake.needed(observation, distance) < 0.4 * usual and distance > 5.0
+            self._stopping = not rolls_on
+        else:
+            lead = self.train.brake.dead_time + self.train.brake.lag
+            self._stopping = self._brake.needed(observation, distance, lead) > usual
+            if self._stopping:
+                self._brake.reset()
+        if self._stopping:
             needed = self._brake.needed(observation, distance)
             effort = self._brake.effort(observation, needed)
             return self._moved(-self._share(effort), 1.0, observation.speed)
@@ -402,20 +412,6 @@ class TimetableDriver:
         self._coasting_down_to = None
         self._next_coasting = seen.position + self.habits.coasting_spacing
         return True
-
-    def _must_stop(self, seen: Observation, distance: float) -> bool:
-        """Whether it is time to brake for the next stop, or still is."""
-        usual = self.habits.deceleration
-        if self._stopping:
-            # Too early after all: let go, roll on, and brake again when it is time.
-            rolls_on = self._brake.needed(seen, distance) < 0.4 * usual and distance > 5.0
-            self._stopping = not rolls_on
-        else:
-            lead = self.train.brake.dead_time + self.train.brake.lag
-            self._stopping = self._brake.needed(seen, distance, lead) > usual
-            if self._stopping:
-                self._brake.reset()
-        return self._stopping
 
     def _decide(self, seen: Observation, distance: float) -> float:
         """Where the lever should go: traction positive, braking negative."""

@@ -371,7 +371,12 @@ class Fleet:
         state, adhesion, conditions = self._met(line, start)
         temperature = state.weather.temperature
         temperature = 283.0 if not np.isfinite(temperature) else float(temperature)
-        wind = self._wind(start, own)
+        # Where the air moves beside the train: east + i north [m/s].
+        day = np.random.default_rng([self.seed, 33, start // DAY])
+        speed = WIND * day.weibull(2.0)
+        prevailing = speed * np.exp(1j * day.uniform(0.0, 2.0 * np.pi))
+        gusts = 0.25 * own.standard_normal(2)
+        wind = complex(prevailing + gusts[0] + 1j * gusts[1])
         head = -float((wind * np.conj(route.course)).real)
         load = self._load(vehicle, start, own)
         recorder = vehicle.recorder
@@ -427,14 +432,6 @@ class Fleet:
         )
         conditions = {edge: each.weather.condition for edge, each in states.items()}
         return state, along(line, profiles.__getitem__), conditions
-
-    def _wind(self, time: int, generator: np.random.Generator) -> complex:
-        """Where the air moves beside the train: east + i north [m/s]."""
-        day = np.random.default_rng([self.seed, 33, time // DAY])
-        speed = WIND * day.weibull(2.0)
-        prevailing = speed * np.exp(1j * day.uniform(0.0, 2.0 * np.pi))
-        gusts = 0.25 * generator.standard_normal(2)
-        return complex(prevailing + gusts[0] + 1j * gusts[1])
 
     def _load(self, vehicle: FleetTrain, time: int, generator: np.random.Generator) -> float:
         """Passengers on board [kg]: many in the morning and the evening."""

@@ -6,7 +6,7 @@ along; `PlantState` is where the train is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -227,18 +227,11 @@ class Plant:
             axle_power=power / axles.count,
             axle_braking_effort=train.max_dynamic_braking_effort / axles.count,
             axle_braking_power=train.max_dynamic_braking_power / axles.count,
-            braking_fade_speed=drive.braking_fade_speed,
-            motor_lag=drive.motor_lag,
             friction_effort=train.max_pneumatic_braking_effort,
             friction_dead_time=train.brake.dead_time,
             friction_lag=max(train.brake.lag, 2.0 * step),
             holding_effort=HOLDING * mass if drive.holding_speed > 0.0 else 0.0,
-            holding_speed=drive.holding_speed,
-            slip_threshold=drive.slip_threshold,
-            slip_delay=drive.slip_delay,
-            slip_release=drive.slip_release,
-            slip_reapply=drive.slip_reapply,
-            slip_ramp=drive.slip_ramp,
+            **asdict(drive),
             step=step,
         )
         transfer = train.load_transfer(mass - train.mass)

@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import as_text, counted
@@ -103,7 +102,17 @@ def draw_weather(start: int, hours: int, generator: np.random.Generator) -> Draw
     drying = np.repeat(generator.uniform(1.0, 6.0, hours // 12 + 1), 12)[:hours]
     air = 0.93 - 0.3 * np.clip(np.sin(2.0 * np.pi * (hour - 8.0) / 24.0) + 0.4, 0.0, 1.0)
     humidity = np.where(raining, 0.95, air + generator.triangular(-0.1, 0.0, 0.05, hours))
-    temperature = _temperature(hour, day, raining, generator)
+    # Of the air [K], (n,): season, days that resemble their neighbours, warm noons.
+    from scipy.signal import lfilter
+
+    pushes = generator.uniform(-2.5, 2.5, day.size // 24 + 1)
+    daily = lfilter([1.0], [1.0, -0.7], pushes)
+    at_noon = np.interp(np.arange(day.size), 24.0 * np.arange(daily.size) + 12.0, daily)
+    yearly = -YEARLY_SWING * np.cos(2.0 * np.pi * (day - 20.0) / 365.25)
+    swing = np.where(raining, 0.3, 1.0) * DAILY_SWING
+    temperature = np.asarray(
+        MEAN_TEMPERATURE + yearly + at_noon - swing * np.cos(2.0 * np.pi * (hour - 3.0) / 24.0)
+    )
     windy = _spells(hours, (48.0, 0.7), WIND_SPELL, generator)
     season = np.maximum(0.0, 1.0 - np.abs((day - LEAF_FALL) / LEAF_SEASON) ** 1.5)
     falling = season * np.where(windy, 4.0, 0.6)
@@ -205,25 +214,6 @@ def _hours_since(event: BoolArray) -> FloatArray:
     index = np.arange(event.size)
     last = np.maximum.accumulate(np.where(event, index, -1000))
     return np.asarray(index - last, dtype=np.float64)
-
-
-def _temperature(
-    hour: NDArray[np.int32],
-    day: FloatArray,
-    raining: BoolArray,
-    generator: np.random.Generator,
-) -> FloatArray:
-    """Of the air [K], (n,): season, days that resemble their neighbours, warm noons."""
-    from scipy.signal import lfilter
-
-    pushes = generator.uniform(-2.5, 2.5, day.size // 24 + 1)
-    daily = lfilter([1.0], [1.0, -0.7], pushes)
-    at_noon = np.interp(np.arange(day.size), 24.0 * np.arange(daily.size) + 12.0, daily)
-    yearly = -YEARLY_SWING * np.cos(2.0 * np.pi * (day - 20.0) / 365.25)
-    swing = np.where(raining, 0.3, 1.0) * DAILY_SWING
-    return np.asarray(
-        MEAN_TEMPERATURE + yearly + at_noon - swing * np.cos(2.0 * np.pi * (hour - 3.0) / 24.0)
-    )
 
 
 # ------------------------------------------------------------------------------------------- rails

@@ -163,10 +163,21 @@ def recorded(scenario: Scenario, run: Run) -> Trip:
         generator,
     )
     late = delayed_efforts(columns, run.seconds, scenario.sensors.effort_delay)
+    # The ``/train/axles`` topic: speeds and efforts of one instant in one row.
+    numbers = range(1, scenario.train.axles.count + 1)
+    speeds = np.column_stack([late[f"wheel_speed_{i}"] for i in numbers])
+    efforts = np.column_stack([late[f"wheel_effort_{i}"] for i in numbers])
     frames = [
         state,
         controls(scenario, run, late, time, generator),
-        axle_frame(scenario, late, time, own, generator),
+        frame_of(
+            TRAIN_AXLES,
+            time,
+            {
+                "wheel_speed": measuring.measured_speed(speeds, own, scenario.sensors, generator),
+                "wheel_effort": measuring.measured_effort(efforts, scenario.sensors, generator),
+            },
+        ),
         fix,
         motion,
         measuring.environment(scenario.travelled, time, believed, scenario.temperature),
@@ -266,27 +277,6 @@ def controls(
             "tractive_effort_demand": np.round(traction, 0),
             "braking_effort_demand": np.round(braking, 0),
             **data,
-        },
-    )
-
-
-def axle_frame(
-    scenario: Scenario,
-    columns: dict[str, FloatArray],
-    time: IntArray,
-    scales: FloatArray,
-    generator: np.random.Generator,
-) -> pd.DataFrame:
-    """The ``/train/axles`` topic: speeds and efforts of one instant in one row."""
-    numbers = range(1, scenario.train.axles.count + 1)
-    speeds = np.column_stack([columns[f"wheel_speed_{i}"] for i in numbers])
-    efforts = np.column_stack([columns[f"wheel_effort_{i}"] for i in numbers])
-    return frame_of(
-        TRAIN_AXLES,
-        time,
-        {
-            "wheel_speed": measuring.measured_speed(speeds, scales, scenario.sensors, generator),
-            "wheel_effort": measuring.measured_effort(efforts, scenario.sensors, generator),
         },
     )
 

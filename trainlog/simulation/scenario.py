@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -311,22 +312,14 @@ def draw_scenarios(
     """
     if count < 1:
         raise InputError(f"cannot draw {count} scenarios", remedy="give a count of 1 or more")
-    if len(line.stations) < 2:
-        raise InputError(
-            f"line '{line.name}' has fewer than two stations",
-            remedy="give the line two stations or more",
-        )
-    _check_brakes(train)
+    _check(line, [train])
     sensors = sensors or Sensors()
     bases = {weather: base_map(line, weather, seed) for weather in ("dry", "wet")}
     survey = survey_error(line, seed)
     scenarios = []
     for number in range(count):
         weather = ("dry", "dry", "wet", "wet")[number % 4]
-
-        def rail(generator: np.random.Generator, weather: str = weather) -> StepProfile:
-            return trip_profile(line, bases[weather], weather, generator)
-
+        rail = partial(trip_profile, line, bases[weather], weather)
         own = np.random.default_rng([seed, 3, number])
         drawn = _drawn(line, train, number, weather, rail, own)
         scenarios.append(replace(drawn, survey_error=survey, sensors=sensors))
@@ -377,13 +370,7 @@ def draw_days(
             remedy="give 1 trip and 1 train or more",
         )
     line = rail.line
-    if len(line.stations) < 2:
-        raise InputError(
-            f"line '{line.name}' has fewer than two stations",
-            remedy="give the line two stations or more",
-        )
-    for train in trains:
-        _check_brakes(train)
+    _check(line, trains)
     seed = rail.seed if seed is None else seed
     survey = survey_error(line, seed)
     scenarios = []
@@ -421,13 +408,19 @@ def _departure(first: int, number: int, trips_a_day: int, generator: np.random.G
     return first + day * DAY + MINUTE * round(float(since) / MINUTE)
 
 
-def _check_brakes(train: Train) -> None:
-    """Refuse a train that could never stop."""
-    if not train.max_braking_effort > 0.0:
+def _check(line: Line, trains: Sequence[Train], fewest: int = 2) -> None:
+    """Refuse a line with too few stations, and trains that could never stop."""
+    if len(line.stations) < fewest:
         raise InputError(
-            f"train '{train.name}' has no brake: its braking efforts are all 0",
-            remedy="give the efforts of its dynamic or its friction brake",
+            f"line '{line.name}' has fewer than two stations",
+            remedy="give the line two stations or more",
         )
+    for train in trains:
+        if not train.max_braking_effort > 0.0:
+            raise InputError(
+                f"train '{train.name}' has no brake: its braking efforts are all 0",
+                remedy="give the efforts of its dynamic or its friction brake",
+            )
 
 
 def survey_error(line: Line, seed: int) -> StepProfile:
@@ -562,7 +555,7 @@ def trajectory_scenarios(
     ['driven-nominal']
     """
     trajectory.check_run(line, train)
-    _check_brakes(train)
+    _check(line, [train], fewest=0)
     base, survey = base_map(line, weather, seed), survey_error(line, seed)
     scenarios = []
     for number, name in enumerate(names):

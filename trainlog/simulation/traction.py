@@ -179,7 +179,20 @@ class TractionLoop:
     def _decided(self, state: PlantState, demand: tuple[float, float]) -> FloatArray:
         before = self.control.unsolved
         time = self._done * self.plant.parameters.step
-        reading = self._reading(time, state, demand)
+        # What the drive measures; what stands is seen to stand.
+        sensors, n = self.sensors, self.plant.axles
+        noise = self._random.standard_normal(n + 1)
+        wheels = state.wheel_speeds
+        seen = wheels * self._scale + sensors.wheel_speed_noise * noise[1:]
+        speed = max(state.speed + sensors.speed_noise * float(noise[0]), 0.0)
+        reading = DriveReading(
+            time,
+            max(state.position + self._offset, 0.0),
+            speed if state.speed > 0.0 else 0.0,
+            np.where(wheels > 0.0, np.maximum(seen, 0.0), 0.0),
+            state.motor_efforts.copy(),
+            *demand,
+        )
         begun = perf_counter()
         found = self.control.efforts(reading)
         if self.steps > 0:
@@ -190,22 +203,6 @@ class TractionLoop:
         if self.control.unsolved > before:
             self.unsolved.append(time)
         return found
-
-    def _reading(self, time: float, state: PlantState, demand: tuple[float, float]) -> DriveReading:
-        """What the drive measures; what stands is seen to stand."""
-        sensors, n = self.sensors, self.plant.axles
-        noise = self._random.standard_normal(n + 1)
-        wheels = state.wheel_speeds
-        seen = wheels * self._scale + sensors.wheel_speed_noise * noise[1:]
-        speed = max(state.speed + sensors.speed_noise * float(noise[0]), 0.0)
-        return DriveReading(
-            time,
-            max(state.position + self._offset, 0.0),
-            speed if state.speed > 0.0 else 0.0,
-            np.where(wheels > 0.0, np.maximum(seen, 0.0), 0.0),
-            state.motor_efforts.copy(),
-            *demand,
-        )
 
 
 TractionMaker = Callable[[], TractionControl]
