@@ -7,13 +7,13 @@ any order and grouping to the same rows, byte for byte.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pandas import Timestamp
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray, same_values
@@ -294,42 +294,21 @@ class DailyEvidence:
 
 
 def _added(
-    pieces: list[DailyEvidence],
+    pieces: Sequence[DailyEvidence],
     keys: tuple[str, ...],
     columns: tuple[str, ...],
     sizes: tuple[int, ...],
 ) -> dict[str, Any]:
     """Keys and sums of the rows of all pieces, in the keys' order; sizes are those of the last."""
-    given = [piece for piece in pieces if getattr(piece, keys[0]).size] or pieces[:1]
-    places = [_places(piece, keys, sizes) for piece in given]
-    if _are_increasing(places):
-        return {name: _joined(given, name) for name in (*keys, *columns)}
-    one = np.concatenate(places)
-    order = np.argsort(one, kind="stable")
-    starts = np.flatnonzero(np.diff(one[order], prepend=one[order[0]] - 1))
-    return {name: _joined(given, name)[order][starts] for name in keys} | {
-        name: np.add.reduceat(_joined(given, name)[order], starts) for name in columns
+    rows = {
+        name: np.concatenate([getattr(piece, name) for piece in pieces])
+        for name in (*keys, *columns)
     }
-
-
-def _joined(pieces: list[DailyEvidence], name: str) -> NDArray[Any]:
-    """A column of all pieces."""
-    return np.concatenate([getattr(piece, name) for piece in pieces])
-
-
-def _are_increasing(places: Iterable[IntArray]) -> bool:
-    """Whether the rows of the pieces, one behind the other, are in order, and none is twice."""
-    last = -np.inf
-    for each in places:
-        if each.size and (each[0] <= last or np.any(each[1:] <= each[:-1])):
-            return False
-        last = each[-1] if each.size else last
-    return True
-
-
-def _places(piece: DailyEvidence, keys: tuple[str, ...], sizes: tuple[int, ...]) -> IntArray:
-    """One number for the keys of each row, in their order."""
-    found: IntArray = getattr(piece, keys[0])
+    place = rows[keys[0]]
     for name, size in zip(keys[1:], sizes, strict=True):
-        found = found * size + getattr(piece, name)
-    return found
+        place = place * size + rows[name]
+    _, first, row = np.unique(place, return_index=True, return_inverse=True)
+    found = {name: rows[name][first] for name in keys}
+    return found | {
+        name: np.bincount(row, rows[name], first.size).astype(np.float64) for name in columns
+    }
