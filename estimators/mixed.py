@@ -31,8 +31,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.linalg import lapack
+from scipy.sparse import bsr_array, csr_array
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 
@@ -317,8 +317,15 @@ class _Model:
         self.loadings = np.zeros((1 + len(groups), k, d, d))
         self.loadings[0] = one
         for number, (first, group) in enumerate(zip(self.first, groups, strict=True), start=1):
-            self.places[number] = np.where(group.index >= 0, first + group.index, -1)
+            has = group.index >= 0
+            self.places[number] = np.where(has, first + group.index, 0)
             self.loadings[number] = one if group.loading is None else group.loading
+            self.loadings[number, ~has] = 0.0
+        row = d * np.arange(k)[:, None, None] + np.arange(d)[:, None]
+        column = d * self.places[:, :, None, None] + np.arange(d)
+        at = [np.broadcast_to(each, self.loadings.shape).ravel() for each in (row, column)]
+        self.design = csr_array((self.loadings.ravel(), at), shape=(k * d, self.size * d))
+        self.design.eliminate_zeros()
 
     def solve(self, state: _State) -> Solution:
         """Mean and effects; Henderson (1975), eq. (5)."""
@@ -351,40 +358,40 @@ class _Model:
             self.first, self.groups, state.spreads, state.heavies, strict=True
         ):
             here = first + np.arange(group.count)
-            left[here, here] += heavy[:, None, None] * np.linalg.inv(spread)
+            left[here, :, here, :] += heavy[:, None, None] * np.linalg.inv(spread)
         return left, right
 
     def equations(
         self, scale: FloatArray, weights: FloatArray, trips: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """What some trips add to both sides, (n, n, d, d) and (n, d)."""
+        """What some trips add to both sides, (n, d, n, d) and (n, d)."""
         trust = np.linalg.inv(self.variances[trips] + scale / weights[trips, None, None])
-        places, loadings = self.places[:, trips], self.loadings[:, trips]
-        left, right = _equations(self.values[trips], trust, places, loadings, self.size)
-        return left, right
+        k, d = self.values[trips].shape
+        design = self.design[(d * trips[:, None] + np.arange(d)).ravel()]
+        trusted = bsr_array((trust, np.arange(k), np.arange(k + 1)), shape=(k * d, k * d)) @ design
+        left = (trusted.T @ design).toarray().reshape(self.size, d, self.size, d)
+        return left, (trusted.T @ self.values[trips].ravel()).reshape(self.size, d)
 
     def solved(self, left: FloatArray, right: FloatArray) -> Solution:
         """Effects and their covariance."""
-        n, d = right.shape
-        factor, singular = lapack.dpotrf(left.transpose(0, 2, 1, 3).reshape(n * d, n * d))
+        factor, singular = lapack.dpotrf(left.reshape(right.size, right.size))
         upper, _ = lapack.dpotri(factor)
         if singular:
             raise np.linalg.LinAlgError("the equations of mean and effects are singular")
         covariance = np.triu(upper) + np.triu(upper, 1).T
-        effects = (covariance @ right.ravel()).reshape(n, d)
-        return effects, covariance.reshape(n, d, n, d)
+        return (covariance @ right.ravel()).reshape(right.shape), covariance.reshape(left.shape)
 
     def expected(self, effects: FloatArray) -> FloatArray:
         """What mean and effects make of each trip, (k, d)."""
-        total = np.zeros_like(self.values)
-        for place, loading in zip(self.places, self.loadings, strict=True):
-            has = place >= 0
-            total[has] += np.einsum("kij,kj->ki", loading[has], effects[place[has]])
-        return total
+        return np.asarray((self.design @ effects.ravel()).reshape(self.values.shape))
 
     def uncertainty(self, covariance: FloatArray) -> FloatArray:
         """Covariance of `expected`, (k, d, d)."""
-        return np.asarray(_uncertainty(covariance, self.places, self.loadings))
+        found = np.zeros_like(self.variances)
+        for one, own in zip(self.places, self.loadings, strict=True):
+            for other, its in zip(self.places, self.loadings, strict=True):
+                found += own @ covariance[one, :, other, :] @ its.transpose(0, 2, 1)
+        return found
 
     def gains(self, scale: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Share of a difference that is a trip's own, and its variance, each (k, d, d)."""
@@ -413,62 +420,6 @@ class _Model:
             return np.ones(len(square))
         distance = np.einsum("kij,ji->k", square, np.linalg.inv(spread))
         return np.asarray((self.tail + spread.shape[0]) / (self.tail + distance))
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _equations(
-    values: FloatArray, trust: FloatArray, places: IntArray, loadings: FloatArray, size: int
-) -> tuple[FloatArray, FloatArray]:
-    """Both sides of the equations of trips, (size, size, d, d) and (size, d)."""
-    k, d = values.shape
-    left, right = np.zeros((size, size, d, d)), np.zeros((size, d))
-    turned = np.zeros((d, d))
-    for trip in range(k):
-        for one in range(len(places)):
-            row = places[one, trip]
-            if row < 0:
-                continue
-            for i in range(d):
-                for j in range(d):
-                    total = 0.0
-                    for n in range(d):
-                        total += loadings[one, trip, n, i] * trust[trip, n, j]
-                    turned[i, j] = total
-                    right[row, i] += total * values[trip, j]
-            for other in range(one + 1):
-                column = places[other, trip]
-                if column < 0:
-                    continue
-                for i in range(d):
-                    for j in range(d):
-                        total = 0.0
-                        for n in range(d):
-                            total += turned[i, n] * loadings[other, trip, n, j]
-                        left[row, column, i, j] += total
-                        if other < one:
-                            left[column, row, j, i] += total
-    return left, right
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _uncertainty(covariance: FloatArray, places: IntArray, loadings: FloatArray) -> FloatArray:
-    """Covariance (k, d, d) of what the effects make of each trip."""
-    groups, k, d = loadings.shape[:3]
-    found = np.zeros((k, d, d))
-    for trip in range(k):
-        for one in range(groups):
-            for other in range(groups):
-                row, column = places[one, trip], places[other, trip]
-                if row < 0 or column < 0:
-                    continue
-                for i in range(d):
-                    for n in range(d):
-                        turned = 0.0
-                        for j in range(d):
-                            turned += loadings[one, trip, i, j] * covariance[row, j, column, n]
-                        for j in range(d):
-                            found[trip, i, j] += turned * loadings[other, trip, j, n]
-    return found
 
 
 def _spread(
