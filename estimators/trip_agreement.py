@@ -13,6 +13,7 @@ label. Where factors differ more than errors do, each trip's own is what its ons
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -117,16 +118,12 @@ class TripRows:
 
     def _where(self, own: BoolArray, used: BoolArray) -> TripRows:
         """Some rows with onsets, and some of what was used."""
-        return replace(
-            self,
-            trip=self.trip[own],
-            bin=self.bin[own],
-            log=self.log[own],
-            variance=self.variance[own],
-            used_trip=self.used_trip[used],
-            used_bin=self.used_bin[used],
-            used_log=self.used_log[used],
-        )
+        kept: dict[str, Any] = {
+            name: column[used if name.startswith("used_") else own]
+            for name, column in vars(self).items()
+            if isinstance(column, np.ndarray)
+        }
+        return replace(self, **kept)
 
 
 @dataclass(frozen=True, eq=False)

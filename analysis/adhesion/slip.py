@@ -835,23 +835,18 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
                     "energy_std": energy_std,
                 }
             )
-    clock = axles.clock.dtype
-    columns = {
-        "axle": "int64", "start": clock, "onset": clock, "peak": clock, "release": clock,
-        "duration": "float64", "kind": "str", "position": "float64", "speed": "float64",
-        "peak_slip": "float64", "creepage": "float64", "adhesion": "float64",
-        "adhesion_std": "float64", "delay_std": "float64", "transfer_std": "float64",
-        "energy": "float64", "energy_std": "float64", "measured": "bool",
-    }  # fmt: skip
-    frame = pd.DataFrame(rows, columns=list(columns))
-    for name in ("start", "onset", "peak", "release"):
-        frame[name] = axles.clock[frame[name].to_numpy(np.int64)]
-    frame = frame.astype(columns)
-    frame.attrs["units"] = {
+    units = {
         "duration": "s", "position": "m", "speed": "m/s", "peak_slip": "m/s", "creepage": "1",
         "adhesion": "1", "adhesion_std": "1", "delay_std": "1", "transfer_std": "1", "energy": "J",
         "energy_std": "J",
     }  # fmt: skip
+    instants, (first, *others) = ("start", "onset", "peak", "release"), units
+    frame = pd.DataFrame(rows, columns=["axle", *instants, first, "kind", *others, "measured"])
+    kinds = {"axle": "int64", "kind": "str", "measured": "bool"}
+    frame = frame.astype(dict.fromkeys(units, "float64") | kinds)
+    for name in instants:
+        frame[name] = axles.clock[frame[name].to_numpy(np.int64)]
+    frame.attrs["units"] = units
     if axles.level == "shared" and len(frame):
         # So shortly after another axle slipped an axle does not pull its share yet.
         starts, ends = (pd.DatetimeIndex(frame[n]).as_unit("ns").asi8 for n in ("start", "release"))

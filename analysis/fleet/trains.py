@@ -23,10 +23,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from analysis.fleet.channels import CHANNEL_UNITS, Series
+from analysis.fleet.channels import CHANNEL_UNITS
 from analysis.fleet.resistance import (
     FEWEST_COMPARED,
     FleetResistance,
@@ -43,7 +42,7 @@ from analysis.fleet.unlike import (
     months_of,
     unlike_trains,
 )
-from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
+from trainlog.arrays import FloatArray, IntArray, robust_std
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import (
@@ -172,7 +171,14 @@ def drift_of(kind: KindResistance, trips: pd.DataFrame, unlike: UnlikeTrains) ->
         if series.common:
             jumps = [each for each in unlike.findings if each.kind == kind.kind]
             start = trips["start"].iloc[series.rows]
-            parts.insert(0, ("", *_of_kind(series, names, start, jumps)))
+            # A train that jumped says nothing of its kind from then on; what is shown is each trip
+            # less its train's own level.
+            sound = np.ones(names.size, dtype=np.bool_)
+            for jump in jumps:
+                sound &= ~((names == jump.train) & (start >= jump.since).to_numpy())
+            level = pd.Series(np.where(sound, series.value, np.nan))
+            level -= level.groupby(names).transform("median")
+            parts.insert(0, ("", sound, np.asarray(level, np.float64)))
         for train, rows, of in parts:
             steps = [each for each in unlike.findings if each.train == train]
             about = {"train": train, "kind": kind.kind, "channel": series.channel.name}
@@ -184,18 +190,6 @@ def drift_of(kind: KindResistance, trips: pd.DataFrame, unlike: UnlikeTrains) ->
                 )
             )  # fmt: skip
     return found
-
-
-def _of_kind(
-    series: Series, names: NDArray[np.str_], start: pd.Series, jumps: list[Finding]
-) -> tuple[BoolArray, FloatArray]:
-    """The trips that show a kind's trend and season, and each less its train's own level."""
-    # A train that jumped says nothing of its kind from then on.
-    sound = np.ones(names.size, dtype=np.bool_)
-    for each in jumps:
-        sound &= ~((names == each.train) & (start >= each.since).to_numpy())
-    value = pd.Series(np.where(sound, series.value, np.nan))
-    return sound, (value - value.groupby(names).transform("median")).to_numpy()
 
 
 def _trend(
