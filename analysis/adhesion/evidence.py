@@ -176,8 +176,8 @@ def with_details(
     sha256: str = "",
     recorded: TripIdentity | None = None,
 ) -> Evidence:
-    """As `evidence_of_parts`, with the drive, the steps and the weather of the trip."""
-    found = evidence_of_parts(parts, track, layer, sha256=sha256)
+    """As `evidence_of`, with the drive, the steps and the weather of the trip."""
+    found = evidence_of(parts, track, layer, sha256=sha256)
     details = found.details | covariates(trip, found.span, weather)
     return replace(found, recorded=recorded, steps=len(trip.provenance), details=details)
 
@@ -223,20 +223,13 @@ def condition_of(
 
 
 def evidence_of(
-    analysis: SlipAnalysis, track: TrackConditionMap, layer: str | Weather, *, sha256: str = ""
-) -> Evidence:
-    """Evidence of an analysed trip on the map's line; see `evidence_of_parts`."""
-    return evidence_of_parts([analysis], track, layer, sha256=sha256)
-
-
-def evidence_of_parts(
-    parts: Iterable[SlipAnalysis],
+    analysed: SlipAnalysis | Iterable[SlipAnalysis],
     track: TrackConditionMap,
     layer: str | Weather,
     *,
     sha256: str = "",
 ) -> Evidence:
-    """Evidence of a trip that was analysed part by part; arguments as for `evidence`.
+    """Evidence of a trip that was analysed, whole or part by part; arguments as for `evidence`.
 
     All onsets of one bin are one measurement of that trip: their mean, with what they differ by
     and the trip's own deviation. A bin without one counts once, at the highest level that was used
@@ -253,7 +246,7 @@ def evidence_of_parts(
     sums: dict[str, _Sums] = {}
     trip, details, clocks = "", dict[str, Any](), []
     places: list[FloatArray] = []
-    for part in parts:
+    for part in [analysed] if isinstance(analysed, SlipAnalysis) else analysed:
         trip, details = part.trip, joined_details(details, part.details)
         clocks.append(part.time.as_unit("ns").asi8[[0, -1] if part.time.size else []])
         places.append(part.position[np.isfinite(part.position)])
