@@ -613,7 +613,7 @@ def _spread(values: FloatArray) -> FloatArray:
 
 
 def _work(inputs: Inputs, cells: Cells, at: FloatArray) -> FloatArray:
-    """Tractive work [J] that the recorded motion of each section needs; `at` as of `steps_of`."""
+    """Tractive work [J] that each section's recorded motion needs; `at`: a row of `predicted`."""
     mass, gain, slope, start = at[-4:].tolist()
     inertia = mass + inputs.model.train.rotating_mass
     needed = cells.needed(RunningResistance.of(at[:-4]), mass, inertia)
