@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -9,11 +10,29 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
+from trajectory_cases import (
+    FLIRT,
+    FREIGHT,
+    VIRM6,
+    drawn,
+    hilly_line,
+    level_line,
+    observed,
+    optimised,
+)
 
 from analysis.trajectory import optimiser
 from analysis.trajectory.active_set import initial_guess, search
-from analysis.trajectory.bound import continuous_bound, reached
+from analysis.trajectory.bound import (
+    COSTATES,
+    ContinuousBound,
+    Hamiltonian,
+    Segments,
+    _CostateProgram,
+    closest_bound,
+    continuous_bound,
+    reached,
+)
 from analysis.trajectory.discretisation import discretise, graded_mesh
 from analysis.trajectory.envelope import closer, fastest_run, floor_of
 from analysis.trajectory.optimiser import optimise
@@ -139,6 +158,83 @@ def test_no_multipliers_bound_a_finer_plan_from_above(case, seed, size):
         bound = continuous_bound(*given, jointly=True)
         assert continuous_bound(*given).value <= bound.value
         assert bound.value <= energy * (1.0 + 1e-6)
+
+
+@cache
+def program(case: str) -> tuple[_CostateProgram, FloatArray, float]:
+    """The program of two costates about the plan of a case, its unknowns, and a finer energy."""
+    answer, part, fastest, time, energy = solved(case)
+    run = answer.problem.run
+    floor = floor_of(part.run, fastest, tuple(range(part.shape[0])), time)
+    points = Hamiltonian(part, answer.solution.plan, fastest, run, Segments.of(part, 4), floor)
+    made = _CostateProgram(points, time)
+    found = made.solved()
+    assert found is not None
+    return made, found, energy
+
+
+@settings(max_examples=40)
+@given(
+    st.sampled_from(("wheel", "line", "timed wheel", "tight line")),
+    st.integers(0, 2**31),
+    st.sampled_from([0.0, 1e-4, 1e-2, 0.3, 3.0]),
+)
+def test_no_two_costates_bound_a_finer_plan_from_above(case, seed, size):
+    """Whatever the program leaves them at: its numbers are only where they are good."""
+    made, found, energy = program(case)
+    wrong = found * (1.0 + size * np.random.default_rng(seed).standard_normal(found.size))
+    bound = ContinuousBound.of(made.points, made.dual(wrong), COSTATES)
+    assert bound.value <= energy * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("case", ["wheel", "line", "timed wheel", "tight line"])
+def test_the_best_costates_come_close_without_any_multipliers(case):
+    answer, part, fastest, time, energy = solved(case)
+    floor = floor_of(part.run, fastest, tuple(range(part.shape[0])), time)
+    given = part, answer.solution.plan, fastest, time, answer.problem.run, floor
+    bound = closest_bound(*given)
+    assert bound is not None
+    assert 0.99 * energy < bound.value <= energy * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("train", "reserve"),
+    [(FLIRT, 3.0), (VIRM6, 2.0), (VIRM6, 3.0), (FREIGHT, 2.0)],
+    ids=lambda each: str(getattr(each, "name", each)),
+)
+def test_with_much_time_in_hand_two_costates_are_close(train, reserve):
+    """Resistance that is linear in the speed: one costate misses 1 to 5 % of the energy."""
+    constant, linear, square = train.resistance.parabola
+    linear += 0.0 if train is FLIRT else 4e-4 * train.mass
+    train = replace(train, resistance=RunningResistance(constant, linear, square))
+    found, finer = (
+        optimised(
+            hilly_line(), train, observed(train, 1.0), cells=cells, reserve=reserve
+        ).certificate
+        for cells in (300, FINE)
+    )
+    assert found["certified"]
+    assert found["gap"] < 1e-3
+    assert found["solver"]["bound"] == COSTATES
+    assert finer["energy"] >= found["lower_bound"] * (1.0 - 1e-6)
+
+
+def test_costates_may_rise_or_fall_where_no_train_is_faster_or_slower():
+    """By hand, at four nodes: the plan at its limit, free, at a lowest speed; and at the end."""
+    made = program("wheel")[0].points
+    limit = np.array([[50.0, 50.0, 50.0, 30.0, 20.0]])
+    made = copy(made)
+    made.problem = replace(made.problem, final=18.0)
+    made.plan = replace(made.plan, z=np.array([[0.0, 50.0, 40.0, 25.0, 16.0]]))
+    with pytest.MonkeyPatch.context() as patched:
+        floor = np.array([0.0, 0.0, 0.0, 25.0, 0.0])
+        patched.setattr("analysis.trajectory.bound.node_limits", lambda _: (limit, floor))
+        rise, fall = np.array([1.0, 2.0, 3.0, 4.0]), np.array([4.0, 3.0, 2.0, 1.0])
+        both = np.array([rise, fall])[:, None]
+        np.testing.assert_allclose(made.at_nodes(both, both), [0, 0, 0, 0, -64])
+        np.testing.assert_allclose(made.at_nodes(both, both + 3.0), [0, -100, -80, 0, -112])
+        np.testing.assert_allclose(made.at_nodes(both, both - 3.0), [0, 0, -20, -10, -16])
+        np.testing.assert_allclose(made.at_nodes(both, both - 6.0), [0, 0, -50, -25, -10])
 
 
 @pytest.mark.parametrize("case", ["wheel", "timed wheel"])

@@ -14,10 +14,10 @@ from trajectory_cases import FLIRT, FREIGHT, VIRM6, drawn, hilly_line, slippery
 from analysis.trajectory import bound
 from analysis.trajectory.bound import (
     Costate,
+    Dual,
     Hamiltonian,
     Prices,
     Segments,
-    _Bounded,
     _Piece,
     reached,
 )
@@ -61,8 +61,8 @@ CASES: dict[str, tuple[Any, dict[str, Any]]] = {
 
 
 @cache
-def of(case: str) -> tuple[Hamiltonian, FloatArray, FloatArray]:
-    """A plan of two configurations, any prices, and any costate with any slopes."""
+def of(case: str) -> tuple[Hamiltonian, Prices, FloatArray, FloatArray]:
+    """A plan of two configurations, any prices, and any two costates with any slopes."""
     train, asked = CASES[case]
     run = TrajectoryProblem(hilly_line(), train, drawn(train, 2, seed=2, spread=0.3), **asked)
     fastest, rng = fastest_run(run), np.random.default_rng(1)
@@ -73,110 +73,121 @@ def of(case: str) -> tuple[Hamiltonian, FloatArray, FloatArray]:
     braking = rng.uniform(0.0, 0.5, (q, n)) * problem.braking
     traction = rng.uniform(0.1, 0.8, n) * problem.traction
     plan = Plan(z, traction, braking, np.minimum(0.5 * braking, problem.dynamic))
-    time, share = rng.uniform(0.5, 6.0, (q, n)), rng.dirichlet(np.ones(q + 1), n).T[:q]
+    time, share = rng.uniform(0.5, 6.0, (q, n)), rng.dirichlet(np.ones(q), n).T
     regained = rng.uniform(0.2, 0.5, q) * run.at_line
     dynamic = rng.uniform(0.0, 1.0, (q, n)) * regained[:, None]
-    prices = Prices(1.1, regained, time, share, dynamic, None)
+    prices = Prices(1.1, regained, time, 0.0, share, dynamic)
     segments = Segments.of(problem, POINTS)
-    shape = (q, n, POINTS)
+    shape = (2, q, n, POINTS)
     costate, slope = rng.uniform(-0.6, 1.6, shape), rng.uniform(-1e-2, 1e-2, shape)
-    return Hamiltonian(problem, plan, prices, fastest, run, segments), costate, slope
+    return Hamiltonian(problem, plan, fastest, run, segments), prices, costate, slope
 
 
-def alone(made: Hamiltonian, costate: FloatArray, speed: FloatArray) -> FloatArray:
-    """The least over its controls of each configuration at speeds (m, q, n, p), but for slopes."""
-    run, reference, prices = made.problem.run, made.problem.reference, made.prices
+def duals(case: str) -> dict[str, Dual]:
+    """One costate, with the prices that its limits lead to, and two with any prices."""
+    made, prices, costate, slope = of(case)
+    rng, nodes = np.random.default_rng(3), np.zeros(0)
+    efforts = made.priced(prices, costate[0])
+    traction = rng.uniform(-0.5, 1.5, costate[0].shape)
+    traction += (prices.traction - traction.sum(axis=0)) / len(traction)
+    braking = np.zeros(traction.shape)
+    if made.problem.common:
+        braking = rng.uniform(-0.5, 0.5, traction.shape)
+        braking -= braking.mean(axis=0)
+    return {
+        "one": Dual(prices, costate[:1], slope[:1], *efforts, nodes),
+        "two": Dual(prices, costate, slope, traction, braking, nodes),
+    }
+
+
+def tried(made: Hamiltonian, dual: Dual, each: int, speed: FloatArray) -> list[FloatArray]:
+    """The Hamiltonian of each configuration by a costate, at speeds (m, q, n, p).
+
+    Without traction and with the most of it, each with the best of its brakes.
+    """
+    run, reference, prices = made.problem.run, made.problem.reference, dual.prices
     train, s = run.train, made.segments.positions
     limits = effort_limits(run, s.reshape(-1, 1), run.adhesion_at(s.ravel()))
     most_pull, most, friction, most_dynamic = (
-        (each / reference).reshape(-1, *s.shape)
-        for each in (limits.traction, limits.braking, limits.friction, limits.dynamic)
+        (value / reference).reshape(-1, *s.shape)
+        for value in (limits.traction, limits.braking, limits.friction, limits.dynamic)
     )
+    if run.braking == "common":
+        most = np.broadcast_to(most.min(axis=0), most.shape)
     tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(s))
-    found = prices.time[:, :, None] / speed
-    worth = sum(
-        costate[row] * reference / each.inertia for row, each in enumerate(run.configurations)
-    )
-    for row, each in enumerate(run.configurations):
-        v, gain, own = speed[:, row], reference / each.inertia, costate[row]
-        drag = each.resistance(v) + each.mass * run.track_acceleration(s) + tunnel * v**2
-        found[:, row] += own * drag / each.inertia
-        pull = np.minimum(most_pull.min(axis=0), each.max_power / reference / v)
+    found = [np.empty(speed.shape), np.empty(speed.shape)]
+    for row, own in enumerate(run.configurations):
+        v, gain, costate = speed[:, row], reference / own.inertia, dual.costate[each, row]
+        drag = own.resistance(v) + own.mass * run.track_acceleration(s) + tunnel * v**2
+        pull = np.minimum(most_pull.min(axis=0), own.max_power / reference / v)
         brake = np.minimum(most_dynamic[row], train.max_dynamic_braking_power / reference / v)
         if train.traction_curve is not None:
-            part = each.max_power / train.max_traction_power
+            part = own.max_power / train.max_traction_power
             pull = np.minimum(pull, train.traction_curve(v / part) / reference)
             brake = np.minimum(brake, train.dynamic_braking_curve(v) / reference)
-        surplus = np.maximum(worth - prices.traction, 0.0)
-        found[:, row] -= prices.share[row][:, None] * surplus * pull
-        if run.braking == "common":
-            found[:, row] -= prices.dynamic[row][:, None] * brake
-            continue
         # In a corner of what is fed back, and of how much all brakes do besides.
         least = np.full(v.shape, np.inf)
+        braked = costate * gain + np.broadcast_to(dual.braking, dual.costate[each].shape)[row]
         for dynamic in (0.0 * brake, brake, np.clip(most[row] - friction[row], 0.0, brake)):
             fed_back = np.minimum(dynamic, most[row])
             for total in (fed_back, np.minimum(most[row], friction[row] + fed_back)):
-                value = own * gain * total - prices.regained[row] * fed_back
-                least = np.minimum(least, value)
-        found[:, row] += least
+                least = np.minimum(least, braked * total - prices.regained[row] * fed_back)
+        moved = costate * (drag / own.inertia + made.rise[row])
+        away = dual.slope[each, row] * (0.5 * v**2 - made.z[row])
+        found[0][:, row] = prices.time[row][:, None] / v + least + moved - away
+        found[1][:, row] = found[0][:, row] + (dual.traction[row] - costate * gain) * pull
     return found
 
 
+def speeds_of(made: Hamiltonian, count: int) -> FloatArray:
+    """Up to the highest at each point, (m, q, n, p)."""
+    parts = (np.geomspace(1e-3, 1.0, count)[:-1], np.linspace(1.0, 60.0, 10 * count) / 60.0)
+    return np.maximum(
+        np.unique(np.concatenate(parts))[:, None, None, None] * made.highest, bound.LEAST_SPEED
+    )
+
+
+@pytest.mark.parametrize("number", ["one", "two"])
 @pytest.mark.parametrize("case", CASES)
-def test_the_least_is_that_of_all_speeds_and_controls(case):
-    made, costate, slope = of(case)
-    problem, prices = made.problem, made.prices
-    parts = np.concatenate(
-        (np.geomspace(1e-3, 1.0, 300)[:-1], np.linspace(1.0, 60.0, 3_000) / 60.0)
-    )
-    speed = np.maximum(parts[:, None, None, None] * made.highest, bound.LEAST_SPEED)
-    each = alone(made, costate, speed) - 0.5 * slope * speed**2
-    least = each.min(axis=0).sum(axis=0)
-    worth = (costate * problem.gain[:, None, None]).sum(axis=0)
-    train, run, s = problem.run.train, problem.run, made.segments.positions
-    limits = effort_limits(run, s.reshape(-1, 1), run.adhesion_at(s.ravel()))
-    pull, brake, dynamic = (
-        (value / problem.reference).reshape(-1, *s.shape)
-        for value in (limits.traction, limits.braking, limits.dynamic)
-    )
-    rest = 1.0 - prices.share.sum(axis=0)
-    least = least - rest[:, None] * np.maximum(worth - prices.traction, 0.0) * pull.min(axis=0)
-    if run.braking == "common":
-        efforts = np.linspace(0.0, 1.0, 2_001)[:, None, None] * brake.min(axis=0)
-        left = prices.regained[:, None] - prices.dynamic
-        fed_back = np.minimum(efforts[:, None], dynamic)
-        least = least + (worth * efforts - (left[:, :, None] * fed_back).sum(axis=1)).min(axis=0)
-    found = made.least(costate, slope)
+def test_the_least_is_that_of_all_speeds_and_controls(case, number):
+    """By the costate of the speeds below the plan's, and by that of the speeds above."""
+    made, *_ = of(case)
+    dual, speed = duals(case)[number], speeds_of(made, 300)
+    own = np.full(made.speed.shape, np.inf)
+    for each in range(len(dual.costate)):
+        value = np.minimum(*tried(made, dual, each, speed))
+        if number == "two":
+            value[(speed < made.speed) if each else (speed > made.speed)] = np.inf
+        at_plan = np.minimum(*tried(made, dual, each, made.speed[None]))[0]
+        own = np.minimum(own, np.minimum(value.min(axis=0), at_plan))
+    least, found = own.sum(axis=0), made.least(dual)
     assert np.all(found <= least + 1e-9)
     # Less than the least where limits cross between the speeds at which one of them bends.
     assert np.all(found >= least - 0.3)
-    crossed = case == "crossed curves" or (costate.min(axis=0) < 0.0) & (train is WEAK)
+    train = made.problem.run.train
+    crossed = case in ("crossed curves", "common") or (train is WEAK)
     error = (least - found) / (1.0 + np.abs(least))
-    assert np.quantile(error, 0.5 if case == "crossed curves" else 0.8) < 1e-3
+    assert np.quantile(error, 0.5 if crossed else 0.8) < 1e-3
     assert np.all((error < 1e-3) | crossed)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_together_no_traction_is_more_than_the_speeds_of_all_allow(case):
     """The least over pairs of speeds, each with the traction that is the most for both."""
-    made, costate, slope = of(case)
-    least = made.least(costate, slope)
-    raised = made.raised(least, costate, slope)
-    parts = np.unique(np.append(np.geomspace(2e-3, 1.0, 150), np.linspace(0.02, 1.0, 250)))
-    speed = np.maximum(parts[:, None, None, None] * made.highest, bound.LEAST_SPEED)
-    shared, prices = [], made.prices
-    for share in (0.0, 1.0):
-        made.prices = replace(prices, share=np.full(prices.share.shape, share))
-        shared.append(alone(made, costate, speed) - 0.5 * slope * speed**2)
-    made.prices = prices
-    free, limited = shared  # without traction, and less what the most of each is worth
+    made, prices, costate, _ = of(case)
+    dual = duals(case)["one"]
+    least = made.least(dual)
+    raised = made.raised(least, dual)
+    speed = speeds_of(made, 60)
+    free, _ = tried(made, dual, 0, speed)
+    # As if all that traction is worth were each configuration's own.
+    own = costate[0] * made.gain
+    worth = np.maximum(own.sum(axis=0) - prices.traction, 0.0)
+    _, limited = tried(made, replace(dual, traction=own - worth), 0, speed)
     by_both = np.full(least.shape, np.inf)
-    for own, pulled in zip(free[:, 0], (limited - free)[:, 0], strict=True):
-        pair = own + free[:, 1] + np.maximum(pulled, (limited - free)[:, 1])
+    for each, pulled in zip(free[:, 0], (limited - free)[:, 0], strict=True):
+        pair = each + free[:, 1] + np.maximum(pulled, (limited - free)[:, 1])
         by_both = np.minimum(by_both, pair.min(axis=0))
-    if made.problem.common:
-        by_both = by_both + (least - made._least_apart(costate, slope))
     assert np.all(raised >= least)
     assert np.all(raised <= by_both + 1e-9 * (1.0 + np.abs(by_both)))
     missed, before = by_both - raised, by_both - least
@@ -188,29 +199,37 @@ def test_together_no_traction_is_more_than_the_speeds_of_all_allow(case):
 @pytest.mark.parametrize("case", CASES)
 def test_the_costate_changes_as_the_least_does_with_the_speed(case):
     """The adjoint equation: with its slopes the Hamiltonian is level about the plan's speeds."""
-    made, costate, _ = of(case)
-    step = 1e-4
-    rise = alone(made, costate, np.stack([made.speed - step, made.speed + step]))
+    made, prices, costate, _ = of(case)
+    dual, step = duals(case)["one"], 1e-4
+    level = replace(dual, slope=np.zeros_like(dual.slope))
+    around = np.stack([made.speed - step, made.speed + step])
+    rise = np.minimum(*tried(made, level, 0, around))
     expected = (rise[1] - rise[0]) / (2.0 * step) / made.speed
-    np.testing.assert_allclose(made.slopes(costate), expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(made.slopes(prices, costate[0]), expected, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_plan_costs_what_its_efforts_and_its_time_are_worth(case):
-    made, costate, slope = of(case)
-    problem, plan, run = made.problem, made.plan, made.problem.run
+    made, prices, _, _ = of(case)
+    problem, plan = made.problem, made.plan
     place, fall = made.segments.place, problem.taper.fall[:, None]
-    pulled = plan.traction[:, None] + fall - 2.0 * fall * place
-    total = made.prices.traction * pulled
-    for row, each in enumerate(run.configurations):
-        v, gain = made.speed[row], problem.reference / each.inertia
-        s, own = made.segments.positions, costate[row]
-        tunnel = run.train.tunnel_coefficient(run.line.tunnel_cross_section(s))
-        drag = each.resistance(v) + each.mass * run.track_acceleration(s) + tunnel * v**2
-        net = gain * (pulled - plan.braking[row][:, None]) - drag / each.inertia
-        total = total + made.prices.time[row][:, None] / v - own * net - 0.5 * slope[row] * v**2
-        total = total - made.prices.regained[row] * plan.dynamic[row][:, None]
-    np.testing.assert_allclose(made.of_plan(costate, slope), total, rtol=1e-10)
+    total = prices.traction * (plan.traction[:, None] + fall - 2.0 * fall * place)
+    for row in range(problem.shape[0]):
+        total = total + prices.time[row][:, None] / made.speed[row]
+        total = total - prices.regained[row] * plan.dynamic[row][:, None]
+    np.testing.assert_allclose(made.of_plan(prices), total, rtol=1e-10)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_prices_of_common_efforts_add_up_to_what_they_cost(case):
+    """Each configuration has the share of its limit, and one brake for all costs nothing more."""
+    made, prices, costate, _ = of(case)
+    traction, braking = made.priced(prices, costate[0])
+    np.testing.assert_allclose(traction.sum(axis=0), prices.traction)
+    np.testing.assert_allclose(braking.sum(axis=0), 0.0, atol=1e-12)
+    own = costate[0] * made.gain
+    worth = own.sum(axis=0) - prices.traction
+    np.testing.assert_allclose(own - traction, prices.share[:, :, None] * worth, atol=1e-12)
 
 
 @pytest.mark.parametrize("train", [FLIRT, VIRM6, FREIGHT], ids=lambda train: train.name)
@@ -219,9 +238,7 @@ def test_inside_its_cells_a_plan_has_the_speeds_that_its_efforts_lead_to(train):
     run = TrajectoryProblem(hilly_line(), train, drawn(train, 2, seed=2, spread=0.3))
     fastest, positions = fastest_run(run), np.union1d(run.breakpoints, [10.0, 50.0, 200.0, 400.0])
     problem, plan = run_together(discretise(run, positions), fastest.at(positions))
-    none = np.zeros(problem.shape)
-    prices = Prices(1.0, np.zeros(2), none, none, none, None)
-    made = Hamiltonian(problem, plan, prices, fastest, run, Segments.of(problem, 4))
+    made = Hamiltonian(problem, plan, fastest, run, Segments.of(problem, 4))
     line, fall, step = run.line, problem.taper.fall, problem.step
     for row, each in enumerate(run.configurations):
         for cell in range(1, step.size - 1):
@@ -241,30 +258,30 @@ def test_inside_its_cells_a_plan_has_the_speeds_that_its_efforts_lead_to(train):
             found = solve_ivp(force, span, begin, "DOP853", at, rtol=1e-9, max_step=step[cell] / 8)
             v = np.sqrt(2.0 * found.y[0])
             np.testing.assert_allclose(made.speed[row, cell], v, rtol=3e-4)
+            change = np.ravel([force(*pair) for pair in zip(at, found.y[0], strict=True)])
+            assert np.abs(made.rise[row, cell] - change).max() < 2e-3
 
 
 def test_what_traction_is_worth_at_its_limit_is_shared_by_whose_power_limits_it():
-    """By all where the effort limits it less; a third of it where the effort has the rest."""
+    """By all alike where the effort limits it; so is what is fed back, by the multipliers."""
     problem = of("line")[0].problem
     q, n = problem.shape
-    traction = 1.0 / problem.run.train.efficiency_traction
-    worth = np.linspace(0.5, 2.0, n)
-    none, power = np.zeros((q, n)), np.array([[0.75], [0.25]]) * worth
-    power[:, : n // 2] /= 3.0
-    pull = np.full((q, n), 0.5) * (traction * problem.step + worth)
+    none, power = np.zeros((q, n)), np.array([[0.75], [0.25]]) * np.linspace(0.5, 2.0, n)
+    power[:, : n // 2] = 0.0
     of_times = np.zeros((q, 0))
-    made = Multipliers(pull, np.ones(q), of_times, of_times, power, none, np.array([3.0, 1.0]))
-    prices = Prices.of(problem, made)
-    whole = np.where(np.arange(n) < n // 2, 1.0 / 3.0, 1.0)
-    np.testing.assert_allclose(prices.share, np.array([[0.75], [0.25]]) * whole)
+    made = Multipliers(none, np.ones(q), of_times, of_times, power, none, np.array([3.0, 1.0]))
+    prices = Prices.of(problem, made, 100.0)
+    np.testing.assert_allclose(prices.share[:, n // 2 :], np.tile([[0.75], [0.25]], n - n // 2))
+    np.testing.assert_allclose(prices.share[:, : n // 2], 0.5)
     regained = problem.run.train.efficiency_regeneration * np.array([0.75, 0.25])
     np.testing.assert_allclose(prices.regained, regained)
-    assert prices.traction == traction
+    assert prices.traction == 1.0 / problem.run.train.efficiency_traction
+    assert prices.allowed == 200.0
 
 
 def test_quadrature_is_exact_for_what_time_and_costate_are_made_of():
     """Polynomials; and the root of the way from a standstill and to one."""
-    made, _, _ = of("line")
+    made, *_ = of("line")
     segments, length = made.segments, made.problem.step
     inner = slice(1, -1)
     for power in range(2 * POINTS):
@@ -288,11 +305,10 @@ def test_quadrature_is_exact_for_what_time_and_costate_are_made_of():
 
 @pytest.mark.parametrize("even", [True, False])
 def test_a_costate_joins_its_ends(even):
-    made, costate, _ = of("line")
+    made, prices, (costate, _), _ = of("line")
     begin, end = costate[:, :, 0], costate[:, :, -1]
-    none = np.zeros(begin.shape)
-    line = Costate(made.segments, begin, end, np.full(begin.shape, even), none, np.zeros(0))
-    values, slopes = line.along(made)
+    line = Costate(made.segments, begin, end, np.full(begin.shape, even))
+    values, slopes = line.along(made, prices)
     segments, inner = made.segments, slice(1, -1)
     np.testing.assert_allclose(
         (slopes * segments.weights).sum(axis=2), end - begin, rtol=1e-9, atol=1e-9
@@ -309,36 +325,8 @@ def test_a_costate_joins_its_ends(even):
     if even:
         np.testing.assert_allclose(values, straight)
     else:
-        apart = slopes - made.slopes(straight)
+        apart = slopes - made.slopes(prices, straight)
         assert np.ptp(apart, axis=2).max() < 1e-9 * np.abs(slopes).max()
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_on_each_stretch_the_better_costate_counts(case):
-    """Two that are the same in every third cell: the best of all ways to put them together."""
-    made, costate, slope = of(case)
-    n, random = costate.shape[1], np.random.default_rng(4)
-    same = np.arange(n) % 3 == 2
-    other = np.where(same[:, None], costate, costate + random.uniform(-0.1, 0.1, costate.shape))
-    at_nodes = random.uniform(-0.5, 0.5, n + 1)
-    # A node between two cells that are the same is, too.
-    at_others = at_nodes + random.uniform(-0.5, 0.5, n + 1) * ~(
-        np.append(same, True) & np.insert(same, 0, True)
-    )
-    one, two = (
-        _Bounded(made, (each, slope), made.least(each, slope), nodes, 3.0)
-        for each, nodes in ((costate, at_nodes), (other, at_others))
-    )
-    joined = one.joined(two)
-    best = one.value
-    for begin in range(0, n, 3):
-        cells, nodes = slice(begin, begin + 2), slice(begin, min(begin + 3, n + 1))
-        gain = (two.cells - one.cells)[cells].sum() + (at_others - at_nodes)[nodes].sum()
-        best += max(gain, 0.0)
-    assert joined.value == pytest.approx(best)
-    assert joined.value > max(one.value, two.value)
-    np.testing.assert_allclose(joined.least, made.least(*joined.along))
-    assert two.joined(one).value == pytest.approx(best)
 
 
 def test_no_finer_run_is_faster_than_what_is_reached():

@@ -20,19 +20,20 @@ equation along the plan, but where it stands at the level of a partial control.
 
 from __future__ import annotations
 
+import time
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from analysis.trajectory.convex import Multipliers, work
+from analysis.trajectory.convex import Multipliers, Rows, optimum_about, spent, work
 from analysis.trajectory.discretisation import (
     Curves,
     DiscreteProblem,
     Plan,
-    Taper,
     effort_limits,
     most_efforts,
 )
@@ -50,6 +51,7 @@ LEAST_SPEED = 1e-6
 _ROUNDED = 1e-9
 """Of a Hamiltonian that is computed, relative."""
 
+
 _LITTLE = 1e-8
 """Part of the bound that a point may miss, and is not looked at again."""
 
@@ -57,8 +59,8 @@ _RANGES, _HALVINGS = (0.0, 1.003, 1.03, 1.3, np.inf), 8
 """Ranges of traction, as multiples of the plan's, and how often one is halved at most."""
 
 _BY_POINT = (
-    *("drag0", "drag2", "time", "share", "by_dynamic", "braking", "friction", "dynamic"),
-    *("lowest", "highest", "speed", "traction", "pulled"),
+    *("drag0", "drag2", "braking", "friction", "dynamic", "lowest", "highest", "speed"),
+    *("z", "rise", "traction", "pulled"),
 )
 """What a Hamiltonian has of each point."""
 
@@ -72,50 +74,69 @@ class Prices:
     traction : float
     regained : (q,) array
     time : (q, n) array [J/(kg s)]
+    allowed : float [J/kg]
+        What the times allowed are worth, each at its price.
     share : (q, n) array
-        Of what traction is worth at its limit, by whose power limits it; the rest is the effort's.
+        Of what traction is worth at its limit, by whose power limits it.
     dynamic : (q, n) array
         Of the dynamic brake at its power limit.
-    multipliers : Multipliers
     """
 
     traction: float
     regained: FloatArray
     time: FloatArray
+    allowed: float
     share: FloatArray
     dynamic: FloatArray
-    multipliers: Multipliers
 
     @staticmethod
-    def of(problem: DiscreteProblem, multipliers: Multipliers) -> Prices:
+    def of(problem: DiscreteProblem, multipliers: Multipliers, running_time: float) -> Prices:
         """By multipliers."""
-        train, (q, _) = problem.run.train, problem.shape
-        traction, regained = 1.0, np.zeros(q)
-        if problem.run.at_line:
-            traction = 1.0 / train.efficiency_traction
-            share = multipliers.share / max(float(multipliers.share.sum()), 1e-300)
-            regained = train.efficiency_regeneration * share
-        # What traction is worth at its limit; the limit by effort has the rest of it.
-        worth = multipliers.pull.sum(axis=0) - traction * problem.step
-        limited = np.maximum(multipliers.power.sum(axis=0), worth)
-        share = multipliers.power / np.maximum(limited, 1e-300)
-        if q == 1:
-            share = np.ones_like(share)
-        dynamic = np.clip(multipliers.dynamic_power / problem.step, 0.0, regained[:, None])
-        time = multipliers.cell_prices(problem)
-        return Prices(traction, regained, time, share, dynamic, multipliers)
-
-    def of_times(self, problem: DiscreteProblem, running_time: float) -> float:
-        """Times allowed, each at its price [J/kg]."""
-        found = self.multipliers
-        total = running_time * float(found.time.sum())
+        found, (traction, fed_back) = multipliers.convex(), problem.run.effort_prices
+        regained = fed_back * found.share / max(float(found.share.sum()), 1e-300)
+        power = found.power + 1e-300
+        dynamic = np.clip(found.dynamic_power / problem.step, 0.0, regained[:, None])
+        time = found.cell_prices(problem)
+        allowed = running_time * float(found.time.sum())
         for prices, times, sign in (
             (found.passing, problem.latest, 1.0),
             (found.opening, problem.earliest, -1.0),
         ):
             bounded = np.isfinite(times)
-            total += sign * float(prices.sum(axis=0)[bounded] @ times[bounded])
-        return total
+            allowed += sign * float(prices.sum(axis=0)[bounded] @ times[bounded])
+        return Prices(traction, regained, time, allowed, power / power.sum(axis=0), dynamic)
+
+
+@dataclass(frozen=True, eq=False)
+class Dual:
+    """Prices and costates at the points of cells: with them, a bound.
+
+    Attributes
+    ----------
+    prices : Prices
+    costate, slope : (k, q, n, p) array
+        Of all speeds, or of those that are slower than the plan's, and of the faster ones.
+    traction, braking : (q, n, p) array
+        What a common effort costs each configuration; in all the price of traction, and nothing.
+    at_nodes : (n + 1,) array [J/kg]
+        What jumps of the costate and its values at the end of the run add to the bound.
+    """
+
+    prices: Prices
+    costate: FloatArray
+    slope: FloatArray
+    traction: FloatArray
+    braking: FloatArray
+    at_nodes: FloatArray
+
+    def at(self, places: tuple[Any, ...]) -> Dual:
+        """The same at m points, by cell and number, as cells of one point each."""
+        prices = replace(self.prices, time=self.prices.time[:, places[0]])
+        names = ("costate", "slope", "traction", "braking")
+        shape = self.costate.shape
+        values = (np.broadcast_to(v, shape[-v.ndim :]) for v in (getattr(self, n) for n in names))
+        costate, slope, *efforts = (v[..., *places][..., None] for v in values)
+        return Dual(prices, costate, slope, efforts[0], efforts[1], self.at_nodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,19 +222,24 @@ class _Piece:
 
 
 class Hamiltonian:
-    """The Hamiltonian at the points of cells, for q configurations; arrays (q, n, p)."""
+    """The Hamiltonian at the points of cells, for q configurations; arrays (q, n, p).
+
+    Relative to the plan: ``V(s, z) = W(s) - lambda (z - z_plan)`` with one costate for the speeds
+    below the plan's and another above leaves::
+
+        -W' = min of  c u_f - eta u_d + mu / v - lambda (z' - z_plan') - lambda' (z - z_plan)
+    """
 
     def __init__(
         self,
         problem: DiscreteProblem,
         plan: Plan,
-        prices: Prices,
         fastest: Envelope,
         run: TrajectoryProblem,
         segments: Segments,
         floor: Floor | None = None,
     ) -> None:
-        self.problem, self.plan, self.prices, self.segments = problem, plan, prices, segments
+        self.problem, self.plan, self.segments = problem, plan, segments
         self.fastest = fastest
         s = segments.positions
         coefficients = np.array(
@@ -223,64 +249,76 @@ class Hamiltonian:
         tunnel = run.train.tunnel_coefficient(run.line.tunnel_cross_section(s))
         self.drag0 = (constant + mass * problem.run.track_acceleration(s)) / inertia
         self.drag1, self.drag2 = problem.drag1[:, None, None], (square + tunnel) / inertia
-        self.gain, self.time = problem.gain[:, None, None], prices.time[:, :, None]
-        self.share, self.regained = prices.share[:, :, None], prices.regained[:, None, None]
-        self.power = problem.power[:, None, None]
-        self.by_dynamic = prices.dynamic[:, :, None]
+        self.gain, self.power = problem.gain[:, None, None], problem.power[:, None, None]
         self.traction = _limits_at(run, problem.reference, s)[0].min(axis=0)
-        brakes = _limits_at(problem.run, problem.reference, s)[1:]
-        self.braking, self.friction, self.dynamic = brakes
+        braking, self.friction, dynamic = _limits_at(problem.run, problem.reference, s)[1:]
+        self.braking = braking.min(axis=0, keepdims=True) if problem.common else braking
+        self.dynamic = np.minimum(dynamic, self.braking)
         self.highest = np.minimum(run.permitted_speed(s), reached(fastest, s))
         self.highest = np.maximum(self.highest, LEAST_SPEED)
         lowest = 0.0 if floor is None else floor.at(s)
-        self.lowest = np.minimum(np.maximum(lowest, LEAST_SPEED), self.highest)
+        lowest = np.minimum(np.maximum(lowest, LEAST_SPEED), self.highest)
+        self.lowest = np.broadcast_to((1.0 - _ROUNDED) * lowest, self.highest.shape)
         part, step, fall = segments.place, problem.step[:, None], problem.taper.fall[:, None]
-        z = plan.z[:, :-1, None] + np.diff(plan.z, axis=1)[:, :, None] * part
+        change = np.diff(plan.z, axis=1)[:, :, None]
+        z = plan.z[:, :-1, None] + change * part
         z = z + self.gain * fall * step * part * (1.0 - part)
         # Resistance that changes inside a cell bends it, too.
-        v = np.sqrt(2.0 * np.maximum(z, 0.0))
-        drag = self.drag0 + self.drag1 * v + self.drag2 * v**2
-        z = z - segments.gathered(drag - segments.mean(drag)[:, :, None])
-        self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), self.lowest, self.highest)
+        drag = self.drag(np.sqrt(2.0 * np.maximum(z, 0.0)))
+        bend = drag - segments.mean(drag)[:, :, None]
+        self.z = z - segments.gathered(bend)
+        self.rise = change / step + self.gain * fall * (1.0 - 2.0 * part) - bend
+        self.speed = np.clip(np.sqrt(2.0 * np.maximum(self.z, 0.0)), self.lowest, self.highest)
         self.pulled = plan.traction[:, None] + fall * (1.0 - 2.0 * part)
 
-    def slopes(self, costate: FloatArray) -> FloatArray:
+    def drag(self, speed: FloatArray) -> FloatArray:
+        """Of resistance and gradient [m/s²]."""
+        return np.asarray(self.drag0 + self.drag1 * speed + self.drag2 * speed**2)
+
+    def priced(self, prices: Prices, costate: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What common efforts cost each, by whose limits they are at; twice (q, n, p)."""
+        own, q = costate * self.gain, costate.shape[0]
+        worth = own.sum(axis=0) - prices.traction
+        traction = own - prices.share[:, :, None] * worth
+        if not self.problem.common:
+            return traction, np.zeros((q, 1, 1))
+        level = (prices.regained[:, None] - prices.dynamic)[:, :, None]
+        return traction, level + (own.sum(axis=0) - level.sum(axis=0)) / q - own
+
+    def slopes(self, prices: Prices, costate: FloatArray) -> FloatArray:
         """The adjoint equation: what the costate changes by along the plan's speeds."""
-        a, b, c, _ = self.along(costate, self.speed)
+        a, b, c, _ = self.along(prices, costate, self.priced(prices, costate), self.speed)
         return np.asarray((b - a / self.speed**2) / self.speed + 2.0 * c)
 
-    def least(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
+    def least(self, dual: Dual) -> FloatArray:
         """The least Hamiltonian over all speeds and controls, (n, p) [J/(kg m)].
 
         Each configuration at its own least, where their limits share what traction is worth.
         """
-        return np.asarray(self._least_apart(costate, slope) + self._braked(costate))
+        efforts, found = (dual.traction, dual.braking), np.full(self.speed.shape, np.inf)
+        edges = [self.lowest, *[self.speed] * (len(dual.costate) - 1), self.highest]
+        for low, high, costate, slope in zip(
+            edges, edges[1:], dual.costate, dual.slope, strict=False
+        ):
+            own = self._least_of(dual.prices, costate, slope, efforts, (low, high))
+            found = np.minimum(found, own + costate * self.rise + slope * self.z)
+        return np.asarray(found.sum(axis=0))
 
-    def raised(self, least: FloatArray, costate: FloatArray, slope: FloatArray) -> FloatArray:
-        """That least, higher where no traction is more than the speeds of all allow together."""
-        brake, plan = self._braked(costate), self.of_plan(costate, slope)
-        missing = (plan - least) * self.segments.weights
-        little = _LITTLE * np.abs((least * self.segments.weights).sum())
-        at = np.nonzero(self._worth(costate) * self.share.sum(axis=0) * (missing > little) > 0.0)
-        found, brake = least.copy(), np.broadcast_to(brake, least.shape)[at]
-        jointly = self._least_jointly(at, costate, slope, plan[at] - brake)
-        found[at] = np.maximum(found[at], jointly + brake)
-        return found
-
-    def _worth(self, costate: FloatArray) -> FloatArray:
-        """How much more than its price traction is worth, if it is."""
-        worth = (costate * self.gain).sum(axis=0) - self.prices.traction
-        return np.asarray(np.maximum(worth, 0.0))
-
-    def _least_apart(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
-        """The least without a common brake."""
-        edges, found = self._edges(costate.shape), np.full(costate.shape, np.inf)
-        v = np.clip(self.speed, self.lowest, self.highest)
-        a, b, c, constant = self.along(costate, v)
+    def _least_of(
+        self,
+        prices: Prices,
+        costate: FloatArray,
+        slope: FloatArray,
+        efforts: tuple[FloatArray, FloatArray],
+        within: tuple[FloatArray, FloatArray],
+    ) -> FloatArray:
+        """The least within a range of speeds, but for what the plan's own speed adds."""
+        found, v = np.full(costate.shape, np.inf), np.clip(self.speed, *within)
+        a, b, c, constant = self.along(prices, costate, efforts, v)
         enough = a / v + b * v + (c - 0.5 * slope) * v**2 + constant
         enough += _ROUNDED * (1.0 + np.abs(enough))
-        for low, high in pairwise(edges):
-            a, b, c, constant = self.along(costate, 0.5 * (low + high))
+        for low, high in pairwise(self._edges(*within)):
+            a, b, c, constant = self.along(prices, costate, efforts, 0.5 * (low + high))
             c = c - 0.5 * slope
             # Each term at its better end: a piece of a curve that has more than the plan is passed.
             ends = a / np.where(a > 0.0, high, low) + b * np.where(b > 0.0, low, high)
@@ -289,33 +327,33 @@ class Hamiltonian:
             span = low[near], high[near]
             value = _least(a[near], b[near], c[near], span, v[near]) + constant[near]
             found[near] = np.minimum(found[near], np.maximum(value, ends[near]))
-        alone = np.maximum(1.0 - self.share.sum(axis=0), 0.0) * self.traction
-        return np.asarray(found.sum(axis=0) - alone * self._worth(costate))
+        return found
 
-    def _least_jointly(
-        self,
-        at: tuple[Any, ...],
-        costate: FloatArray,
-        slope: FloatArray,
-        enough: FloatArray,
-    ) -> FloatArray:
-        """The least at some points where no traction is more than all of the speeds allow.
+    def raised(self, least: FloatArray, dual: Dual) -> FloatArray:
+        """That least, higher where no traction is more than the speeds of all allow together.
 
-        Apart, the train whose power limits the traction would slow down for the others to have
-        more of it. Here the traction is in one of several ranges: in each all are slow enough for
-        the least of it, and have no more than the most. The range with the least value is halved
-        until it is `enough`.
+        With one costate. Apart, the train whose power limits the traction would slow down for the
+        others to have more of it. Here the traction is in one of several ranges: in each all are
+        slow enough for the least of it, and have no more than the most. The range with the least
+        value is halved until it is that of the plan.
         """
+        plan = self.of_plan(dual.prices)
+        worth = (dual.costate[0] * self.gain).sum(axis=0) - dual.prices.traction
+        missing = (plan - least) * self.segments.weights
+        little = _LITTLE * np.abs((least * self.segments.weights).sum())
+        at = np.nonzero((worth > 0.0) & (missing > little))
+        enough, few = plan[at], dual.at(at)
 
-        def least(points: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
-            places: tuple[Any, ...] = tuple(each[points] for each in at)
-            part, empty = self._at(places)._pulling(low[:, None], high[:, None])
-            its = (each[:, *places][:, :, None] for each in (costate, slope))
-            return np.asarray(np.where(empty, np.inf, part._least_apart(*its))[:, 0])
+        def within(points: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
+            part, empty = self._at(tuple(each[points] for each in at))._pulling(
+                low[:, None], high[:, None]
+            )
+            value = part.least(few.at((points, np.zeros_like(points))))
+            return np.asarray(np.where(empty, np.inf, value)[:, 0])
 
         every, pulled = np.arange(enough.size), np.maximum(self.pulled[at], LEAST_SPEED)
         ranges = [(pulled * low, pulled * high) for low, high in pairwise(_RANGES)]
-        value = np.array([least(every, *each) for each in ranges])
+        value = np.array([within(every, *each) for each in ranges])
         low, high = (np.array(each) for each in zip(*ranges, strict=True))
         for _ in range(_HALVINGS):
             lowest = value.argmin(axis=0)
@@ -326,13 +364,15 @@ class Hamiltonian:
             begin, end = np.maximum(low[halved], pulled[short]), high[halved]
             middle = np.sqrt(begin * np.minimum(end, 4.0 * begin))
             upper = [np.full(enough.size, np.inf) for _ in range(3)]
-            for row, values in zip(upper, (middle, end, least(short, middle, end)), strict=True):
+            for row, values in zip(upper, (middle, end, within(short, middle, end)), strict=True):
                 row[short] = values
-            value[halved], high[halved] = least(short, low[halved], middle), middle
+            value[halved], high[halved] = within(short, low[halved], middle), middle
             low, high, value = (
                 np.vstack(each) for each in zip((low, high, value), upper, strict=True)
             )
-        return np.asarray(value.min(axis=0))
+        found = least.copy()
+        found[at] = np.maximum(found[at], value.min(axis=0))
+        return found
 
     def _at(self, places: tuple[Any, ...]) -> Hamiltonian:
         """The same at some points alone, (q, m, 1)."""
@@ -364,26 +404,21 @@ class Hamiltonian:
         own = np.where(effort <= f[-1], f[-1] * v[-1] / effort, np.interp(effort, falling, v[::-1]))
         return np.minimum(self.power / effort, own * curves.share[:, None, None])
 
-    def of_plan(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
-        """The plan's own Hamiltonian, (n, p) [J/(kg m)]."""
-        v = self.speed
-        drag = self.drag0 + self.drag1 * v + self.drag2 * v**2
-        braking = self.gain * self.plan.braking[:, :, None]
-        own = self.time / v + costate * (drag + braking) - 0.5 * slope * v**2
-        own = own - self.regained * self.plan.dynamic[:, :, None]
-        worth = self.prices.traction - (costate * self.gain).sum(axis=0)
-        return np.asarray(own.sum(axis=0) + worth * self.pulled)
+    def of_plan(self, prices: Prices) -> FloatArray:
+        """The plan's own Hamiltonian, (n, p) [J/(kg m)]; no costate changes it."""
+        regained = prices.regained[:, None, None] * self.plan.dynamic[:, :, None]
+        own = prices.time[:, :, None] / self.speed - regained
+        return np.asarray(own.sum(axis=0) + prices.traction * self.pulled)
 
-    def excess(self, along: tuple[FloatArray, FloatArray], least: FloatArray) -> FloatArray:
+    def excess(self, prices: Prices, least: FloatArray) -> FloatArray:
         """By how much the plan's Hamiltonian is above a least one, in each cell [J/kg]."""
-        missing = (self.of_plan(*along) - least) * self.segments.weights
+        missing = (self.of_plan(prices) - least) * self.segments.weights
         return np.asarray(np.maximum(missing.sum(axis=1), 0.0))
 
-    def _edges(self, shape: tuple[int, ...]) -> FloatArray:
+    def _edges(self, lowest: FloatArray, highest: FloatArray) -> FloatArray:
         """Speeds between which each limit is one of effort, power, or a line of a curve."""
         problem = self.problem
-        least = self.lowest
-        found = [least, self.power / np.maximum(self.traction, 1e-12)]
+        found = [lowest, self.power / np.maximum(self.traction, 1e-12)]
         if problem.curves is not None:
             found.append(self._reach(self.traction))
         if problem.run.at_line or np.any(problem.friction < problem.braking):
@@ -392,50 +427,57 @@ class Hamiltonian:
             if curves is not None:
                 knots = curves.own.speeds[curves.own.speeds < curves.fastest]
                 found += [knot * curves.share[:, None, None] for knot in knots[1:].tolist()]
-        found.append(self.highest)
-        clipped = [np.clip(np.broadcast_to(e, shape), least, self.highest) for e in found]
+        found.append(highest)
+        clipped = [np.clip(np.broadcast_to(e, highest.shape), lowest, highest) for e in found]
         return np.sort(np.stack(clipped), axis=0)
 
+    def limits(self, speed: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The most traction, the most of all brakes, and of the dynamic one, at speeds."""
+        problem, power = self.problem, np.asarray(self.problem.dynamic_power)
+        pull = _Piece.of(self.traction, self.power, problem.curves, speed).at(speed)
+        dynamic = _Piece.of(self.dynamic, power, problem.dynamic_curves, speed).at(speed)
+        return pull, np.minimum(self.braking, self.friction + dynamic), dynamic
+
     def along(
-        self, costate: FloatArray, speed: FloatArray
+        self,
+        prices: Prices,
+        costate: FloatArray,
+        efforts: tuple[FloatArray, FloatArray],
+        speed: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """The least over the controls, ``a / v + b v + c v² + constant`` about the speeds."""
-        worth = self._worth(costate)
-        pull = _Piece.of(self.traction, self.power, self.problem.curves, speed)
-        by_pull, own = worth * self.share, costate * self.gain
-        a = self.time - by_pull * pull.power
-        b = costate * self.drag1 - by_pull * pull.slope
-        constant = costate * self.drag0 - by_pull * pull.offset
-        power = np.asarray(self.problem.dynamic_power)
-        brake = _Piece.of(self.dynamic, power, self.problem.dynamic_curves, speed)
-        if self.problem.common:
-            by_brake = self.by_dynamic
-        else:
-            # Against a costate below zero all brakes are worth more than what one regains.
-            short = self.friction + brake.at(speed) < self.braking
-            by_brake = np.maximum(self.regained - np.where(short, own, np.maximum(own, 0.0)), 0.0)
-            most = np.where(short, self.friction, self.braking)
-            constant = constant + np.minimum(own, 0.0) * most
+        problem, own = self.problem, costate * self.gain
+        worth = np.maximum(own - efforts[0], 0.0)
+        pull = _Piece.of(self.traction, self.power, problem.curves, speed)
+        power = np.asarray(problem.dynamic_power)
+        brake = _Piece.of(self.dynamic, power, problem.dynamic_curves, speed)
+        # Against a costate below zero all brakes are worth more than what one regains.
+        own = own + efforts[1]
+        short = self.friction + brake.at(speed) < self.braking
+        by_brake = prices.regained[:, None, None] - np.where(short, own, np.maximum(own, 0.0))
+        by_brake = np.maximum(by_brake, 0.0)
+        braked = np.minimum(own, 0.0) * np.where(short, self.friction, self.braking)
         return (
-            a - by_brake * brake.power,
-            b - by_brake * brake.slope,
+            prices.time[:, :, None] - worth * pull.power - by_brake * brake.power,
+            costate * self.drag1 - worth * pull.slope - by_brake * brake.slope,
             costate * self.drag2,
-            constant - by_brake * brake.offset,
+            costate * self.drag0 - worth * pull.offset - by_brake * brake.offset + braked,
         )
 
-    def _braked(self, costate: FloatArray) -> FloatArray:
-        """The least of a braking effort for all: in a corner of its limits, (n, p)."""
-        if not self.problem.common:
-            return np.zeros(1)
-        most = self.braking.min(axis=0)
-        worth = (costate * self.gain).sum(axis=0)
-        left = self.regained - self.by_dynamic
-        least = np.zeros(most.shape)
-        for corner in (most, *np.broadcast_to(self.dynamic, costate.shape)):
-            effort = np.minimum(corner, most)
-            value = worth * effort - (left * np.minimum(effort, self.dynamic)).sum(axis=0)
-            least = np.minimum(least, value)
-        return least
+    def at_nodes(self, begin: FloatArray, end: FloatArray) -> FloatArray:
+        """What jumps between costates, (k, q, n) at the ends of cells, add; (n + 1,) [J/kg].
+
+        That of slower speeds may rise for nothing, that of faster ones fall, and each may do
+        anything where no trajectory is slower, or faster.
+        """
+        (limit, floor), z = node_limits(self), self.plan.z
+        jump = begin[:, :, 1:] - end[:, :, :-1]
+        below, above = np.maximum(z - floor, 0.0)[:, 1:-1], np.maximum(limit - z, 0.0)[:, 1:-1]
+        inner = np.minimum(jump[0], 0.0) * below - np.maximum(jump[-1], 0.0) * above
+        final = np.minimum(self.problem.final, limit[:, -1]) - z[:, -1]
+        stop = np.where(final > 0.0, end[-1, :, -1], end[0, :, -1]) * final
+        stop = np.minimum(np.minimum(-end[0, :, -1] * z[:, -1], stop), 0.0)
+        return np.concatenate(([0.0], inner.sum(axis=0), [stop.sum()]))
 
 
 def reached(fastest: Envelope, positions: FloatArray) -> FloatArray:
@@ -543,60 +585,44 @@ class Costate:
     begin, end : (q, n) array
     even : (q, n) array of bool
         Where it is linear; elsewhere it follows the adjoint equation.
-    give : (q, n) array
-        By which part each gives way where the sum of the costates is level.
-    at_nodes : (n + 1,) array [J/kg]
-        What its jumps and its values at both ends of the run add to the bound.
     """
 
     segments: Segments
     begin: FloatArray
     end: FloatArray
     even: BoolArray
-    give: FloatArray
-    at_nodes: FloatArray
 
-    def along(self, hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
+    def along(self, hamiltonian: Hamiltonian, prices: Prices) -> tuple[FloatArray, FloatArray]:
         """Its values and slopes at the points of its segments, (q, n, p)."""
         segments, change = self.segments, self.end - self.begin
         line = self.begin[:, :, None] + change[:, :, None] * segments.place
-        shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(line))
-        shape = _together(shape, self.give, hamiltonian.problem.gain)
+        shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(prices, line))
         slope = shape + (change / segments.length - segments.mean(shape))[:, :, None]
         curve = self.begin[:, :, None] + segments.gathered(slope)
         return np.where(self.even[:, :, None], line, curve), slope
 
+    def dual(self, hamiltonian: Hamiltonian, prices: Prices) -> Dual:
+        """With what the common efforts cost each by it."""
+        costate, slope = self.along(hamiltonian, prices)
+        nodes = hamiltonian.at_nodes(self.begin[None], self.end[None])
+        efforts = hamiltonian.priced(prices, costate)
+        return Dual(prices, costate[None], slope[None], *efforts, nodes)
 
-def costate_of(
-    hamiltonian: Hamiltonian,
-    multipliers: Multipliers,
-    near: float = _NEAR_LEVEL,
-    pulled: BoolArray | bool = False,
-    braked: BoolArray | bool = False,
-) -> Costate:
+
+def costate_of(hamiltonian: Hamiltonian, prices: Prices, multipliers: Multipliers) -> Costate:
     """The multipliers of cells as a function of the position.
 
     A multiplier is the mean of the costate over its cell. Where a control is partial the costate
     stands at a level, or joins its neighbours along the adjoint equation.
-
-    Parameters
-    ----------
-    hamiltonian : Hamiltonian
-    multipliers : Multipliers
-    near : float
-        Within which of its level a costate counts as there.
-    pulled, braked : (n,) array of bool
-        Where it is kept at the level of partial traction (the sum of all), and of a partial brake,
-        whatever the cells beside ask for.
     """
     problem, plan, step = hamiltonian.problem, hamiltonian.plan, hamiltonian.problem.step
     mean = multipliers.pull / (step * problem.gain[:, None])
-    shape = hamiltonian.slopes(np.broadcast_to(mean[:, :, None], hamiltonian.speed.shape))
+    shape = np.broadcast_to(mean[:, :, None], hamiltonian.speed.shape)
+    shape = hamiltonian.slopes(prices, shape)
     limit, floor = node_limits(hamiltonian)
     limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
     held = limited[:, :-1] & limited[:, 1:]
-    shared, pulls, own = partial_cells(hamiltonian, mean, near)
-    alone = ~np.isnan(own)
+    shared, alone = partial_cells(hamiltonian, prices, mean)
     partial = shared | alone
     flat = alone | (held & (shape.mean(axis=2) < 0.0))
     flat |= _standing(hamiltonian)
@@ -606,36 +632,22 @@ def costate_of(
     base = _together(base, give, problem.gain)
     flat |= give > 0.0
     whole = hamiltonian.segments
-    change, gain = whole.mean(base) * step, problem.gain[:, None]
     begin = mean - whole.mean(whole.gathered(base))
-    end = begin + change
+    end = begin + whole.mean(base) * step
     # Between two cells; the one that follows the adjoint equation knows better.
     trust = np.where(partial, 1e-6, 1.0) * np.where(creeping, 1e-12, 1.0) / step**2
     left, right = end[:, :-1], begin[:, 1:]
     middle = (trust[:, :-1] * left + trust[:, 1:] * right) / (trust[:, :-1] + trust[:, 1:])
-    give = np.where(pulled & pulls, give, 0.0)
-    levels = _Levels(give, np.where(braked, own, np.nan), hamiltonian.prices.traction, gain)
-    begin, end = levels.kept(begin), levels.kept(end)
-    left, right = end[:, :-1], begin[:, 1:]
-    middle = levels.of(slice(None, -1)).kept(middle)
-    middle = levels.of(slice(1, None)).kept(middle)
     free = limited[:, 1:-1] & (right > left)
     slow = (floor > 0.0) & (plan.z <= floor * (1.0 + _AT_LIMIT))
     free |= slow[:, 1:-1] & (right < left)
     first = np.column_stack((begin[:, :1], np.where(free, right, middle)))
     last = np.column_stack((np.where(free, left, middle), end[:, -1:]))
-    first[:, 1:] = levels.of(slice(1, None), free).kept(first[:, 1:])
-    last[:, :-1] = levels.of(slice(None, -1), free).kept(last[:, :-1])
     _level_out(creeping, first, last)
-    jump = first[:, 1:] - last[:, :-1]
-    inner = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1])
-    ends = -first[:, 0] * problem.initial
-    stop = np.minimum(last[:, -1], 0.0) * np.minimum(problem.final, limit[:, -1])
-    added = np.column_stack((ends, inner, stop)).sum(axis=0)
     # One that leaves its level in the cell follows the adjoint equation there.
     leaves = partial & (np.maximum(np.abs(first - begin), np.abs(last - end)) > _LEVEL)
     even = creeping | (flat & ~leaves)
-    return Costate(whole, first, last, even, _parts(give * ~even), added)
+    return Costate(whole, first, last, even)
 
 
 def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
@@ -652,73 +664,30 @@ def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
 
 
 def partial_cells(
-    hamiltonian: Hamiltonian, mean: FloatArray, near: float
-) -> tuple[BoolArray, BoolArray, FloatArray]:
-    """Where a control is partial that all share, and where one that each has by itself.
+    hamiltonian: Hamiltonian, prices: Prices, mean: FloatArray
+) -> tuple[BoolArray, BoolArray]:
+    """Where a control is partial that all share, (n,), and where one that each has, (q, n).
 
-    Returns
-    -------
-    shared : (n,) array of bool
-        Of common traction, or a common brake: the sum of the costates is at a level.
-    pulls : (n,) array of bool
-        Those of them in which traction is well inside its limits.
-    level : (q, n) array
-        Of the costate times the gain where each has its own; elsewhere NaN.
+    Of common traction, or a common brake, the sum of the costates is at a level; of its own brake
+    the costate of a configuration.
     """
-    problem, prices, plan = hamiltonian.problem, hamiltonian.prices, hamiltonian.plan
+    problem, plan = hamiltonian.problem, hamiltonian.plan
     own, regained = mean * problem.gain[:, None], prices.regained[:, None]
     worth = np.asarray(own.sum(axis=0))
     pull, brake = most_efforts(problem, plan)
     # Multipliers are less exact than controls: where one is inside its limits a level is wide.
-    pulls = _inside(plan.traction, pull)
-    shared = np.abs(worth - prices.traction) < np.where(pulls, near, _LEVEL)
-    braked = np.where(_inside(plan.braking, brake), near, _LEVEL)
-    level = np.full(own.shape, np.nan)
+    pulled = np.where(_inside(plan.traction, pull), _NEAR_LEVEL, _LEVEL)
+    braked = np.where(_inside(plan.braking, brake), _NEAR_LEVEL, _LEVEL)
+    shared = np.abs(worth - prices.traction) < pulled
     if problem.common:
         shared |= (np.abs(worth) < braked[0]) | (np.abs(worth - regained.sum()) < braked[0])
-    else:
-        for each in (regained, np.zeros((1, 1))):
-            level = np.where(np.abs(own - each) < braked, each, level)
-    return np.asarray(shared), np.asarray(pulls & shared), level
+        return np.asarray(shared), np.zeros(own.shape, dtype=np.bool_)
+    return np.asarray(shared), (np.abs(own - regained) < braked) | (np.abs(own) < braked)
 
 
 def _inside(effort: FloatArray, most: FloatArray) -> BoolArray:
     """Where an effort is well above none and well below the most."""
     return np.asarray((effort > _INSIDE * most) & (effort < (1.0 - _INSIDE) * most))
-
-
-@dataclass(frozen=True, eq=False)
-class _Levels:
-    """Levels at which costates are kept in some cells.
-
-    Attributes
-    ----------
-    give : (q, n) array
-        By which part each gives way where the sum is kept; elsewhere 0.
-    own : (q, n) array
-        Each by itself; NaN where it is not kept.
-    total : float
-        The sum; all levels are of the costate times the gain.
-    gain : (q, 1) array
-    """
-
-    give: FloatArray
-    own: FloatArray
-    total: float
-    gain: FloatArray
-
-    def of(self, cells: slice, free: BoolArray | None = None) -> _Levels:
-        """Those of some of the cells; of the sum by what is `free` to change there alone."""
-        give, own = self.give[:, cells], self.own[:, cells]
-        if free is not None:
-            give, own = _parts(give * free), np.full(own.shape, np.nan)
-        return replace(self, give=give, own=own)
-
-    def kept(self, costate: FloatArray) -> FloatArray:
-        """A costate at its levels."""
-        found = np.where(np.isnan(self.own), costate * self.gain, self.own)
-        found = found + self.give * (self.total - found.sum(axis=0))
-        return np.asarray(found / self.gain)
 
 
 def _giving(worth: FloatArray, kinds: tuple[BoolArray, BoolArray, BoolArray]) -> FloatArray:
@@ -797,8 +766,8 @@ _POINTS = 4
 CLOSE = 5e-4
 """Gap up to which no better bound is looked for."""
 
-MULTIPLIERS = "multipliers"
-"""Those of the plan's own optimum, as a bound's source."""
+MULTIPLIERS, COSTATES = "multipliers", "two costates"
+"""Those of the plan's own optimum, and the best about it: a bound's source."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -811,12 +780,23 @@ class ContinuousBound:
     excess : (n,) array [J/kg]
         By how much the plan is above it in each cell; where it is large cells are too long.
     source : str
-        Where its multipliers come from.
+        Where its costates come from.
     """
 
     value: float
     excess: FloatArray
     source: str = MULTIPLIERS
+
+    @staticmethod
+    def of(
+        hamiltonian: Hamiltonian, dual: Dual, source: str, *, jointly: bool = False
+    ) -> ContinuousBound:
+        """By prices and costates."""
+        least, prices = hamiltonian.least(dual), dual.prices
+        if jointly:
+            least = hamiltonian.raised(least, dual)
+        value = float((least * hamiltonian.segments.weights).sum() + dual.at_nodes.sum())
+        return ContinuousBound(value - prices.allowed, hamiltonian.excess(prices, least), source)
 
 
 @work()
@@ -851,163 +831,279 @@ def continuous_bound(
         Whether the speeds of several are looked at together where the traction is at a limit; it
         takes ten times as long.
     """
-
-    def bounded(problem: DiscreteProblem, plan: Plan, multipliers: Multipliers) -> _Bounded:
-        prices, segments = Prices.of(problem, multipliers.convex()), Segments.of(problem, _POINTS)
-        hamiltonian = Hamiltonian(problem, plan, prices, fastest, run, segments, floor)
-        return _Bounded.of(hamiltonian, multipliers, prices.of_times(problem, running_time))
-
-    found = bounded(problem, plan, multipliers)
-    falls = _falls(found.hamiltonian, multipliers)
-    positions, first = np.union1d(problem.positions, falls), np.arange(problem.step.size)
-    if positions.size > problem.positions.size:
-        other = bounded(*_split(problem, plan, multipliers, positions))
-        if other.value > found.value:
-            found, first = other, np.searchsorted(positions, problem.positions[:-1])
-    if jointly:
-        found = found.raised()
-    return ContinuousBound(found.value, np.add.reduceat(found.excess, first))
+    segments = Segments.of(problem, _POINTS)
+    hamiltonian = Hamiltonian(problem, plan, fastest, run, segments, floor)
+    prices = Prices.of(problem, multipliers, running_time)
+    dual = costate_of(hamiltonian, prices, multipliers).dual(hamiltonian, prices)
+    found = ContinuousBound.of(hamiltonian, dual, MULTIPLIERS)
+    if not jointly or problem.shape[0] == 1 or found.excess.sum() <= CLOSE * abs(found.value):
+        return found
+    return ContinuousBound.of(hamiltonian, dual, MULTIPLIERS, jointly=True)
 
 
-@dataclass(frozen=True, eq=False)
-class _Bounded:
-    """The bound by a costate on these cells.
+@work()
+def closest_bound(
+    problem: DiscreteProblem,
+    plan: Plan,
+    fastest: Envelope,
+    running_time: float,
+    run: TrajectoryProblem,
+    floor: Floor | None = None,
+    *,
+    enough: float = 0.0,
+    seconds: float = np.inf,
+) -> ContinuousBound | None:
+    """The highest lower bound that two costates about a plan lead to.
+
+    A program chooses all prices, and the costates of slower and of faster speeds at the ends of
+    cells, such that the Hamiltonian's least values are as high as can be at the points of each
+    cell. It knows them at some speeds; those at which they were too high are added to the next.
+
+    Parameters
+    ----------
+    problem, plan, fastest, running_time, run, floor
+        See `continuous_bound`.
+    enough : float [J/kg]
+        Excess of the plan up to which no better bound is looked for.
+    seconds : float
+        Processor time after about which no further program starts.
+
+    Returns
+    -------
+    ContinuousBound or None
+        None where the solver finds nothing.
+    """
+    points = Hamiltonian(problem, plan, fastest, run, Segments.of(problem, _POINTS), floor)
+    program, best, begun = _CostateProgram(points, running_time), None, time.process_time()
+    for _ in range(_ROUNDS):
+        found = program.solved()
+        if found is None:
+            break
+        bound = ContinuousBound.of(points, program.dual(found), COSTATES)
+        best = bound if best is None else max(best, bound, key=lambda each: each.value)
+        # The next one takes about as long.
+        late = time.process_time() - begun > _IN_TIME * seconds
+        if late or best.excess.sum() <= enough or not program.extended(found, enough):
+            break
+    return best
+
+
+def costate_seconds(problem: DiscreteProblem) -> float:
+    """About how long the first of such programs takes, by the last one of a search [s]."""
+    return _OVER_PROGRAM * spent() * problem.drag0.size
+
+
+_OVER_PROGRAM, _IN_TIME = 12.0, 0.6
+"""Times the time that a program of a search takes per unknown, for each cell and configuration;
+part of the time after which no further one starts."""
+
+_ROUNDS, _SPEEDS, _FIRST, _SLOWEST = 8, 12, (4, 11), 0.03
+"""Programs at most; how many speeds on either side of the plan's they may know, the plan's own the
+first; which ones the first program knows besides; and the slowest, as a part of the plan's."""
+
+_TOGETHER, _APART, _MISSED, _WORTH = 1e-3, 1e-4, 0.2, 0.1
+"""What costates that differ cost, as a part of what the plan costs; speeds that differ [m/s]; the
+part of what is enough that may be missing; and of the mean, what a speed lacks to be added."""
+
+
+class _CostateProgram:
+    """The program of prices and of costates about a plan.
 
     Attributes
     ----------
-    hamiltonian : Hamiltonian
-    along : ((q, n, p) array, (q, n, p) array)
-        The costate and its slopes.
-    least : (n, p) array [J/(kg m)]
-        Of the Hamiltonian.
-    at_nodes : (n + 1,) array [J/kg]
-        See `Costate`.
-    times : float [J/kg]
-        What the times allowed are worth.
+    points : Hamiltonian
+        At the points of cells.
+    begin, end : (2, q, n) array of int
+        The costates, of slower speeds and of faster ones, at the ends of each cell.
+    traction, braking : (2, q, n) array of int
+        What a common effort costs each there; of a brake that each has by itself there is none.
+    least : (q, n, p) array of int
+        The least Hamiltonians.
+    time, share : (q,) array of int
+        Of the running time, and of the energy that is regained.
+    passing, opening : (q, windows) array of int
+        Of latest and earliest times at passing points.
+    speed : (2, k, q, n, p) array [m/s]
+        Those that are looked at, from the plan's on downwards and upwards.
+    pull, brake, dynamic, change : (4, 2, k, q, n, p) array
+        With full traction, none, the dynamic brake, all brakes: efforts, and what they change the
+        plan's distance in ``z`` by.
+    known, possible : (4, 2, k, q, n, p) array of bool
+        What the program knows of, and what differs from the plan.
     """
 
-    hamiltonian: Hamiltonian
-    along: tuple[FloatArray, FloatArray]
-    least: FloatArray
-    at_nodes: FloatArray
-    times: float
+    def __init__(self, points: Hamiltonian, running_time: float) -> None:
+        problem, self.points, self.running_time = points.problem, points, running_time
+        (q, n), windows, self.size = problem.shape, problem.passed.size, 0
+        self.begin, self.end = self._more(2, q, n), self._more(2, q, n)
+        self.traction = self._more(2, q, n)
+        self.braking = self._more(2, q, n) if problem.common else None
+        self.least = self._more(*points.speed.shape)
+        self.time, self.share = self._more(q), self._more(q)
+        self.passing, self.opening = self._more(q, windows), self._more(q, windows)
+        part = np.linspace(0.0, 1.0, _SPEEDS)[:, None, None, None] ** 1.5
+        slowest = np.minimum(np.maximum(points.lowest, _SLOWEST * points.speed), points.speed)
+        ends = np.stack((slowest, points.highest))
+        self.speed = points.speed + (ends[:, None] - points.speed) * part
+        most = [points.limits(each) for each in self.speed.reshape(-1, *points.speed.shape)]
+        pull, brake, dynamic = np.array(most).swapaxes(0, 1).reshape(3, *self.speed.shape)
+        none, drawn = np.zeros_like(pull), np.minimum(dynamic, brake)
+        self.pull = np.stack((pull, none, none, none))
+        self.brake = np.stack((none, none, drawn, brake))
+        self.dynamic = np.stack((none, none, drawn, drawn))
+        drag = points.drag(self.speed) + points.rise
+        self.change = points.gain * (self.pull - self.brake) - drag
+        self.apart = 0.5 * self.speed**2 - points.z
+        away = np.abs(self.speed - points.speed) > _APART
+        away[:, 0] = True
+        self.possible = np.broadcast_to(away, self.change.shape).copy()
+        if not problem.run.at_line:
+            # It is worth what all brakes are.
+            self.possible[2] = False
+        self.known = self._known(pull[0, 0, :, :, 0], brake[0, 0, :, :, 0])
 
-    @staticmethod
-    def of(hamiltonian: Hamiltonian, multipliers: Multipliers, times: float) -> _Bounded:
-        """By the best of several costates on each stretch."""
+    def _more(self, *shape: int) -> IntArray:
+        """Numbers of further unknowns."""
+        found = self.size + np.arange(int(np.prod(shape))).reshape(shape)
+        self.size += found.size
+        return np.asarray(found)
 
-        def bounded(near: float, *level: BoolArray | bool) -> _Bounded:
-            costate = costate_of(hamiltonian, multipliers, near, *level)
-            along = costate.along(hamiltonian)
-            return _Bounded(hamiltonian, along, hamiltonian.least(*along), costate.at_nodes, times)
+    def _known(self, pull: FloatArray, brake: FloatArray) -> BoolArray:
+        """At the plan's speed its efforts and those beside, or all of several trains."""
+        plan, at_line = self.points.plan, self.points.problem.run.at_line
+        drawn = plan.dynamic > _INSIDE * brake
+        braked = plan.braking > _INSIDE * brake + at_line * plan.dynamic
+        of_plan = np.where(plan.traction > _INSIDE * pull, 0, 1)
+        of_plan = np.where(braked, 3, np.where(drawn, 2, of_plan))
+        away = np.abs(of_plan - np.arange(4)[:, None, None])[:, None, :, :, None]
+        known = np.zeros(self.possible.shape, dtype=np.bool_)
+        known[:, :, 0] = away <= (4 if len(plan.z) > 1 else 1 if at_line else 2)
+        for each in _FIRST:
+            known[:, :, each] = away == 0
+        return np.asarray(known & self.possible)
 
-        near = bounded(_NEAR_LEVEL)
-        found = near.joined(bounded(_LEVEL))
-        if found.excess.sum() > CLOSE * abs(found.value):
-            # A level helps in long cells; in the next ones the costate has to follow it.
-            levels = [bounded(_NEAR_LEVEL, *each) for each in ((True, False), (False, True))]
-            gains = [each.cells - near.cells for each in levels]
-            helps = [np.convolve(gain, np.ones(3), mode="same") > 0.0 for gain in gains]
-            for each in (*levels, bounded(_NEAR_LEVEL, *helps)):
-                found = found.joined(each)
-        return found
+    def solved(self) -> FloatArray | None:
+        """The unknowns; None if the solver finds none."""
+        points, problem = self.points, self.points.problem
+        cost, low = np.zeros(self.size), np.full(self.size, -np.inf)
+        high = np.full(self.size, np.inf)
+        cost[self.least], cost[self.time] = -points.segments.weights, self.running_time
+        for unknowns in (self.time, self.share, self.passing, self.opening):
+            low[unknowns] = 0.0
+        for unknowns, times in ((self.passing, problem.latest), (self.opening, -problem.earliest)):
+            bounded = np.isfinite(times)
+            cost[unknowns[:, bounded]] = times[bounded]
+            high[unknowns[:, ~bounded]] = 0.0
+        below = self._at_nodes(), self._in_cells()
+        return optimum_about(self._curvature(), cost, self._equations(), below, low, high)
 
-    @property
-    def cells(self) -> FloatArray:
-        """What each cell adds to the bound, (n,) [J/kg]."""
-        return np.asarray((self.least * self.hamiltonian.segments.weights).sum(axis=1))
+    def _curvature(self) -> sp.csc_array:
+        """Next to nothing; it keeps both costates together where nothing else does."""
+        points, apart = self.points, Rows()
+        whole = points.segments.length.sum()
+        used = float((points.segments.weights * points.pulled).sum()) + 1e-4 * whole
+        weight = np.sqrt(_TOGETHER * used / whole * points.segments.length)
+        for each in (self.begin, self.end):
+            apart.add(np.zeros(each[0].shape), (each[0], weight), (each[1], -weight))
+        rows = apart.matrix(self.size)
+        return sp.csc_array(rows.T @ rows)
 
-    @property
-    def value(self) -> float:
-        """The bound [J/kg]."""
-        return float(self.cells.sum() + self.at_nodes.sum()) - self.times
+    def _equations(self) -> Rows:
+        """Common efforts cost what they cost, and all shares are one."""
+        run, n, rows = self.points.problem.run, self.points.problem.step.size, Rows()
+        for unknowns, total in ((self.traction, run.effort_prices[0]), (self.braking, 0.0)):
+            if unknowns is not None:
+                rows.add(np.full((2, n), total), (unknowns.swapaxes(1, 2), 1.0))
+        if run.objective == "expected":
+            rows.add(self.points.problem.weights, (self.share, 1.0))
+        else:
+            rows.add(np.ones(1), (self.share[None], 1.0))
+        return rows
 
-    @property
-    def excess(self) -> FloatArray:
-        """See `ContinuousBound`, (n,) [J/kg]."""
-        return self.hamiltonian.excess(self.along, self.least)
+    def _at_nodes(self) -> Rows:
+        """Costates rise and fall at nodes, and end, where that costs nothing."""
+        points, problem, rows = self.points, self.points.problem, Rows()
+        limit, floor = (each[..., 1:-1] for each in node_limits(points))
+        z, begin, end = points.plan.z, self.begin[:, :, 1:], self.end[:, :, :-1]
+        slowest = (floor > 0.0) & (z[:, 1:-1] <= floor * (1.0 + _AT_LIMIT))
+        fastest = z[:, 1:-1] >= limit * (1.0 - _AT_LIMIT)
+        for each, sign, free in ((0, 1.0, slowest), (1, -1.0, fastest)):
+            before, behind = end[each][~free], begin[each][~free]
+            rows.add(np.zeros(before.size), (before, sign), (behind, -sign))
+        if problem.final > 0.0:
+            slow = z[:, -1] < problem.final * (1.0 - _AT_LIMIT)
+            for numbers, sign in ((self.end[0, :, -1], 1.0), (self.end[1, slow, -1], -1.0)):
+                rows.add(np.zeros(numbers.size), (numbers, sign))
+        return rows
 
-    def joined(self, other: _Bounded) -> _Bounded:
-        """The better of two on each stretch of cells on whose both sides they are the same."""
-        pairs = list(zip(self.along, other.along, strict=True))
-        differ = np.any([np.any(a != b, axis=(0, 2)) for a, b in pairs], axis=0)
-        stretch = np.cumsum(np.diff(differ, prepend=False) & differ) * differ
-        at_node = np.maximum(np.append(stretch, 0), np.insert(stretch, 0, 0))
-        gain = np.bincount(stretch, other.cells - self.cells)
-        gain += np.bincount(at_node, other.at_nodes - self.at_nodes, gain.size)
-        better = (gain > 0.0) & (np.arange(gain.size) > 0)
-        cells = better[stretch][:, None]
-        lam, slope = (np.where(cells, b, a) for a, b in pairs)
-        least = np.where(cells, other.least, self.least)
-        at_nodes = np.where(better[at_node], other.at_nodes, self.at_nodes)
-        return replace(self, along=(lam, slope), least=least, at_nodes=at_nodes)
+    def _in_cells(self) -> Rows:
+        """No least Hamiltonian is above one that is known."""
+        points, problem, rows = self.points, self.points.problem, Rows()
+        at = np.nonzero(self.known)
+        _, costate, _, row, cell, point = at
+        place = points.segments.place[cell, point]
+        ends = ((0, 1.0 - place), (1, place))
+        apart = self.apart[at[1:]] / problem.step[cell]
+        slow = -1.0 / self.speed[at[1:]]
+        before = (cell[:, None] < problem.passed) * slow[:, None]
+        terms = [
+            (self.least[row, cell, point], np.ones(row.size)),
+            (self.begin[costate, row, cell], self.change[at] * (1.0 - place) - apart),
+            (self.end[costate, row, cell], self.change[at] * place + apart),
+            (self.time[row], slow),
+            (self.passing[row], before),
+            (self.opening[row], -before),
+            (self.share[row], problem.run.effort_prices[1] * self.dynamic[at]),
+            *((self.traction[end, row, cell], -self.pull[at] * part) for end, part in ends),
+        ]
+        if self.braking is not None:
+            numbers = self.braking
+            terms += [(numbers[end, row, cell], -self.brake[at] * part) for end, part in ends]
+        rows.add(np.zeros(row.size), *terms)
+        return rows
 
-    def raised(self) -> _Bounded:
-        """The same where no traction is more than the speeds of all allow together."""
-        if self.along[0].shape[0] == 1 or self.excess.sum() <= CLOSE * abs(self.value):
-            return self
-        return replace(self, least=self.hamiltonian.raised(self.least, *self.along))
+    def extended(self, found: FloatArray, enough: float = 0.0) -> bool:
+        """Add the speeds at which least values are too high; False if by next to nothing."""
+        points, dual = self.points, self.dual(found)
+        prices, costate, slope = dual.prices, dual.costate[:, None], dual.slope[:, None]
+        own = dual.traction * self.pull + dual.braking * self.brake
+        own += prices.time[:, :, None] / self.speed - costate * self.change - slope * self.apart
+        own -= prices.regained[:, None, None] * self.dynamic
+        own = np.where(self.possible, own, np.inf)
+        # At each point, of each kind of effort and each costate the speed that lacks most.
+        weights = points.segments.weights
+        missing = (found[self.least] - own.min(axis=2)) * weights
+        lacking = np.maximum(missing.max(axis=(0, 1)), 0.0)
+        if lacking.sum() <= _MISSED * enough:
+            return False
+        at = np.nonzero(missing > _WORTH * lacking.mean())
+        self.known[at[0], at[1], own.argmin(axis=2)[at], *at[2:]] = True
+        return True
 
+    def dual(self, found: FloatArray) -> Dual:
+        """With prices that are positive, and add up to what they have to."""
+        points, problem = self.points, self.points.problem
+        place, none = points.segments.place, np.zeros(problem.shape)
+        names = (self.time, self.passing, self.opening)
+        time, passing, opening = (np.maximum(found[each], 0.0) for each in names)
+        share = np.maximum(found[self.share], 1e-12)
+        given = Multipliers(none, time, passing, opening, none, none, share)
+        prices = Prices.of(problem, given, self.running_time)
 
-def _falls(hamiltonian: Hamiltonian, multipliers: Multipliers) -> FloatArray:
-    """Where the costate of a train at its limit has to fall from one level to a lower one [m].
+        def inside(begin: FloatArray, end: FloatArray) -> FloatArray:
+            return np.asarray(begin[..., None] + (end - begin)[..., None] * place)
 
-    It may fall as fast there as the adjoint equation has it, so within a short way, on which the
-    controls are not those that it asks for; on either side of the node between the two cells.
-    """
-    problem, step = hamiltonian.problem, hamiltonian.problem.step
-    mean = multipliers.pull / (step * problem.gain[:, None])
-    shape = hamiltonian.slopes(np.broadcast_to(mean[:, :, None], hamiltonian.speed.shape))
-    rate = np.maximum(-shape.mean(axis=2), 0.0)
-    limited = hamiltonian.plan.z >= node_limits(hamiltonian)[0] * (1.0 - _AT_LIMIT)
-    fall = np.where(limited[:, 1:-1], mean[:, :-1] - mean[:, 1:], 0.0)
-    node = problem.positions[1:-1]
-    found = []
-    for cells, side in ((slice(None, -1), -1.0), (slice(1, None), 1.0)):
-        way = fall / np.maximum(rate[:, cells], 1e-300)
-        row, at = np.nonzero((fall > _LEVEL) & (way < _HALF * step[cells]))
-        found.append(node[at] + side * way[row, at])
-    return np.concatenate(found)
-
-
-_HALF = 0.5
-"""Part of a cell beyond which a fall of the costate is not worth a cell of its own."""
-
-
-def _split(
-    problem: DiscreteProblem, plan: Plan, multipliers: Multipliers, positions: FloatArray
-) -> tuple[DiscreteProblem, Plan, Multipliers]:
-    """The same on more cells: controls, limits and costates as in the cells that are split."""
-    cell = np.searchsorted(problem.positions, 0.5 * (positions[1:] + positions[:-1])) - 1
-    step = np.diff(positions)
-    part = step / problem.step[cell]
-    middle = 0.5 * (positions[1:] + positions[:-1]) - problem.positions[cell]
-    fall = problem.taper.fall[cell]
-    by_cell = {
-        name: getattr(problem, name)[..., cell]
-        for name in ("drag2", "bulge", "traction", "braking", "friction", "dynamic")
-    }
-    floor = np.zeros(positions.size)
-    floor[np.searchsorted(positions, problem.positions)] = problem.floor
-    fine = replace(
-        problem,
-        positions=positions,
-        step=step,
-        drag0=problem.drag0[:, cell],
-        ceiling=np.interp(positions, problem.positions, problem.ceiling),
-        floor=floor,
-        passed=np.searchsorted(positions, problem.positions[problem.passed]),
-        taper=Taper(fall * part, problem.taper.crest[cell]),
-        **by_cell,
-    )
-    driven = Plan(
-        np.array([np.interp(positions, problem.positions, row) for row in plan.z]),
-        plan.traction[cell] + fall * (1.0 - 2.0 * middle / problem.step[cell]),
-        plan.braking[:, cell],
-        plan.dynamic[:, cell],
-    )
-    shared = {
-        name: getattr(multipliers, name)[:, cell] * part
-        for name in ("pull", "power", "dynamic_power")
-    }
-    return fine, driven, replace(multipliers, **shared)
+        traction, braking = inside(*found[self.traction]), np.zeros((len(none), 1, 1))
+        if self.braking is not None:
+            braking = inside(*found[self.braking])
+        traction += (prices.traction - traction.sum(axis=0)) / len(none)
+        begin, end = found[self.begin], found[self.end]
+        costate, slope = inside(begin, end), (end - begin) / problem.step
+        return Dual(
+            prices,
+            costate,
+            np.broadcast_to(slope[..., None], costate.shape),
+            traction,
+            braking - braking.mean(axis=0),
+            points.at_nodes(begin, end),
+        )

@@ -50,6 +50,9 @@ _SETTINGS: dict[str, Any] = {
 }
 """What PIQP stops at: beyond it the rounding of large programs makes it stall."""
 
+_ABOUT_SETTINGS = {"eps_abs": 1e-8, "eps_rel": 1e-6, "max_iter": 60}
+"""What PIQP stops at where any numbers do: more steps come closer, but for more time."""
+
 _ENERGY_SETTINGS = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7}
 """What Clarabel stops at where the multipliers give a bound: closer ones do not raise it."""
 
@@ -124,6 +127,11 @@ def time_limit(seconds: float | None) -> Iterator[None]:
 def worked() -> float:
     """Processor time of programs and bounds so far [s]; what is compiled once does not count."""
     return _WORKED.get()
+
+
+def spent() -> float:
+    """Processor time that the last program took per unknown [s]."""
+    return _SPENT.get()
 
 
 def time_left() -> float:
@@ -439,6 +447,31 @@ class _Program(NamedTuple):
             bounded[z[_widened(outside[z])]] = True
             kept |= _widened(exceeded)
         return None
+
+
+def optimum_about(
+    curvature: sp.csc_array,
+    cost: FloatArray,
+    equal: Rows,
+    below: Sequence[Rows],
+    low: FloatArray,
+    high: FloatArray,
+) -> FloatArray | None:
+    """About where ``cost x + x curvature x / 2`` is least, by PIQP; None if it breaks off.
+
+    For what is right with any numbers, and the better the closer they are.
+    """
+    solver, size = piqp.SparseSolver(), cost.size
+    solver.settings.kkt_solver = piqp.KKTSolver.sparse_ldlt_ineq_cond
+    for name, value in _ABOUT_SETTINGS.items():
+        setattr(solver.settings, name, value)
+    limits = sp.vstack([each.matrix(size) for each in below]).tocsc()
+    right = np.concatenate([each.right for each in below])
+    equations = equal.matrix(size), equal.right
+    solver.setup(curvature, cost, *equations, limits, None, right, low, high)
+    ended = solver.solve() in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED)
+    found = np.array(solver.result.x)
+    return found if ended and np.all(np.isfinite(found)) else None
 
 
 def _widened(marked: BoolArray) -> BoolArray:

@@ -20,7 +20,14 @@ from analysis.trajectory.active_set import (
     split_where_slow,
 )
 from analysis.trajectory.audit import Audit
-from analysis.trajectory.bound import CLOSE, MULTIPLIERS, ContinuousBound, continuous_bound
+from analysis.trajectory.bound import (
+    CLOSE,
+    MULTIPLIERS,
+    ContinuousBound,
+    closest_bound,
+    continuous_bound,
+    costate_seconds,
+)
 from analysis.trajectory.convex import (
     Multipliers,
     NoSolutionError,
@@ -82,8 +89,14 @@ from trainlog.units import JOULES_PER_KWH
 if TYPE_CHECKING:
     from analysis.trajectory.journey import JourneyPlan
 
+_HURRIED = 1.2
+"""Times the least time up to which the cone relaxation bounds plans of several best."""
+
+_CARRIED = 0.01
+"""Part of what the efforts of all are worth from which a configuration matters to the bound."""
+
 _BOUND_TIME = 2.0
-"""Time that a relaxation has at least [s], that an answer has its gap."""
+"""Time that the best costates have at least [s], that an answer has its gap."""
 
 
 def gap_of(energy: float, bound: float) -> float:
@@ -93,64 +106,104 @@ def gap_of(energy: float, bound: float) -> float:
 
 
 def best_bound(
-    answer: Answer, fastest: Envelope, running_time: float, seconds: float = np.inf
+    answer: Answer,
+    fastest: Envelope,
+    running_time: float,
+    seconds: float = np.inf,
+    *,
+    last: bool = False,
 ) -> ContinuousBound:
-    """Lower bound of the energy of all trajectories, by what multipliers give the highest.
+    """Lower bound of the energy of all trajectories.
 
-    Those of the optimum for the configurations that are active; where it does not come close, those
-    of the cone relaxation, if it is likely to end within so many seconds.
+    By the multipliers of the optimum for the configurations that are active. Where it does not come
+    close, by two costates about the plan; of several near the least time, where the traction of one
+    limits that of the others, by the multipliers of the cone relaxation.
+
+    Parameters
+    ----------
+    answer : Answer
+    fastest : Envelope
+        Of all configurations.
+    running_time : float [s]
+    seconds : float
+        Processor time that is left for closer bounds; one that is likely to take longer waits.
+    last : bool
+        Whether the cells stay as they are: then all that there is time for is tried.
     """
     problem, solution, rows = answer.problem, answer.solution, list(answer.active)
-    part, speeds = problem.select(rows), fastest.at(problem.positions)[rows]
+    of, plan, multipliers = problem.select(rows), solution.plan, solution.multipliers
     counted = problem.weights > 0.0
     counted[rows] = False
     stand_in = problem.run.objective == "expected" and bool(counted.any())
-    bounded = range(problem.shape[0]) if stand_in else rows
-    own = closer(problem.run, fastest, tuple(bounded))
+    if stand_in:
+        of, plan, multipliers = problem, answer.plan, _of_all(problem, rows, multipliers)
+        rows = list(range(problem.shape[0]))
+    own, run = closer(problem.run, fastest, tuple(rows)), problem.run
+    floor: Floor | None = None
 
-    def bound(
-        multipliers: Multipliers,
-        plan: Plan = solution.plan,
-        floor: Floor | None = None,
-        *,
-        jointly: bool = False,
-    ) -> ContinuousBound:
-        of, driven = part, plan
-        if stand_in:
-            of, driven, floor = problem, answer.plan, None
-            multipliers = _of_all(problem, rows, multipliers)
-        return continuous_bound(
-            of, driven, multipliers, own, running_time, problem.run, floor, jointly=jointly
-        )
+    def bound(multipliers: Multipliers, plan: Plan, *, jointly: bool = True) -> ContinuousBound:
+        given = of, plan, multipliers, own, running_time, run, floor
+        return continuous_bound(*given, jointly=jointly)
 
-    found = bound(solution.multipliers)
-    if gap_of(solution.energy, found.value) <= CLOSE:
+    def of_costates(seconds: float) -> ContinuousBound | None:
+        best, ends = None, worked() + seconds
+        carried = np.abs(multipliers.pull).sum(axis=1)
+        # The energy counts whichever of several takes the most: those that hardly matter can wait.
+        for least in (0.0,) if run.objective == "expected" else (_CARRIED, 0.0):
+            few = np.flatnonzero(carried >= least * carried.sum()).tolist()
+            part, left = of.select(few), ends - worked()
+            if costate_seconds(part) > left or (best and len(few) == len(best[1])):
+                break
+            limits = own, floor
+            if len(few) < len(rows):
+                names = tuple(rows[each] for each in few)
+                limits = closer(run, fastest, names), floor_of(run, fastest, names, running_time)
+            given = part, plan.select(few), limits[0], running_time, run, limits[1]
+            other = closest_bound(*given, enough=enough, seconds=left)
+            if other is not None and (best is None or other.value > best[0].value):
+                best = other, few
+            if best and solution.energy - best[0].value <= tolerated(best[0].value, fastest):
+                break
+        return best[0] if best else None
+
+    def of_relaxation(seconds: float) -> ContinuousBound | None:
+        if stand_in or len(rows) == 1 or floor is None or relaxation_seconds(of) > seconds:
+            return None
+        speeds = fastest.at(of.positions)[rows]
+        try:
+            with time_limit(max(time_left(), _BOUND_TIME)):
+                # The costate between the cells is that of a plan: this one, or the relaxed one.
+                relaxed = Relaxation(of, speeds, floor.at(of.positions)).least_energy(running_time)
+        except (NoSolutionError, OutOfTimeError):
+            return None
+        others = [bound(relaxed.multipliers, each) for each in (plan, relaxed.plan)]
+        best = max(others, key=lambda each: each.value)
+        return replace(best, excess=others[0].excess, source=f"cone relaxation: {relaxed.status}")
+
+    found = bound(multipliers, plan, jointly=False)
+    enough = CLOSE * max(abs(found.value), 0.1 * tolerated(found.value, fastest) / GAP_TOLERANCE)
+    if solution.energy - found.value <= enough:
         return found
-    floor = floor_of(problem.run, fastest, answer.active, running_time)
-    found = bound(solution.multipliers, floor=floor, jointly=True)
-    if gap_of(solution.energy, found.value) <= CLOSE or not is_relaxed_within(answer, seconds):
-        return found
-    try:
-        with time_limit(max(time_left(), _BOUND_TIME)):
-            # Alone none is slow where it is short of power: there the floor only adds kinks.
-            slowest = floor.at(problem.positions) if len(rows) > 1 else None
-            relaxed = Relaxation(part, speeds, slowest).least_energy(running_time)
-    except (NoSolutionError, OutOfTimeError):
-        return found
-    # The costate between the cells is that of a plan: of this one, or of the relaxed one.
-    plans = (solution.plan, relaxed.plan)
-    others = [bound(relaxed.multipliers, plan, floor) for plan in plans]
-    if part.shape[0] > 1:
-        number = int(others[1].value > others[0].value)
-        others[number] = bound(relaxed.multipliers, plans[number], floor, jointly=True)
-    best = max(others, key=lambda each: each.value)
-    best = replace(best, excess=others[0].excess, source=f"cone relaxation: {relaxed.status}")
-    return max(found, best, key=lambda each: each.value)
+    if not stand_in:
+        floor = floor_of(run, fastest, answer.active, running_time)
+    found, begun = bound(multipliers, plan), worked()
+    seconds = min(seconds, max(time_left(), _BOUND_TIME))
+    sources = [of_costates, of_relaxation]
+    if len(rows) > 1 and is_hurried(fastest, running_time):
+        sources = [of_relaxation, of_costates][: 1 + last]
+    for source in sources:
+        missing = solution.energy - found.value
+        if missing > tolerated(found.value, fastest) or (
+            found.source == MULTIPLIERS and missing > enough
+        ):
+            other = source(seconds - (worked() - begun))
+            found = max(found, other or found, key=lambda each: each.value)
+    return found
 
 
-def is_relaxed_within(answer: Answer, seconds: float) -> bool:
-    """Whether the cone relaxation for what is active is likely to end within so many seconds."""
-    return relaxation_seconds(answer.problem.select(list(answer.active))) <= seconds
+def is_hurried(fastest: Envelope, running_time: float) -> bool:
+    """Whether all speeds are nearly the fastest, and so between close chords in the relaxation."""
+    return running_time < _HURRIED * float(fastest.times.max())
 
 
 def _of_all(problem: DiscreteProblem, rows: list[int], multipliers: Multipliers) -> Multipliers:
@@ -254,7 +307,7 @@ def certificate_of(
             )
         },
         "switching": solution.switching.tolist(),
-        "switching_levels": _levels(run),
+        "switching_levels": dict(zip(("traction", "braking"), run.effort_prices, strict=True)),
         "agreement": _agreement(problem, answer),
         "phases": _phases(problem, answer),
     }
@@ -269,14 +322,6 @@ def _left_out(answer: Answer) -> str:
     return ", early passing allowed where the train has to lose time"
 
 
-def _levels(run: TrajectoryProblem) -> dict[str, float]:
-    """Above the one traction pays, below the other the brake."""
-    if not run.at_line:
-        return {"traction": 1.0, "braking": 0.0}
-    train = run.train
-    return {"traction": 1.0 / train.efficiency_traction, "braking": train.efficiency_regeneration}
-
-
 def _agreement(problem: DiscreteProblem, answer: Answer) -> dict[str, float]:
     """Share of the cells in which the controls are those that the switching function asks for.
 
@@ -285,7 +330,7 @@ def _agreement(problem: DiscreteProblem, answer: Answer) -> dict[str, float]:
     """
     run, solution, part = problem.run, answer.solution, problem.select(answer.active)
     pull, brake = most_efforts(part, solution.plan)
-    level = _levels(run)["traction"]
+    level, _ = run.effort_prices
     found = {"traction": agreement(solution.plan.traction, pull, solution.switching - level)}
     if not run.at_line:
         own = -solution.multipliers.pull / part.step
@@ -580,9 +625,9 @@ def _renewed(
 
     # One large program begun at the optimum takes as long as one begun elsewhere.
     taken = (worked() - begun) / (1.0 + (len(found.answer.solution.statuses) > 1))
-    # New cells lower the energy, too: a cone program that takes longer waits for them. For a common
-    # brake its multipliers have to show where cells are too long.
-    common = found.problem.common
+    # New cells lower the energy, too: a closer bound that takes longer waits for them. For a common
+    # brake near the least time its multipliers have to show where cells are too long.
+    common = found.problem.common and is_hurried(fastest, running_time)
     first = for_bound() if common else taken
     bound = best_bound(found.answer, fastest, running_time, first)
     last, excess = found, bound.excess
@@ -611,11 +656,11 @@ def _renewed(
             continue
         lower = again.energy < (1.0 - _LOWER) * found.energy
         taken = worked() - now
-        # While the energy falls the bound only guides the cells; its cone program can wait.
+        # While the energy falls the bound only guides the cells; closer ones can wait.
         left = 0.0 if lower else for_bound() if common else max(taken, _SHORT)
         other = best_bound(again.answer, fastest, running_time, left)
         last, excess = again, other.excess
-        # On these cells the cone program that bounds best would take too long.
+        # On these cells what bounds best would take too long.
         given_up = not lower and other.source == MULTIPLIERS != bound.source
         bound = max(bound, other, key=lambda each: each.value)
         found = min(found, again, key=lambda each: each.energy)
@@ -635,9 +680,9 @@ def _renewed(
     missing = found.energy - bound.value
     asked = common or bound.source != MULTIPLIERS
     waits = number == 0 and missing > enough and not asked
-    waits |= (lower or not asked) and missing > tolerated(bound.value, fastest)
-    if waits and is_relaxed_within(found.answer, for_bound()):
-        other = best_bound(found.answer, fastest, running_time, for_bound())
+    waits |= missing > tolerated(bound.value, fastest)
+    if waits and time_left() > 0.0:
+        other = best_bound(found.answer, fastest, running_time, for_bound(), last=True)
         bound = max(bound, other, key=lambda each: each.value)
     return found, bound
 

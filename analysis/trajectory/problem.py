@@ -374,6 +374,13 @@ class TrajectoryProblem:
         return self.objective != "wheel"
 
     @property
+    def effort_prices(self) -> tuple[float, float]:
+        """Energy that a unit of traction takes, and that one of the dynamic brake feeds back."""
+        if not self.at_line:
+            return 1.0, 0.0
+        return 1.0 / self.train.efficiency_traction, self.train.efficiency_regeneration
+
+    @property
     def limits(self) -> StepProfile:
         """The line's speed limits as the protected length of the train meets them [m/s]."""
         return self.line.limits_over(self.protected_length)
