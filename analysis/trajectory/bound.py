@@ -16,6 +16,11 @@ plan less the least one, in each cell, states what the cell costs, and where cel
 
 A multiplier is the mean of the costate over its cell. Between, the costate follows the adjoint
 equation along the plan, but where it stands at the level of a partial control.
+
+One costate is a tangent of the value of kinetic energy, and above it at other speeds where that is
+concave, as with resistance that is linear in the speed and much time in hand. `closest_bound` has
+one for the speeds below the plan's and another for those above (see `Hamiltonian`), and finds the
+best of all by a program that needs no multipliers.
 """
 
 from __future__ import annotations
@@ -51,7 +56,6 @@ LEAST_SPEED = 1e-6
 _ROUNDED = 1e-9
 """Of a Hamiltonian that is computed, relative."""
 
-
 _LITTLE = 1e-8
 """Part of the bound that a point may miss, and is not looked at again."""
 
@@ -79,7 +83,7 @@ class Prices:
     share : (q, n) array
         Of what traction is worth at its limit, by whose power limits it.
     dynamic : (q, n) array
-        Of the dynamic brake at its power limit.
+        Price of the dynamic brake at its power limit.
     """
 
     traction: float
@@ -91,7 +95,7 @@ class Prices:
 
     @staticmethod
     def of(problem: DiscreteProblem, multipliers: Multipliers, running_time: float) -> Prices:
-        """By multipliers."""
+        """By multipliers; a limit of traction that is nobody's power is shared by all alike."""
         found, (traction, fed_back) = multipliers.convex(), problem.run.effort_prices
         regained = fed_back * found.share / max(float(found.share.sum()), 1e-300)
         power = found.power + 1e-300
