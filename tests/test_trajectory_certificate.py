@@ -183,7 +183,8 @@ def test_no_two_costates_bound_a_finer_plan_from_above(case, seed, size):
     """Whatever the program leaves them at: its numbers are only where they are good."""
     made, found, energy = program(case)
     wrong = found * (1.0 + size * np.random.default_rng(seed).standard_normal(found.size))
-    bound = ContinuousBound.of(made.points, made.dual(wrong), COSTATES)
+    dual = made.dual(wrong)
+    bound = ContinuousBound.of(made.points, dual, made.points.least(dual), COSTATES)
     assert bound.value <= energy * (1.0 + 1e-6)
 
 

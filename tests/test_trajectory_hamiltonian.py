@@ -19,6 +19,7 @@ from analysis.trajectory.bound import (
     Prices,
     Segments,
     _Piece,
+    joined,
     reached,
 )
 from analysis.trajectory.convex import Multipliers
@@ -327,6 +328,38 @@ def test_a_costate_joins_its_ends(even):
     else:
         apart = slopes - made.slopes(prices, straight)
         assert np.ptp(apart, axis=2).max() < 1e-9 * np.abs(slopes).max()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_on_each_stretch_the_better_costate_counts(case):
+    """Two that are the same in every third cell: the best of all ways to put them together."""
+    made, prices, (costate, _), (slope, _) = of(case)
+    n, random = costate.shape[1], np.random.default_rng(4)
+    same = np.arange(n) % 3 == 2
+    other = np.where(same[:, None], costate, costate + random.uniform(-0.1, 0.1, costate.shape))
+    at_nodes = random.uniform(-0.5, 0.5, n + 1)
+    # A node between two cells that are the same is, too.
+    at_others = at_nodes + random.uniform(-40.0, 40.0, n + 1) * ~(
+        np.append(same, True) & np.insert(same, 0, True)
+    )
+    one, two = (
+        Dual(prices, each[None], slope[None], *made.priced(prices, each), nodes)
+        for each, nodes in ((costate, at_nodes), (other, at_others))
+    )
+    least, weights = (made.least(one), made.least(two)), made.segments.weights
+
+    def value(dual: Dual, lowest: FloatArray) -> float:
+        return float((lowest * weights).sum() + dual.at_nodes.sum())
+
+    dual, found = joined(weights, one, two, least)
+    best = value(one, least[0])
+    for begin in range(0, n, 3):
+        cells, nodes = slice(begin, begin + 2), slice(begin, min(begin + 3, n + 1))
+        gain = ((least[1] - least[0]) * weights)[cells].sum()
+        best += max(float(gain + (at_others - at_nodes)[nodes].sum()), 0.0)
+    assert value(dual, found) == pytest.approx(best)
+    assert value(dual, found) > max(value(one, least[0]), value(two, least[1]))
+    np.testing.assert_allclose(found, made.least(dual))
 
 
 def test_no_finer_run_is_faster_than_what_is_reached():

@@ -86,7 +86,7 @@ def same_values(first: Any, second: Any) -> bool:
     if isinstance(first, pd.DataFrame | pd.Series | pd.Index):
         return bool(first.equals(second))
     if hasattr(first, "tocoo"):  # a sparse array of SciPy, which need not be installed
-        return first.shape == second.shape and (first != second).nnz == 0
+        return bool(first.shape == second.shape and (first != second).nnz == 0)
     if isinstance(first, list | tuple):
         return len(first) == len(second) and all(map(same_values, first, second))
     if is_dataclass(first):

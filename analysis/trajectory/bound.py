@@ -613,11 +613,13 @@ class Costate:
         return Dual(prices, costate[None], slope[None], *efforts, nodes)
 
 
-def costate_of(hamiltonian: Hamiltonian, prices: Prices, multipliers: Multipliers) -> Costate:
+def costate_of(
+    hamiltonian: Hamiltonian, prices: Prices, multipliers: Multipliers, near: float
+) -> Costate:
     """The multipliers of cells as a function of the position.
 
-    A multiplier is the mean of the costate over its cell. Where a control is partial the costate
-    stands at a level, or joins its neighbours along the adjoint equation.
+    A multiplier is the mean of the costate over its cell. Where a control is partial, and the
+    costate `near` its level, it stands there, or joins its neighbours along the adjoint equation.
     """
     problem, plan, step = hamiltonian.problem, hamiltonian.plan, hamiltonian.problem.step
     mean = multipliers.pull / (step * problem.gain[:, None])
@@ -626,7 +628,7 @@ def costate_of(hamiltonian: Hamiltonian, prices: Prices, multipliers: Multiplier
     limit, floor = node_limits(hamiltonian)
     limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
     held = limited[:, :-1] & limited[:, 1:]
-    shared, alone = partial_cells(hamiltonian, prices, mean)
+    shared, alone = partial_cells(hamiltonian, prices, mean, near)
     partial = shared | alone
     flat = alone | (held & (shape.mean(axis=2) < 0.0))
     flat |= _standing(hamiltonian)
@@ -668,7 +670,7 @@ def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
 
 
 def partial_cells(
-    hamiltonian: Hamiltonian, prices: Prices, mean: FloatArray
+    hamiltonian: Hamiltonian, prices: Prices, mean: FloatArray, near: float
 ) -> tuple[BoolArray, BoolArray]:
     """Where a control is partial that all share, (n,), and where one that each has, (q, n).
 
@@ -680,8 +682,8 @@ def partial_cells(
     worth = np.asarray(own.sum(axis=0))
     pull, brake = most_efforts(problem, plan)
     # Multipliers are less exact than controls: where one is inside its limits a level is wide.
-    pulled = np.where(_inside(plan.traction, pull), _NEAR_LEVEL, _LEVEL)
-    braked = np.where(_inside(plan.braking, brake), _NEAR_LEVEL, _LEVEL)
+    pulled = np.where(_inside(plan.traction, pull), near, _LEVEL)
+    braked = np.where(_inside(plan.braking, brake), near, _LEVEL)
     shared = np.abs(worth - prices.traction) < pulled
     if problem.common:
         shared |= (np.abs(worth) < braked[0]) | (np.abs(worth - regained.sum()) < braked[0])
@@ -792,15 +794,39 @@ class ContinuousBound:
     source: str = MULTIPLIERS
 
     @staticmethod
-    def of(
-        hamiltonian: Hamiltonian, dual: Dual, source: str, *, jointly: bool = False
-    ) -> ContinuousBound:
-        """By prices and costates."""
-        least, prices = hamiltonian.least(dual), dual.prices
-        if jointly:
-            least = hamiltonian.raised(least, dual)
+    def of(hamiltonian: Hamiltonian, dual: Dual, least: FloatArray, source: str) -> ContinuousBound:
+        """By prices, costates, and the least Hamiltonians that they lead to."""
         value = float((least * hamiltonian.segments.weights).sum() + dual.at_nodes.sum())
-        return ContinuousBound(value - prices.allowed, hamiltonian.excess(prices, least), source)
+        excess = hamiltonian.excess(dual.prices, least)
+        return ContinuousBound(value - dual.prices.allowed, excess, source)
+
+
+def joined(
+    weights: FloatArray, one: Dual, other: Dual, least: tuple[FloatArray, FloatArray]
+) -> tuple[Dual, FloatArray]:
+    """The better of two on each stretch of cells on whose both sides they are the same.
+
+    Parameters
+    ----------
+    weights : (n, p) array [m]
+    one, other : Dual
+        At the same prices.
+    least : ((n, p) array, (n, p) array)
+        The least Hamiltonians by each.
+    """
+    names = ("costate", "slope", "traction", "braking")
+    pairs = [(getattr(one, name), getattr(other, name)) for name in names]
+    differ = np.any([np.any(a != b, axis=(0, 1, 3)) for a, b in pairs[:2]], axis=0)
+    stretch = np.cumsum(np.diff(differ, prepend=False) & differ) * differ
+    at_node = np.maximum(np.append(stretch, 0), np.insert(stretch, 0, 0))
+    gain = np.bincount(stretch, ((least[1] - least[0]) * weights).sum(axis=1))
+    gain += np.bincount(at_node, other.at_nodes - one.at_nodes, gain.size)
+    better = (gain > 0.0) & (np.arange(gain.size) > 0)
+    cells = better[stretch][:, None]
+    values = [np.where(cells, b, a) for a, b in pairs]
+    at_nodes = np.where(better[at_node], other.at_nodes, one.at_nodes)
+    dual = Dual(one.prices, values[0], values[1], values[2], values[3], at_nodes)
+    return dual, np.where(cells, least[1], least[0])
 
 
 @work()
@@ -838,11 +864,16 @@ def continuous_bound(
     segments = Segments.of(problem, _POINTS)
     hamiltonian = Hamiltonian(problem, plan, fastest, run, segments, floor)
     prices = Prices.of(problem, multipliers, running_time)
-    dual = costate_of(hamiltonian, prices, multipliers).dual(hamiltonian, prices)
-    found = ContinuousBound.of(hamiltonian, dual, MULTIPLIERS)
+    one, other = (
+        costate_of(hamiltonian, prices, multipliers, near).dual(hamiltonian, prices)
+        for near in (_NEAR_LEVEL, _LEVEL)
+    )
+    both = hamiltonian.least(one), hamiltonian.least(other)
+    dual, least = joined(segments.weights, one, other, both)
+    found = ContinuousBound.of(hamiltonian, dual, least, MULTIPLIERS)
     if not jointly or problem.shape[0] == 1 or found.excess.sum() <= CLOSE * abs(found.value):
         return found
-    return ContinuousBound.of(hamiltonian, dual, MULTIPLIERS, jointly=True)
+    return ContinuousBound.of(hamiltonian, dual, hamiltonian.raised(least, dual), MULTIPLIERS)
 
 
 @work()
@@ -883,7 +914,8 @@ def closest_bound(
         found = program.solved()
         if found is None:
             break
-        bound = ContinuousBound.of(points, program.dual(found), COSTATES)
+        dual = program.dual(found)
+        bound = ContinuousBound.of(points, dual, points.least(dual), COSTATES)
         best = bound if best is None else max(best, bound, key=lambda each: each.value)
         # The next one takes about as long.
         late = time.process_time() - begun > _IN_TIME * seconds
