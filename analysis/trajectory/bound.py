@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from analysis.trajectory.convex import Multipliers, Rows, optimum_about, spent, work
+from analysis.trajectory.convex import Multipliers, Numbering, Rows, optimum_about, spent, work
 from analysis.trajectory.discretisation import (
     Curves,
     DiscreteProblem,
@@ -919,7 +919,7 @@ def closest_bound(
         best = bound if best is None else max(best, bound, key=lambda each: each.value)
         # The next one takes about as long.
         late = time.process_time() - begun > _IN_TIME * seconds
-        if late or best.excess.sum() <= enough or not program.extended(found, enough):
+        if late or best.excess.sum() <= enough or not program.extended(found, dual, enough):
             break
     return best
 
@@ -970,17 +970,20 @@ class _CostateProgram:
 
     def __init__(self, points: Hamiltonian, running_time: float) -> None:
         problem, self.points, self.running_time = points.problem, points, running_time
-        (q, n), windows, self.size = problem.shape, problem.passed.size, 0
-        self.begin, self.end = self._more(2, q, n), self._more(2, q, n)
-        self.traction = self._more(2, q, n)
-        self.braking = self._more(2, q, n) if problem.common else None
-        self.least = self._more(*points.speed.shape)
-        self.time, self.share = self._more(q), self._more(q)
-        self.passing, self.opening = self._more(q, windows), self._more(q, windows)
+        (q, n), self.unknowns = problem.shape, Numbering()
+        more, ends = self.unknowns.more, (2, q, n)
+        self.begin, self.end, self.traction = more(ends), more(ends), more(ends)
+        self.braking = more(ends) if problem.common else None
+        self.least = more(points.speed.shape)
+        self.time, self.share = more((q,), 0.0), more((q,), 0.0)
+        self.passing, self.opening = (
+            more((q, times.size), 0.0, np.where(np.isfinite(times), np.inf, 0.0))
+            for times in (problem.latest, problem.earliest)
+        )
         part = np.linspace(0.0, 1.0, _SPEEDS)[:, None, None, None] ** 1.5
         slowest = np.minimum(np.maximum(points.lowest, _SLOWEST * points.speed), points.speed)
-        ends = np.stack((slowest, points.highest))
-        self.speed = points.speed + (ends[:, None] - points.speed) * part
+        farthest = np.stack((slowest, points.highest))
+        self.speed = points.speed + (farthest[:, None] - points.speed) * part
         most = [points.limits(each) for each in self.speed.reshape(-1, *points.speed.shape)]
         pull, brake, dynamic = np.array(most).swapaxes(0, 1).reshape(3, *self.speed.shape)
         none, drawn = np.zeros_like(pull), np.minimum(dynamic, brake)
@@ -997,12 +1000,8 @@ class _CostateProgram:
             # It is worth what all brakes are.
             self.possible[2] = False
         self.known = self._known(pull[0, 0, :, :, 0], brake[0, 0, :, :, 0])
-
-    def _more(self, *shape: int) -> IntArray:
-        """Numbers of further unknowns."""
-        found = self.size + np.arange(int(np.prod(shape))).reshape(shape)
-        self.size += found.size
-        return np.asarray(found)
+        self.cost, self.curvature = self._cost(), self._curvature()
+        self.equal, self.nodes = self._equations(), self._at_nodes()
 
     def _known(self, pull: FloatArray, brake: FloatArray) -> BoolArray:
         """At the plan's speed its efforts and those beside, or all of several trains."""
@@ -1020,18 +1019,17 @@ class _CostateProgram:
 
     def solved(self) -> FloatArray | None:
         """The unknowns; None if the solver finds none."""
-        points, problem = self.points, self.points.problem
-        cost, low = np.zeros(self.size), np.full(self.size, -np.inf)
-        high = np.full(self.size, np.inf)
-        cost[self.least], cost[self.time] = -points.segments.weights, self.running_time
-        for unknowns in (self.time, self.share, self.passing, self.opening):
-            low[unknowns] = 0.0
+        below = self.nodes, self._in_cells()
+        return optimum_about(self.unknowns, self.curvature, self.cost, self.equal, below)
+
+    def _cost(self) -> FloatArray:
+        """Times allowed at their prices, less the least Hamiltonians."""
+        problem, cost = self.points.problem, np.zeros(self.unknowns.size)
+        cost[self.least], cost[self.time] = -self.points.segments.weights, self.running_time
         for unknowns, times in ((self.passing, problem.latest), (self.opening, -problem.earliest)):
             bounded = np.isfinite(times)
             cost[unknowns[:, bounded]] = times[bounded]
-            high[unknowns[:, ~bounded]] = 0.0
-        below = self._at_nodes(), self._in_cells()
-        return optimum_about(self._curvature(), cost, self._equations(), below, low, high)
+        return cost
 
     def _curvature(self) -> sp.csc_array:
         """Next to nothing; it keeps both costates together where nothing else does."""
@@ -1041,7 +1039,7 @@ class _CostateProgram:
         weight = np.sqrt(_TOGETHER * used / whole * points.segments.length)
         for each in (self.begin, self.end):
             apart.add(np.zeros(each[0].shape), (each[0], weight), (each[1], -weight))
-        rows = apart.matrix(self.size)
+        rows = apart.matrix(self.unknowns.size)
         return sp.csc_array(rows.T @ rows)
 
     def _equations(self) -> Rows:
@@ -1098,9 +1096,9 @@ class _CostateProgram:
         rows.add(np.zeros(row.size), *terms)
         return rows
 
-    def extended(self, found: FloatArray, enough: float = 0.0) -> bool:
+    def extended(self, found: FloatArray, dual: Dual, enough: float) -> bool:
         """Add the speeds at which least values are too high; False if by next to nothing."""
-        points, dual = self.points, self.dual(found)
+        points = self.points
         prices, costate, slope = dual.prices, dual.costate[:, None], dual.slope[:, None]
         own = dual.traction * self.pull + dual.braking * self.brake
         own += prices.time[:, :, None] / self.speed - costate * self.change - slope * self.apart

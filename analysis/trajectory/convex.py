@@ -50,7 +50,12 @@ _SETTINGS: dict[str, Any] = {
 }
 """What PIQP stops at: beyond it the rounding of large programs makes it stall."""
 
-_ABOUT_SETTINGS = {"eps_abs": 1e-8, "eps_rel": 1e-6, "max_iter": 60}
+_ABOUT_SETTINGS: dict[str, Any] = {
+    "eps_abs": 1e-8,
+    "eps_rel": 1e-6,
+    "max_iter": 60,
+    "kkt_solver": piqp.KKTSolver.sparse_ldlt_ineq_cond,
+}
 """What PIQP stops at where any numbers do: more steps come closer, but for more time."""
 
 _ENERGY_SETTINGS = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7}
@@ -185,8 +190,34 @@ class Rows:
         return found
 
 
-class Unknowns:
-    """Where the unknowns of a program stand in one vector, and their bounds.
+class Numbering:
+    """Where unknowns stand in one vector, and their bounds.
+
+    Attributes
+    ----------
+    low, high : (size,) array
+    """
+
+    def __init__(self) -> None:
+        self.low, self.high = np.empty(0), np.empty(0)
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+        return self.low.size
+
+    def more(
+        self, shape: tuple[int, ...], low: ArrayLike = -np.inf, high: ArrayLike = np.inf
+    ) -> IntArray:
+        """Indices of further unknowns between bounds."""
+        index = self.size + np.arange(int(np.prod(shape))).reshape(shape)
+        self.low = np.append(self.low, np.broadcast_to(low, shape))
+        self.high = np.append(self.high, np.broadcast_to(high, shape))
+        return index
+
+
+class Unknowns(Numbering):
+    """Those of a program of a search.
 
     Attributes
     ----------
@@ -198,12 +229,11 @@ class Unknowns:
     dynamic : (q, n) array of int, or None where the dynamic brake needs no effort of its own
     regained : int or None
         The least energy that a configuration regains, where it counts.
-    low, high : (size,) array
     """
 
     def __init__(self, problem: DiscreteProblem) -> None:
+        super().__init__()
         q, n = problem.shape
-        self.low, self.high = np.empty(0), np.empty(0)
         self.z = self.more((q, n + 1))
         self.traction = self.more((n,), 0.0, problem.traction)
         rows = (1 if problem.common else q, n)
@@ -219,20 +249,6 @@ class Unknowns:
         """Of the traction, (1, 1, n), and of each configuration's brakes, (1 or 2, q, n)."""
         brakes = (self.braking,) if self.dynamic is None else (self.braking, self.dynamic)
         return self.traction[None, None], np.stack(brakes)
-
-    @property
-    def size(self) -> int:
-        """How many there are."""
-        return self.low.size
-
-    def more(
-        self, shape: tuple[int, ...], low: ArrayLike = -np.inf, high: ArrayLike = np.inf
-    ) -> IntArray:
-        """Indices of further unknowns between bounds."""
-        index = self.size + np.arange(int(np.prod(shape))).reshape(shape)
-        self.low = np.append(self.low, np.broadcast_to(low, shape))
-        self.high = np.append(self.high, np.broadcast_to(high, shape))
-        return index
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,17 +366,22 @@ class _Program(NamedTuple):
     x_l: FloatArray
     x_u: FloatArray
 
+    def solved(self, settings: dict[str, Any]) -> tuple[Any, Any]:
+        """PIQP's status and result."""
+        solver = piqp.SparseSolver()
+        for name, value in settings.items():
+            setattr(solver.settings, name, value)
+        solver.setup(**self._asdict())
+        return solver.solve(), solver.result
+
     def optimum(self) -> _Optimum | None:
         """By PIQP; None if it finds none."""
         busy = time.process_time()
         # Rounding of the factors alone makes it call some programs unbounded; none is.
         for refined in (False, True):
-            solver = piqp.SparseSolver()
-            solver.settings.iterative_refinement_always_enabled = refined
-            for name, value in _SETTINGS.items():
-                setattr(solver.settings, name, value)
-            solver.setup(**self._asdict())
-            status, result = solver.solve(), solver.result
+            status, result = self.solved(
+                {"iterative_refinement_always_enabled": refined, **_SETTINGS}
+            )
             if status in (piqp.PIQP_SOLVED, piqp.PIQP_PRIMAL_INFEASIBLE):
                 break
         _SPENT.set((time.process_time() - busy) / self.c.size)
@@ -450,27 +471,24 @@ class _Program(NamedTuple):
 
 
 def optimum_about(
+    unknowns: Numbering,
     curvature: sp.csc_array,
     cost: FloatArray,
     equal: Rows,
     below: Sequence[Rows],
-    low: FloatArray,
-    high: FloatArray,
 ) -> FloatArray | None:
     """About where ``cost x + x curvature x / 2`` is least, by PIQP; None if it breaks off.
 
     For what is right with any numbers, and the better the closer they are.
     """
-    solver, size = piqp.SparseSolver(), cost.size
-    solver.settings.kkt_solver = piqp.KKTSolver.sparse_ldlt_ineq_cond
-    for name, value in _ABOUT_SETTINGS.items():
-        setattr(solver.settings, name, value)
+    size = unknowns.size
     limits = sp.vstack([each.matrix(size) for each in below]).tocsc()
     right = np.concatenate([each.right for each in below])
     equations = equal.matrix(size), equal.right
-    solver.setup(curvature, cost, *equations, limits, None, right, low, high)
-    ended = solver.solve() in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED)
-    found = np.array(solver.result.x)
+    program = _Program(curvature, cost, *equations, limits, right, unknowns.low, unknowns.high)
+    status, result = program.solved(_ABOUT_SETTINGS)
+    found = np.array(result.x)
+    ended = status in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED)
     return found if ended and np.all(np.isfinite(found)) else None
 
 

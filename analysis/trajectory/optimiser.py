@@ -146,25 +146,26 @@ def best_bound(
         return continuous_bound(*given, jointly=jointly)
 
     def of_costates(seconds: float) -> ContinuousBound | None:
-        best, ends = None, worked() + seconds
-        carried = np.abs(multipliers.pull).sum(axis=1)
+        best: ContinuousBound | None = None
+        ends, carried = worked() + seconds, np.abs(multipliers.pull).sum(axis=1)
+        most = everyone = tuple(range(len(rows)))
         # The energy counts whichever of several takes the most: those that hardly matter can wait.
-        for least in (0.0,) if run.objective == "expected" else (_CARRIED, 0.0):
-            few = np.flatnonzero(carried >= least * carried.sum()).tolist()
-            part, left = of.select(few), ends - worked()
-            if costate_seconds(part) > left or (best and len(few) == len(best[1])):
+        if run.objective != "expected":
+            most = tuple(np.flatnonzero(carried >= _CARRIED * carried.sum()).tolist())
+        for few in dict.fromkeys((most, everyone)):
+            part, left, limits = of.select(few), ends - worked(), (own, floor)
+            if costate_seconds(part) > left:
                 break
-            limits = own, floor
-            if len(few) < len(rows):
+            if few != everyone:
                 names = tuple(rows[each] for each in few)
                 limits = closer(run, fastest, names), floor_of(run, fastest, names, running_time)
             given = part, plan.select(few), limits[0], running_time, run, limits[1]
             other = closest_bound(*given, enough=enough, seconds=left)
-            if other is not None and (best is None or other.value > best[0].value):
-                best = other, few
-            if best and solution.energy - best[0].value <= tolerated(best[0].value, fastest):
+            if other is not None:
+                best = other if best is None else max(best, other, key=lambda each: each.value)
+            if best and solution.energy - best.value <= tolerated(best.value, fastest):
                 break
-        return best[0] if best else None
+        return best
 
     def of_relaxation(seconds: float) -> ContinuousBound | None:
         if stand_in or len(rows) == 1 or floor is None or relaxation_seconds(of) > seconds:
@@ -627,8 +628,8 @@ def _renewed(
     taken = (worked() - begun) / (1.0 + (len(found.answer.solution.statuses) > 1))
     # New cells lower the energy, too: a closer bound that takes longer waits for them. For a common
     # brake near the least time its multipliers have to show where cells are too long.
-    common = found.problem.common and is_hurried(fastest, running_time)
-    first = for_bound() if common else taken
+    hurried = found.problem.common and is_hurried(fastest, running_time)
+    first = for_bound() if hurried else taken
     bound = best_bound(found.answer, fastest, running_time, first)
     last, excess = found, bound.excess
     lower, stalled = False, 0
@@ -657,7 +658,7 @@ def _renewed(
         lower = again.energy < (1.0 - _LOWER) * found.energy
         taken = worked() - now
         # While the energy falls the bound only guides the cells; closer ones can wait.
-        left = 0.0 if lower else for_bound() if common else max(taken, _SHORT)
+        left = 0.0 if lower else for_bound() if hurried else max(taken, _SHORT)
         other = best_bound(again.answer, fastest, running_time, left)
         last, excess = again, other.excess
         # On these cells what bounds best would take too long.
@@ -678,7 +679,7 @@ def _renewed(
             continue
         cells, taken = 2 * cells, _LONGER * taken
     missing = found.energy - bound.value
-    asked = common or bound.source != MULTIPLIERS
+    asked = hurried or bound.source != MULTIPLIERS
     waits = number == 0 and missing > enough and not asked
     waits |= missing > tolerated(bound.value, fastest)
     if waits and time_left() > 0.0:
