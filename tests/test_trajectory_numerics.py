@@ -10,7 +10,7 @@ import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised, steps
 
 from analysis.studies.cunillera_2022 import phases_by_switching
-from analysis.trajectory import active_set, convex, optimiser
+from analysis.trajectory import active_set, convex, optimiser, sqp
 from analysis.trajectory.active_set import Answer, initial_guess, searched
 from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.convex import NoSolutionError, power_cells
@@ -46,6 +46,32 @@ def test_the_answer_of_a_solver_that_stops_early_is_solved_again(usual, monkeypa
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert {word.split()[0] for word in found.certificate["solver"]["statuses"]} == {"CLARABEL"}
     assert same(found, usual)
+
+
+@pytest.mark.parametrize("shift", [0, 5])
+def test_a_program_solved_about_a_point_loses_little_of_the_whole(shift, usual, monkeypatch):
+    """Whether the point is near its optimum, or has its efforts and speeds elsewhere."""
+    whole, seen = convex.solve, []
+
+    def both(*arguments: Any, near: convex.Near | None = None, **options: Any) -> Any:
+        if near is not None:
+            near = near._replace(point=np.roll(near.point, shift))
+        about = whole(*arguments, near=near, **options)
+        if near is not None and arguments[0].size > 2_000:
+            lost = about.value / whole(*arguments, **options).value - 1.0
+            found = isinstance(about.loose, np.ndarray)
+            seen.append((lost, min(max(1e-6, 0.03 * near.changed), 1e-3), found))
+        return about
+
+    monkeypatch.setattr(sqp, "solve", both)
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    optimised(line, train, drawn(train, 30, seed=1), reserve=0.05, cells=1_000)
+    lost, may_lose, found = np.transpose(seen)
+    assert lost.size > 2
+    assert shift > 0 or np.all(found)
+    assert np.all(np.abs(lost) <= may_lose)
+    assert abs(lost[-1]) <= 1e-6
 
 
 @pytest.mark.parametrize("wrong", ["no solution", "not converged"])

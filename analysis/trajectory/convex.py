@@ -67,11 +67,11 @@ _LONGEST = 15.0
 _FEW = 2_000
 """Unknowns up to which a program is solved as a whole whatever is known of its optimum."""
 
-_AT_BOUND, _AROUND_CELLS = 1e-4, 3
+_AT_BOUND, _AROUND_CELLS = 1e-4, 6
 """Part of its range within which an effort counts as at a bound; and to how many cells on either
 side the same has to apply."""
 
-_NEAR_BOUND, _NEAR_ROW, _NEAR_EFFORT, _DENSE = 0.05, 0.2, 0.02, 4
+_NEAR_BOUND, _NEAR_ROW, _NEAR_EFFORT, _DENSE = 2.0, 0.2, 0.02, 4
 """Distances within which bounds of the speed count, relative, and rows: part of their right-hand
 side, and effort [m/s²]. Rows of more entries count always."""
 
@@ -79,9 +79,9 @@ _FEW_NEAR = 4
 """Configurations up to which bounds are left out: of more so little can be left out that one whole
 program takes less time than several that follow one another."""
 
-_ROUNDS, _EXCEEDED, _LOST = 3, 1e-7, 3e-7
+_ROUNDS, _EXCEEDED, _LOST, _PART_LOST, _MOST_LOST = 3, 1e-7, 1e-6, 0.03, 1e-3
 """How often what was fixed or left out wrongly is added; by how much bounds and rows may be
-exceeded, and what fixed efforts may cost, relative."""
+exceeded; what fixed efforts may cost, relative, of what the last program changed, and at most."""
 
 _ROUNDING = 1e-9
 """By which rounding may have a lower bound exceed the upper one."""
@@ -253,13 +253,34 @@ class Unknowns(Numbering):
 
 @dataclass(frozen=True, eq=False)
 class ProgramSolution:
-    """A solution: the unknowns, the duals of the rows, the least value, the solver's status."""
+    """A solution: the unknowns, the duals of the rows, the least value, the solver's status.
+
+    `loose` are unknowns at a bound that a closer solution would move off it.
+    """
 
     unknowns: FloatArray
     equal: FloatArray
     below: FloatArray
     value: float
     status: str
+    loose: BoolArray | bool = False
+
+
+class Near(NamedTuple):
+    """A point that is likely to be near an optimum; it costs nothing but time where it is not.
+
+    Attributes
+    ----------
+    point : (size,) array
+    loose : (size,) array of bool, or False
+        What is not to stay at its bound there.
+    changed : float
+        By which the last program changed its value, relative: the answer may lose a small part.
+    """
+
+    point: FloatArray
+    loose: BoolArray | bool
+    changed: float
 
 
 @contextmanager
@@ -282,7 +303,7 @@ def solve(
     curvature: sp.csc_array | None = None,
     cones: Sequence[Any] = (),
     variable: cp.Variable | None = None,
-    near: FloatArray | None = None,
+    near: Near | None = None,
     settings: dict[str, float] | None = None,
 ) -> ProgramSolution:
     """Minimise ``cost x + x curvature x / 2``, and accept nothing but a solution.
@@ -291,8 +312,7 @@ def solve(
 
     Parameters
     ----------
-    near : (size,) array, optional
-        A point that is likely to be near the optimum; it costs nothing but time where it is not.
+    near : Near, optional
     settings : dict, optional
         Of Clarabel.
 
@@ -395,8 +415,8 @@ class _Program(NamedTuple):
         return float(self.c @ x + 0.5 * (x @ (self.P @ x)))
 
     def optimum_near(
-        self, near: FloatArray, efforts: Sequence[IntArray], z: IntArray
-    ) -> _Optimum | None:
+        self, near: Near, efforts: Sequence[IntArray], z: IntArray
+    ) -> tuple[_Optimum, BoolArray] | None:
         """The same, where a point near the optimum shows most of the bounds that it is at.
 
         Efforts at a bound there, in the cells around too, stay at it; other bounds and rows that
@@ -405,15 +425,16 @@ class _Program(NamedTuple):
 
         Parameters
         ----------
-        near : (size,) array
+        near : Near
         efforts : sequence of (k, q, n) array of int
             Of k efforts in the same cells, which are fixed together.
         z : (q, n + 1) array of int
 
         Returns
         -------
-        _Optimum or None
-            None if there is none, or it is not the whole program's after some rounds.
+        tuple of _Optimum and (size,) array of bool, or None
+            And the efforts that stayed at their bounds, though they cost a little there. None if
+            there is no optimum, or it is not the whole program's after some rounds.
         """
         low, high, width = self.x_l, self.x_u, self.x_u - self.x_l
         rows, sizes, positive = self.G.tocsr(), abs(self.G).tocsr(), self.G.tocsr().maximum(0.0)
@@ -424,14 +445,16 @@ class _Program(NamedTuple):
             np.full(rows.shape[0], True),
         )
         if z.shape[0] <= _FEW_NEAR:
-            for sign, away in ((-1.0, near - low), (1.0, high - near)):
+            point = near.point
+            for sign, away in ((-1.0, point - low), (1.0, high - point)):
+                apart = near.loose | (away > _AT_BOUND * width)
                 for each in efforts:
-                    apart = np.any(away[each] > _AT_BOUND * width[each], axis=0)
-                    side[each[:, ~_widened(apart)]] = sign
-            bounded = np.minimum(near - low, high - near) < _NEAR_BOUND
+                    side[each[:, ~_widened(np.any(apart[each], axis=0))]] = sign
+            bounded = np.minimum(point - low, high - point) < _NEAR_BOUND
             bounded[np.concatenate([each.ravel() for each in efforts])] = True
-            kept = self.h_u - rows @ near < _NEAR_ROW * np.abs(self.h_u) + _NEAR_EFFORT
+            kept = self.h_u - rows @ point < _NEAR_ROW * np.abs(self.h_u) + _NEAR_EFFORT
             kept |= np.diff(rows.indptr) > _DENSE
+        enough = min(max(_LOST, _PART_LOST * near.changed), _MOST_LOST)
         for _ in range(_ROUNDS):
             fixed = (side != 0.0) | (width <= 0.0)
             x, free = np.where(fixed, np.where(side > 0.0, high, low), 0.0), np.flatnonzero(~fixed)
@@ -461,8 +484,8 @@ class _Program(NamedTuple):
             outside = ~bounded & (np.maximum(low - x, x - high) > _EXCEEDED)
             exceeded = ~some & (over > _EXCEEDED)
             lost = float(np.abs(reduced[wrong]) @ width[wrong])
-            if not (outside.any() or exceeded.any()) and lost <= _LOST * abs(self.value(x)):
-                return x, y, below
+            if not (outside.any() or exceeded.any()) and lost <= enough * abs(self.value(x)):
+                return (x, y, below), wrong
             for each in efforts:
                 side[each[:, _widened(np.any(wrong[each], axis=0))]] = 0.0
             bounded[z[_widened(outside[z])]] = True
@@ -503,7 +526,7 @@ def _by_piqp(
     equal: Rows,
     below: Rows,
     curvature: sp.csc_array | None,
-    near: FloatArray | None,
+    near: Near | None,
 ) -> ProgramSolution | None:
     """The optimum of a program as CVXPY has stated one before; None if PIQP finds none."""
     _settle_bounds(unknowns)
@@ -521,13 +544,14 @@ def _by_piqp(
     entries = (value.data if sp.issparse(value) else value for value in program[:6])
     if not all(np.all(np.isfinite(each)) for each in entries):
         return None
-    found = None
+    found: _Optimum | None = None
+    loose: BoolArray | bool = False
     if near is not None and size > _FEW:
-        found = program.optimum_near(near, unknowns.efforts, unknowns.z)
+        found, loose = program.optimum_near(near, unknowns.efforts, unknowns.z) or (found, loose)
     found = found or program.optimum()
     if found is None:
         return None
-    return ProgramSolution(*found, program.value(found[0]), "PIQP optimal")
+    return ProgramSolution(*found, program.value(found[0]), "PIQP optimal", loose)
 
 
 def bounded(unknowns: Unknowns) -> cp.Variable:

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from analysis.trajectory.convex import (
     SLOW,
     Multipliers,
+    Near,
     OutOfTimeError,
     Rows,
     Unknowns,
@@ -28,7 +29,7 @@ from analysis.trajectory.convex import (
 )
 from analysis.trajectory.discretisation import Curves, DiscreteProblem, Plan, Taper, taper_along
 from analysis.trajectory.rollout import delays, integrate_cells, realise
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 _Limited = tuple[int, IntArray, IntArray]
 """A configuration, cells in which its power is limited, and the rows of these limits."""
@@ -84,6 +85,8 @@ class Solution:
         The solver's status of each program.
     converged : bool
         Whether the last iteration changed nothing any more.
+    loose : (size,) array of bool, or False
+        Unknowns of the last program that a closer solution of it would move off their bounds.
     """
 
     plan: Plan
@@ -95,6 +98,7 @@ class Solution:
     moved: float = np.inf
     statuses: tuple[str, ...] = ()
     converged: bool = False
+    loose: BoolArray | bool = False
 
     def select(self, rows: Sequence[int]) -> Solution:
         """Of some of the configurations: the others had no part in it."""
@@ -180,7 +184,8 @@ class QPSubproblem:
         radius: float,
         lateness_price: float,
         smoothing: float,
-        settled: bool = False,
+        changed: float = np.inf,
+        loose: BoolArray | bool = False,
     ) -> Solution:
         """The optimum of the program.
 
@@ -192,8 +197,10 @@ class QPSubproblem:
         lateness_price : float [J/(kg s)]
         smoothing : float [s²/m]
             Price of the squared change of effort from cell to cell.
-        settled : bool
-            Whether the plan is the optimum of a program like this one.
+        changed : float
+            By which the last program changed the energy, relative.
+        loose : (size,) array of bool, or False
+            Unknowns at a bound in the last program that may leave it.
 
         Raises
         ------
@@ -230,7 +237,8 @@ class QPSubproblem:
         priced[self.late] = lateness_price
         bends = curvature + smoothing * self._effort_changes()
         # Where the worst of several regains least another plan shows too little of the optimum.
-        near = self._planned() if unknowns.regained is None or q == 1 or settled else None
+        shown = unknowns.regained is None or q == 1 or changed < _SETTLED
+        near = Near(self._planned(), loose, changed) if shown else None
         found = solve(unknowns, priced, self.equal, self.below, curvature=bends, near=near)
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
@@ -260,6 +268,7 @@ class QPSubproblem:
             lateness=float(max(x[self.late], 0.0)),
             moved=float(0.5 * (x @ (curvature @ x))),
             statuses=(found.status,),
+            loose=found.loose,
         )
 
     def _planned(self) -> FloatArray:
@@ -537,16 +546,16 @@ def minimise(
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
-    radius, energy, spare, last, changed = 1.0, np.inf, 0.0, np.inf, np.inf
+    radius, energy, spare, last, part = 1.0, np.inf, 0.0, np.inf, np.inf
     statuses: list[str] = []
-    solution = None
+    solution: Solution | None = None
+    loose: BoolArray | bool = False
     while True:
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
         program = QPSubproblem(tapered, plan, price, given=given, spare=spare)
-        settled = changed < _SETTLED * energy
         try:
             solution = program.solve(
-                running_time, radius, lateness_price, tolerances.smoothing, settled
+                running_time, radius, lateness_price, tolerances.smoothing, part, loose
             )
         except OutOfTimeError:
             raise OutOfTimeError(solution) from None
@@ -568,6 +577,7 @@ def minimise(
         if converged or (len(statuses) >= iterations and (given or not goes_on)):
             return replace(solution, statuses=tuple(statuses), converged=converged)
         energy, last = solution.energy, max(off, tolerances.lateness)
+        part, loose = changed / max(energy, NEGLIGIBLE_ENERGY), solution.loose
         # The iterations contract by themselves; where they do not, ever smaller steps make them.
         if len(statuses) >= _FREE_ITERATIONS:
             radius *= 0.7
