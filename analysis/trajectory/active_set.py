@@ -365,17 +365,24 @@ def _optimum(
     InfeasibleError
         With what is missing: time, or with common braking a higher speed at the end.
     """
+    why: Callable[[], InfeasibleError]
+    settled = False
     try:
         solution = minimise(problem, plan, price, running_time, tolerances, iterations=12)
-        if solution.converged and solution.lateness <= max(LATE, tolerances.lateness):
+        settled = solution.converged
+        if settled and solution.lateness <= max(LATE, tolerances.lateness):
             return solution
     except NoSolutionError:
         pass
     if problem.common:
-        # Next to the least time the relaxation takes long to state that it has no inside.
+        # Next to the least time the relaxation takes long to state that it has no inside, and
+        # what begins at its optimum settles as late.
         safe = descend(problem, start(), running_time, tolerances)
         if safe is not None:
             return safe
+        if settled:
+            why = partial(brakes_explained, problem, speeds, running_time)
+            raise NotFoundError(why, solution.lateness)
     relaxation = Relaxation(problem, speeds)
     try:
         relaxed = relaxation.least_energy(running_time)
@@ -383,9 +390,7 @@ def _optimum(
         safe = descend(problem, start(), running_time, tolerances)
         if safe is not None:
             return safe
-        why: Callable[[], InfeasibleError] = partial(
-            time_explained, problem, relaxation, running_time, str(status)
-        )
+        why = partial(time_explained, problem, relaxation, running_time, str(status))
         if problem.common:
             why = partial(brakes_explained, problem, speeds, running_time)
         raise NotFoundError(why) from None
@@ -405,11 +410,14 @@ def _optimum(
 
 
 class NotFoundError(InfeasibleError):
-    """No plan was found; `why` looks for the reason, which may take longer than the search did."""
+    """No plan was found; `why` looks for the reason, which may take longer than the search did.
 
-    def __init__(self, why: Callable[[], InfeasibleError]) -> None:
+    `late` is how late the programs settled [s], if they did.
+    """
+
+    def __init__(self, why: Callable[[], InfeasibleError], late: float = np.nan) -> None:
         super().__init__("no trajectory was found")
-        self.why = why
+        self.why, self.late = why, late
 
 
 INACTIVE = 1e-3

@@ -371,8 +371,9 @@ _IN_HAND = 2e-3
 _FAST = 1.05
 """Times the least at one pace that such a run takes at most: slow ones lead to poor plans."""
 
-REFINEMENTS = 3
-"""How often a grid whose answer does not pass the audit is made twice as fine."""
+REFINEMENTS, _AS_LATE = 3, 0.9
+"""How often a grid whose answer does not pass the audit is made twice as fine; and times the delay
+on the grid before, beyond which finer ones do not bring a plan in time."""
 
 RENEWALS, FINER_RENEWALS = 3, 2
 """How often cells are laid anew about the plan found; and how often more while the gap is too large
@@ -718,7 +719,7 @@ def _audited(
     through = run.hard_breakpoints if many else run.breakpoints
     coarse = _mesh(run, through, fastest, COARSE_CELLS)
     found: Answer | None = None
-    failures = list[TrainlogError]()
+    failures, late = list[TrainlogError](), np.nan
     grids = (cells * 2**times for times in range(REFINEMENTS + 1))
     for count in [each for each in grids if each <= MOST_CELLS]:
         positions = _mesh(run, run.breakpoints, fastest, count)
@@ -735,12 +736,14 @@ def _audited(
         safe = _paced(run, running_time, count)
         if safe is not None:
             return safe
+        as_late = False
         if problem.common and isinstance(failures[-1], NotFoundError):
+            as_late, late = failures[-1].late > _AS_LATE * late, failures[-1].late
             failures[-1] = failures[-1].why()
             if not isinstance(failures[-1], UnprovenError):
                 raise failures[-1]
-        late = time_left() <= 0.0 and isinstance(failures[-1], (NotFoundError, UnprovenError))
-        if late or worked() - begun > EFFORT:
+        ended = time_left() <= 0.0 and isinstance(failures[-1], (NotFoundError, UnprovenError))
+        if as_late or ended or worked() - begun > EFFORT:
             break
     raise failures[0].why() if isinstance(failures[0], NotFoundError) else failures[0]
 
