@@ -86,6 +86,8 @@ class Advised:
         Whether the speed is to be held; else it is that at the end of the stretch.
     speed : int [km/h]
         Nowhere above a limit of the stretch; 0: a stop.
+    permitted : float [km/h]
+        The limit of the stretch.
     """
 
     begin: float
@@ -95,6 +97,7 @@ class Advised:
     phase: Phase
     hold: bool
     speed: int
+    permitted: float = np.inf
 
     @property
     def advice(self) -> dict[str, str]:
@@ -117,8 +120,9 @@ def advised(
     """A driver's advice as speeds that are advised, one stretch after the other.
 
     A stretch with a limit below its speed is divided there. Where two would follow each other
-    sooner than changes may, a lower speed begins with the first, and a higher one waits; a train
-    that has stopped departs at any time.
+    sooner than changes may, a lower speed begins with the first, and a higher one waits, as does
+    coasting behind traction where the limit is no lower; a train that has stopped departs at any
+    time.
 
     Parameters
     ----------
@@ -154,7 +158,9 @@ def advised(
             continue
         # Behind a stop the train departs, however soon.
         if last is not None and last.speed and part.time - last.time < changes_apart:
-            if part.speed <= last.speed:
+            gained = last.phase <= Phase.CRUISING and not last.hold
+            coasts = gained and part.phase is Phase.COASTING and last.speed <= part.permitted
+            if part.speed <= last.speed and not coasts:
                 part = replace(part, begin=last.begin, time=last.time)
                 found.pop()
             else:
@@ -206,7 +212,8 @@ def _divided(advice: JourneyAdvice, line: Line) -> Iterator[Advised]:
                 ends = np.interp((each.start, each.end), section.positions, times)
                 time, until = (departure + ends).tolist()
                 speed = round(KMH * min(own.stated_target, each.speed))
-                yield Advised(each.start, each.end, time, until, own.phase, own.hold, speed)
+                stated, limit = (own.phase, own.hold, speed), KMH * each.speed
+                yield Advised(each.start, each.end, time, until, *stated, limit)
 
 
 def advice_constraints(found: Iterable[Advised]) -> list[Constraint]:

@@ -121,7 +121,10 @@ def test_advice_keeps_to_limits_and_changes_seldom(number, apart, tmp_path):
 def test_brief_advice_neither_replaces_another_nor_holds_a_train_at_its_stop(
     plan, wil, monkeypatch
 ):
-    """Behind each change one that follows sooner: at the same speed, a higher one, a departure."""
+    """Behind each change one that follows sooner: at the same speed, a higher one, a departure.
+
+    Coasting behind traction waits, but for a limit below the speed that the traction leads to.
+    """
     (journey,), traction = read_sfera(wil), sfera.Phase.MAXIMUM_TRACTION
     rows = [
         (0.0, 1_000.0, 0.0, 60.0, sfera.Phase.COASTING, False, 40),
@@ -130,7 +133,10 @@ def test_brief_advice_neither_replaces_another_nor_holds_a_train_at_its_stop(
         (8_000.0, 8_100.0, 365.0, 370.0, sfera.Phase.CRUISING, True, 60),
         (8_100.0, 9_100.0, 370.0, 420.0, traction, False, 90),
         (9_100.0, 9_120.0, 420.0, 424.0, sfera.Phase.MAXIMUM_BRAKING, False, 0),
-        (9_120.0, 10_000.0, 426.0, 500.0, traction, False, 90),
+        (9_120.0, 9_200.0, 426.0, 432.0, traction, False, 90),
+        (9_200.0, 9_700.0, 432.0, 472.0, sfera.Phase.COASTING, False, 80, 100.0),
+        (9_700.0, 9_800.0, 472.0, 477.0, traction, False, 85),
+        (9_800.0, 10_000.0, 477.0, 500.0, sfera.Phase.COASTING, False, 70, 80.0),
     ]
     monkeypatch.setattr(sfera, "_divided", lambda *_: [sfera.Advised(*row) for row in rows])
     found = advised(journey_advice([trainlog.read_trajectory(plan)]), journey)
@@ -140,7 +146,9 @@ def test_brief_advice_neither_replaces_another_nor_holds_a_train_at_its_stop(
         (8_000.0, 8_200.0, 365.0, 60, True),
         (8_200.0, 9_100.0, 375.0, 90, False),
         (9_100.0, 9_120.0, 420.0, 0, False),
-        (9_120.0, 10_000.0, 426.0, 90, False),
+        (9_120.0, 9_250.0, 426.0, 90, False),
+        (9_250.0, 9_700.0, 436.0, 80, False),
+        (9_700.0, 10_000.0, 472.0, 70, False),
     ]
 
 
