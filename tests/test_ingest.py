@@ -46,18 +46,13 @@ def test_the_vehicle_recorders_file_comes_back(tmp_path, driven):
         "gaps": defects.gaps,
     }
     assert report.rows_dropped == defects.duplicates
-    half_a_step = {
-        "position": 0.05,
-        "speed": 0.005 / 3.6,
-        "lever": 0.0005,
-        "wheel_speed": 0.005 / 3.6,
-    }
+    steps = {"position": 0.05, "speed": 0.005 / 3.6, "lever": 0.0005, "wheel_speed": 0.005 / 3.6}
     for topic in ("/train/state", "/train/controls", "/train/axles"):
         old, new = driven[topic], read[topic]
         assert new.index.isin(old.index).all()
         old = old.loc[new.index]
         for column in new.columns:
-            bound = half_a_step.get(column.rstrip("_1234"), 50.0)
+            bound = steps.get(column.rstrip("_1234"), 50.0)
             if column in ("acceleration", "tractive_effort_demand", "braking_effort_demand"):
                 assert new[column].isna().all(), "the recorder does not keep it"
                 continue

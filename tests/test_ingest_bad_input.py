@@ -50,11 +50,37 @@ def refused(path: Path, message: str, **options: object) -> str:
         (plain_text(plain_rows()).replace(",", "\t").encode(), r'set delimiter = "\\t"'),
         (plain_text(plain_rows()).replace(",v,", ",speed,").encode(), "no column 'v'.*t, speed, s"),
         (plain_text(plain_rows()).replace("t,v", "t,V").encode(), "did you mean 'V'"),
+        (
+            plain_text(plain_rows(), "t,speed,way").encode(),
+            r"2 problems: \(1\) .*no column 'v'; .*t, speed, way; \(2\) .*no column 's'; ",
+        ),
         (plain_text(plain_rows()).replace("t,v,s", "t,v,v").encode(), "column 'v' comes 2 times"),
         (
             plain_text([row.rpartition(",")[0] for row in plain_rows()]).encode(),
             "row 2: 20 of 20 rows do not fit the header of row 1: it has 3 columns, they have 2"
             " cells; the last name is 's'",
+        ),
+        *(
+            (plain_text(rows, header).encode(), f"row 2: 60 of 60 rows do not fit .* {said}")
+            for rows, header, said in (
+                (
+                    plain_rows(60),
+                    "t,v,s,a,b,,,",
+                    "5 columns, .* 3 cells; the last name is 'b', .* "
+                    "remove the 2 names without a cell",
+                ),
+                (
+                    [row + ",7,8,9,6" for row in plain_rows(60)],
+                    "t,v,s,,",
+                    "5 columns, they have 7 "
+                    "cells; .*name the 2 columns that the header does not name",
+                ),
+                (
+                    [row.partition(",")[0] + ",12,5,1000,25" for row in plain_rows(60)],
+                    "t,v,s",
+                    "3 columns, they have 5 cells.*decimal comma",
+                ),
+            )
         ),
         (
             plain_text([row.replace("Z,", "Z,x") for row in plain_rows()]).encode(),
@@ -137,21 +163,6 @@ def test_rows_that_run_backwards_in_time(tmp_path):
     assert any("newest row first" in line for line in proposed.lines())
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_all_columns_that_are_missing_are_named_at_once(tmp_path, suffix):
-    path = tmp_path / f"run{suffix}"
-    run = clean_run(5, 1.0)
-    if suffix == ".csv":
-        write(path, plain_rows())
-        path.write_text(path.read_text().replace("t,v,s", "t,speed,way"))
-    else:
-        stamps = pd.DatetimeIndex(run.time, tz="UTC")
-        pa.parquet.write_table(
-            pa.table({"t": stamps, "speed": run.speed, "way": run.position}), path
-        )
-    refused(path, r"2 problems: \(1\) .*no column 'v'; .*t, speed, way; \(2\) .*no column 's'; ")
-
-
 def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path):
     """At most the row in which the recorder lost power is lost or shortened."""
     whole = plain_text(plain_rows(30)).encode()
@@ -174,7 +185,6 @@ PROFILES = {
 
 
 def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
-    """A good file of a format."""
     run = drive(30, 1.0)
     if kind == "aalto":
         rides = [phones.ride(1, "SUBWAY", "V", "09:02:00", "09:09:00")]
@@ -201,7 +211,6 @@ def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
 
 
 def damaged(draw: random.Random, data: bytes) -> bytes:
-    """The file with one to eight stretches flipped, cut, doubled or filled."""
     found = bytearray(data)
     for _ in range(draw.randint(1, 8)):
         start, length = draw.randrange(len(found)), draw.randint(1, 40)

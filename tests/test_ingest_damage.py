@@ -38,7 +38,6 @@ WEEKS = 1024 * 7 * 86_400
 
 
 def shifted(run: Run, rows: slice, seconds: float) -> list[str]:
-    """The rows of a run, some of them written by a clock that is off."""
     time = run.time.copy()
     time[rows] += int(seconds * SECOND)
     return Run(time, run.speed, run.position).rows()
@@ -255,28 +254,16 @@ def test_quantised_columns_are_reported_with_their_step(tmp_path, phase, step):
     rows = Run(run.time, coarse, run.position).rows()
     trip = read_plain(tmp_path, rows)
     (finding,) = report_of(trip).findings
-    assert (finding.rule, finding.column, finding.count) == (
-        "quantised",
-        "/train/state.speed",
-        1200,
-    )
+    known = finding.rule, finding.column, finding.count
+    assert known == ("quantised", "/train/state.speed", 1200)
     stated = float(finding.note.split()[2])
     assert stated == pytest.approx(step, rel=0.01)
     assert np.abs(trip["/train/state"]["speed"] - run.speed).max() <= 0.5 * stated + 0.002
     assert len(repairs_of(trip)) == 0, "nothing was changed"
 
 
-# ------- Raw values stay available: what the rules changed and what they left make the file again
-
-
 def assert_restored(trip: Trip, raw: pd.DataFrame) -> None:
-    """Every row of the file is found again, in time and in every cell.
-
-    Parameters
-    ----------
-    raw : DataFrame
-        By row of the file; ``time`` (NaT: none that can be read) and one column a field.
-    """
+    """Every row of the file is found again, in time (NaT: none is readable) and in every cell."""
     entries = repairs_of(trip)
     by_row: dict[int, list[Any]] = {}
     for entry in entries.itertuples():

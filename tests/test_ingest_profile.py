@@ -128,17 +128,14 @@ def column(tmp_path: Path, cells: list[str], **options: object) -> np.ndarray:
 
 def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path):
     raw = ["0", "50", "100", "-100"]
-    np.testing.assert_array_equal(column(tmp_path, raw, unit="%"), [0.0, 0.5, 1.0, -1.0])
-    np.testing.assert_array_equal(column(tmp_path, raw, unit="%", sign=-1), [0.0, -0.5, -1.0, 1.0])
-    np.testing.assert_array_equal(
-        column(tmp_path, raw, unit="%", scale=0.5, offset=10), [0.1, 0.35, 0.6, -0.4]
-    )
-    np.testing.assert_array_equal(
-        column(tmp_path, raw, unit="%", part="positive"), [0.0, 0.5, 1.0, 0.0]
-    )
-    np.testing.assert_array_equal(
-        column(tmp_path, raw, unit="%", part="negative"), [0.0, 0.0, 0.0, 1.0]
-    )
+    for options, expected in (
+        ({}, [0.0, 0.5, 1.0, -1.0]),
+        ({"sign": -1}, [0.0, -0.5, -1.0, 1.0]),
+        ({"scale": 0.5, "offset": 10}, [0.1, 0.35, 0.6, -0.4]),
+        ({"part": "positive"}, [0.0, 0.5, 1.0, 0.0]),
+        ({"part": "negative"}, [0.0, 0.0, 0.0, 1.0]),
+    ):
+        np.testing.assert_array_equal(column(tmp_path, raw, unit="%", **options), expected)
 
 
 def test_decimal_commas_and_cells_of_ones_own(tmp_path):

@@ -42,7 +42,6 @@ EPOCH = 1_714_543_200
 
 
 def recorded(path: Path, data: list[bytes], profile: Path | None = None) -> tuple[Trip, LiveIngest]:
-    """The log of datagrams, in batches as they come at a high rate."""
     recording, live = LiveIngest.begun(path, Given(profile), LiveOptions())
     with recording:
         for first in range(0, len(data), 100):
@@ -63,8 +62,6 @@ MALFORMED = (
 
 
 def received(path: Path, file: Path) -> tuple[Trip, LiveIngest, Datagrams]:
-    """The log of what is sent of a file as datagrams, with a pause."""
-
     def send() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             for number, line in enumerate(file.read_bytes().splitlines()):
@@ -149,14 +146,8 @@ def test_the_copy_of_the_stream_that_finds_no_space_is_named(tmp_path):
     file.write_bytes(sample(0.0, speed=1.0) + b"\n")
     recording, live = LiveIngest.begun(tmp_path / "a.mcap", Given(None), LiveOptions())
     with recording, GrowingFile(file) as source, Path("/dev/full").open("wb", buffering=0) as raw:
-        refused(
-            InputError,
-            "/dev/full: cannot be written: no space",
-            live.follow,
-            source,
-            raw=raw,
-            idle=0.1,
-        )
+        said = "/dev/full: cannot be written: no space"
+        refused(InputError, said, live.follow, source, raw=raw, idle=0.1)
 
 
 def test_sentences_are_epochs_as_in_a_file(tmp_path):
@@ -228,13 +219,8 @@ def test_reasons_that_hold_values_of_their_lines_are_bounded(tmp_path):
     lines = [sample(0.1 * n, speed=f"{n} km/h") for n in range(50)]
     late = b'{"topic": "/train/state", "time": "2027-13-28T00:00:00Z", "speed": 1}'
     _, live = recorded(tmp_path / "live.mcap", [sample(0.0, speed=1.0), late, *lines])
-    assert (
-        live.malformed[
-            "time '2027-13-28T00:00:00Z' is not a time; write ISO 8601, or a number since 1970"
-        ]
-        == 1
-    )
-    assert live.malformed["other reasons"] == 41
+    said = "time '2027-13-28T00:00:00Z' is not a time; write ISO 8601, or a number since 1970"
+    assert (live.malformed[said], live.malformed["other reasons"]) == (1, 41)
 
 
 def test_nothing_is_driven_over_a_pause_of_the_stream(tmp_path):
@@ -446,7 +432,6 @@ def test_the_profile_line_and_train_travel_along(tmp_path):
 
 
 def scalars_of(path: Path, entity: str) -> list[tuple[Any, float]]:
-    """Time and value of every scalar that a replay holds of an entity, in the order of time."""
     chunk = pytest.importorskip("rerun.chunk")
     found = []
     for each in chunk.RrdReader(path).stream().to_chunks():
@@ -487,8 +472,6 @@ def test_what_is_drawn_is_what_the_replay_of_the_log_draws(tmp_path):
 
 
 class _Stuck:
-    """A viewer that takes nothing until it is free."""
-
     def __init__(self, free: threading.Event) -> None:
         self._free = free
 

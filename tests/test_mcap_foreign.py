@@ -242,9 +242,6 @@ def test_any_json_is_read_or_counted(value):
     assert len(found.frames["/any"]) + sum(item.messages for item in broken) == 2
 
 
-# -------------------- Damaged files of other programs: what is readable comes, the rest is listed
-
-
 def test_of_a_damaged_file_what_is_readable_comes(tmp_path):
     path = json_log(tmp_path / "json.mcap", "/things", [{"x": row} for row in range(30_000)])
     data = path.read_bytes()
@@ -258,7 +255,6 @@ def test_of_a_damaged_file_what_is_readable_comes(tmp_path):
 
 
 def every_encoding(path):
-    """A file with messages of every encoding, in several chunks."""
     log = ForeignLog(path)
     fix = struct.pack("<IIII4sbH3d9dB", 1, 2, 3, 4, b"gnss", 0, 1, 47.0, 8.0, 1.0, *COVARIANCE, 2)
     ros1 = ("sensor_msgs/NavSatFix", "ros1msg", FIX_1.encode())

@@ -79,9 +79,6 @@ def zeroed(data: bytes, start: int, end: int) -> bytes:
     return data[:start] + bytes(end - start) + data[end:]
 
 
-# ---------------------------------------------------------------------------------- the account
-
-
 def test_what_is_lost_is_stated_by_topic(whole, tmp_path):
     """Each of the three chunks holds a third of both topics."""
     account = account_of(put(tmp_path, zeroed(whole.data, *spans_of(whole.data)[1])))
@@ -183,9 +180,6 @@ def test_a_recording_that_was_not_closed(tmp_path):
     assert torn.sentence.startswith("is damaged: 1 message is readable, 1 byte is lost")
 
 
-# --------------------------------------------------------------------------------- bounded effort
-
-
 def test_chunks_inside_of_each_other_take_bounded_time(tmp_path):
     """Each claims everything that follows; to try them all would take hours."""
     size = 4_000_000
@@ -223,11 +217,7 @@ def test_recovery_of_a_large_log_stays_small_in_memory(tmp_path):
     assert peak < 20e6
 
 
-# ---------------------------------------------------------------------------------------- recovery
-
-
 def official(path: Path) -> list[tuple[str, int, int, bytes]]:
-    """All messages, by the official reader with its checks."""
     reader = SeekingReader(BytesIO(path.read_bytes()), validate_crcs=True)
     return [
         (channel.topic, message.log_time, message.sequence, message.data)
@@ -399,7 +389,6 @@ INPUTS: dict[str, list[McapRecord]] = {
 
 
 def variants() -> Iterator[tuple[str, list[McapRecord], frozenset[str]]]:
-    """Name, records and features of every file of the suite."""
     for name, records in INPUTS.items():
         for count in range(len(FEATURES) + 1):
             for chosen in combinations(FEATURES, count):
@@ -419,8 +408,6 @@ def _is_sensible(features: set[str], kinds: set[type]) -> bool:
 
 
 class _Extended(RecordBuilder):
-    """Adds what the suite adds to the end of each record that may be extended."""
-
     def start_record(self, opcode: Opcode) -> None:
         self._opcode = opcode
         super().start_record(opcode)
@@ -432,7 +419,6 @@ class _Extended(RecordBuilder):
 
 
 def generated(records: list[McapRecord], features: frozenset[str]) -> bytes:
-    """The file of the suite with these records and features, by the official writer."""
     stream, indexes = BytesIO(), IndexType.NONE
     for feature in features & set(INDEXES):
         indexes |= INDEXES[feature]
@@ -498,7 +484,6 @@ def test_valid_files_are_whole_and_give_all_they_hold(base, tmp_path):
 
 
 def assert_holds(source: Source, contents: Contents, records: list[McapRecord]) -> None:
-    """The contents of a file are these records."""
     messages = sorted((m.log_time, m.data) for m in records if isinstance(m, Message))
     found = messages_in(source, contents)
     assert sorted((time, data) for _, time, data in found.elements()) == messages

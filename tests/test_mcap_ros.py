@@ -24,7 +24,6 @@ NUMBERS = ["bool", "float32", "float64"] + [
 
 @st.composite
 def ros_fields(draw):
-    """Lines of a definition, and a value for each field."""
     lines, values = [], {}
     for name in draw(st.lists(st.sampled_from(NAMES), min_size=1, unique=True)):
         kind = draw(st.sampled_from([*NUMBERS, "string"]))
@@ -54,7 +53,6 @@ def ros_fields(draw):
 
 
 def written(lines, values):
-    """The bytes of a message by the official writer; long arrays and blobs are filled up."""
     from mcap_ros2._dynamic import serialize_dynamic
 
     given_values = {}

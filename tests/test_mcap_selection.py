@@ -27,7 +27,6 @@ SECOND = 10**9
 
 @pytest.fixture(autouse=True)
 def _short_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many small chunks, as in a long log."""
     monkeypatch.setattr(writer.parts_of, "__defaults__", (2 * SECOND, 2**20))
 
 
@@ -52,7 +51,6 @@ def shuttle(seed: int = 0, rows: int = 200) -> Trip:
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
-    """Logs of `shuttle`, written once."""
     folder = tmp_path_factory.mktemp("logs")
 
     def log(seed: int) -> Path:
@@ -80,7 +78,6 @@ def in_time(trip: Trip, pair: tuple[float | None, float | None]) -> tuple[Any, A
 
 @cache
 def whole_of(path: Path) -> Trip:
-    """A log's trip, which no test changes."""
     return read_log(path)
 
 
@@ -183,11 +180,7 @@ def test_a_log_without_positions_says_so(tmp_path):
     assert refused(LogError, said, read_log, path, position=(0, 1)).file == path
 
 
-# ------------------------------------------------------------------------------------- streaming
-
-
 def together(pieces: list[Trip]) -> Trip:
-    """The pieces one after the other."""
     topics = {name: pd.concat([piece[name] for piece in pieces]) for name in pieces[0].topics}
     return replace(pieces[0], topics=topics)
 

@@ -131,9 +131,6 @@ def test_descriptors_and_channels_equal_the_table(log):
             assert declared.fields_by_name[field.name].has_presence is not field.per_axle
 
 
-# --- files with our topics that another program wrote
-
-
 def write_elsewhere(
     path: Path,
     *batches: Iterable[tuple[int, Any]],
@@ -159,15 +156,12 @@ def write_elsewhere(
 
 
 def edited(change: Callable[[Any], None], topic: Topic = TRAIN_STATE) -> bytes:
-    """The schema of a topic, changed."""
     files = FileDescriptorSet.FromString(descriptor_set(topic))
     change(files.file[-1].message_type[0])
     return files.SerializeToString()
 
 
 def with_field(place: int, /, **values: object) -> Callable[[Any], None]:
-    """Changes a field of a message's schema."""
-
     def change(message: Any) -> None:
         for name, value in values.items():
             setattr(message.field[place], name, value)
@@ -430,9 +424,6 @@ def test_what_cannot_be_written_is_refused_and_leaves_no_file(trip, said, tmp_pa
     assert older.read_bytes() == b"older"
 
 
-# ----------------------- Logs written at once and piece by piece, and disks that do not take them
-
-
 @cache
 def long_trip() -> Trip:
     """Three megabytes in five minutes: chunks cut by size and by time."""
@@ -450,7 +441,6 @@ FIELDS = TRAIN_CONTROLS.fields
 
 
 def pieces(trip: Trip, cuts: list[pd.Timestamp]) -> Iterator[Trip]:
-    """The trip cut at times; each piece with all topics."""
     edges = [pd.Timestamp(0, tz="UTC"), *cuts, pd.Timestamp.max.tz_localize("UTC")]
     for start, end in pairwise(edges):
         frames = {

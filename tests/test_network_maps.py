@@ -178,8 +178,7 @@ def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path):
         update_network_map(
             sample("nonstop.mcap"), tmp_path / "other", replace(network(), source="else")
         )
-    with pytest.raises(InputError, match="has no track-condition maps"):
-        network_map(tmp_path / "other")
+    refused(InputError, "has no track-condition maps", network_map, tmp_path / "other")
 
 
 def test_forecasts_and_scores_of_all_edges(maps):

@@ -146,9 +146,6 @@ def test_what_breaks_a_constraint_between_its_checks_is_solved_with_more_of_them
     assert reference(asked).worst.max() <= 0.0
 
 
-# ------ Who follows a reference of Hauck et al. (2023): the program of eq. (11), constraints kept
-
-
 LIGHT, HEAVY = PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy
 
 

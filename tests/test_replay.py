@@ -52,7 +52,6 @@ def recording(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def tiled(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With places on the globe."""
     path = tmp_path_factory.mktemp("replay") / "tiles.rrd"
     write_replay([trip], path, options=ReplayOptions(tiles=True))
     return path
@@ -60,7 +59,6 @@ def tiled(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A trip each way over the map."""
     path = tmp_path_factory.mktemp("replay") / "map.rrd"
     both = [made_trip(), made_trip("down", "reverse")]
     write_replay(both, path, condition_map=condition_of())
@@ -395,11 +393,7 @@ def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(spotted):
     assert np.allclose(places[0], places[1])
 
 
-# Trips over each other by position: differences, references, thinning, and what a line adds
-
-
 def unlike(name: str, top: float) -> Trip:
-    """A trip of another speed that follows no reference."""
     return without(made_trip(name, top=top), "/reference")
 
 
@@ -454,9 +448,6 @@ def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path):
         3.6 * (20.0 - planned), abs=0.02
     )
     assert "/trips/down/behind/time" not in entities(path)
-
-
-# ------------------------------------------------------------------------------------- thinning
 
 
 @settings(max_examples=100)
@@ -515,9 +506,6 @@ def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path):
     assert "/trips/up\\ \\(2\\)/cursor" not in found
 
 
-# ------------------------------------------------------------------------- what the line adds
-
-
 def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path):
     path, whole = tmp_path / "line.rrd", made_trip()
     kept = {name: whole[name] for name in ("/train/state", "/gnss/fix")}
@@ -536,9 +524,6 @@ def test_a_line_can_be_given_to_a_trip_that_was_on_it(tmp_path):
     assert {"/trips/up/speed/limit", "/lines/hill/stations/A"} <= set(entities(path))
 
 
-# --------------------------------------------------------------------------------- the command
-
-
 def test_the_command_states_with_what_trips_are_compared(tmp_path, works):
     for name, top in (("a", 25.0), ("b", 16.0)):
         write_log(unlike(name, top), tmp_path / f"{name}.mcap")
@@ -547,9 +532,6 @@ def test_the_command_states_with_what_trips_are_compared(tmp_path, works):
     assert "compared along the line with b" in stated
     assert f"wrote {target}" in stated
     assert "/trips/a/behind/time" in entities(target)
-
-
-# --------------------- The layout in a recording: it shows what there is, and nothing that is not
 
 
 COMPONENTS = {
@@ -562,8 +544,6 @@ COMPONENTS = {
 
 @dataclass
 class Layout:
-    """What the blueprint of a recording says."""
-
     logged: dict[str, dict[str, Any]]
 
     def views(self) -> list[dict[str, Any]]:

@@ -195,9 +195,6 @@ def test_the_layout_names_every_field_of_the_log(tmp_path):
     assert {topic.name for topic in DRAWN} == set(TOPICS) - {"/gnss/fix", "/events"}
 
 
-# How a replay opens: in a window, in the browser, as a picture; and that nothing stays behind
-
-
 direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
@@ -261,7 +258,6 @@ def test_ctrl_c_ends_the_viewer_and_leaves_nothing(tmp_path):
 
 
 def viewers_of(folder: Path) -> list[str]:
-    """Command lines of the processes that name a file of a folder."""
     found = []
     for each in Path("/proc").iterdir():
         try:

@@ -81,16 +81,11 @@ def test_a_fit_goes_straight_into_set_and_calculation(fitted):
         assert found.configurations == wanted.configurations
         calculated = analysis.calculate(LOG, given)
         assert calculated.total("calculated_work") == expected.total("calculated_work")
-    with pytest.raises(trainlog.InputError, match=r"\(str\) was given where"):
-        analysis.calculate(LOG, "params.json")
-
-
-# --------------------------------------------------------------- every result, in all its forms
+    refused(trainlog.InputError, r"\(str\) was given where", analysis.calculate, LOG, "params.json")
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory, fitted) -> dict[type, Presented]:
-    """One result of each class that is presented, made of the samples."""
     folder = tmp_path_factory.mktemp("results")
     shutil.copy(LOG, folder / "nonstop.mcap")
     logs = [LOG, trainlog.sample("stopping.mcap")]
@@ -215,9 +210,6 @@ def test_every_result_with_charts_has_a_figure_with_data(results):
     for kind, result in results.items():
         if kind.charts_by:
             assert all(each.has_data() for each in result.plot().axes), kind
-
-
-# ------ What follows from a result's declaration: text, HTML, JSON with its schema, CSV, pictures
 
 
 RUN_COLUMNS = (
@@ -372,8 +364,7 @@ def test_the_chainage_of_satellites_serves_where_none_is_recorded(nonstop):
     assert not any("running resistance" in each for each in refusals)
     assert "position" not in str(verdict(located))
     said = "the fit needs it: map its column, or ingest fixes with a line"
-    with pytest.raises(TripRefusedError, match=said):
-        fit_trip(trip.with_topic(without))
+    refused(TripRefusedError, said, fit_trip, trip.with_topic(without))
 
 
 def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back):

@@ -64,14 +64,10 @@ def test_trips_are_equal_by_metadata_and_samples():
     assert one != "one"
 
 
-# -------------------------------------------------------- Slices of trips by time and by position
-
-
 instants = st.integers(0, 5 * 10**18)
 
 
 def driven(times: list[float], positions: list[float]) -> Trip:
-    """A trip with its position, and an event every half second."""
     halves = np.arange(times[0], times[-1] + 0.25, 0.5)
     state = frame_of(TRAIN_STATE, START + np.array(times) * SECOND, {"position": positions})
     shown = {"message": [f"{at:g} s" for at in halves]}
@@ -87,7 +83,6 @@ def messages(trip: Trip) -> list[str]:
     return trip[EVENTS.name]["message"].tolist()
 
 
-# ------------------------------------------------------------------------------------- by time
 @settings(max_examples=25)
 @given(trips(), instants)
 def test_slices_by_time_partition_a_trip(trip, at):
@@ -134,9 +129,6 @@ def test_a_slice_is_a_step_of_provenance_and_leaves_the_trip_as_it_was():
 def test_times_that_make_no_slice_are_refused(start, end, said):
     caught = refused(InputError, said, driven([0, 1], [0, 10]).between, start, end)
     assert caught.remedy
-
-
-# --------------------------------------------------------------------------------- by position
 
 
 def test_the_smoothed_position_counts_where_there_is_one():
