@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -103,6 +104,51 @@ def test_nothing_is_computed_twice(place, monkeypatch):
     assert again.counts["checks"].known == TRIPS
     refused(InputError, "several engines", UpdateOptions, workers=2, scheduler="tcp://somewhere:1")
     refused(InputError, "batch of 0 trips", UpdateOptions, batch=0)
+
+
+OTHER = """
+import sys
+from analysis.fleet.update import UpdateOptions, update_fleet
+from trainlog.catalogue import open_catalogue
+with open_catalogue(sys.argv[1]) as catalogue:
+    with catalogue.claims() as claim:
+        assert all(map(claim, sys.argv[2:]))
+        print("taken", flush=True)
+        input()
+    update_fleet(catalogue, ["checks"], UpdateOptions(workers=0))
+"""
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_trips_that_another_update_computes_are_left_to_it_as_long_as_it_runs(
+    place, monkeypatch, killed
+):
+    with open_catalogue(place) as catalogue:
+        keys = sorted(catalogue.pending(computation_of(ANALYSES["checks"]))["key"])
+    other = subprocess.Popen(
+        [sys.executable, "-c", OTHER, str(place), *keys[:2]],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with other:
+        assert other.stdout.readline() == "taken\n"
+        waited = []
+
+        def end_other(_: float) -> None:
+            waited.append(len(results(place, "checks")))
+            if killed:
+                other.kill()
+            else:
+                other.stdin.write("\n")
+                other.stdin.flush()
+            other.wait()
+
+        monkeypatch.setattr("analysis.fleet.update.time.sleep", end_other)
+        found = updated(place, "checks")
+    assert waited == [TRIPS - 2]
+    assert found.trips == (TRIPS if killed else TRIPS - 2)
+    assert found.counts["checks"].pending == 0
+    assert found.counts["checks"].known == (0 if killed else 2)
+    assert sorted(results(place, "checks")["key"]) == keys
 
 
 def test_other_code_and_other_parameters_are_computed_anew(place, monkeypatch):

@@ -44,6 +44,9 @@ towards the end, so that all workers end at about the same time."""
 MERGED = 100_000
 """Trips up to which the files of results are put together: that takes all of them into memory."""
 
+WAIT = 0.5
+"""Time after which trips that another update computes are asked for again [s]."""
+
 PAGE = 2000
 """Trips that are asked of the catalogue at once: what is in memory does not grow with the fleet."""
 
@@ -414,6 +417,7 @@ class _Update:
             {each.analysis: Counts(each.analysis, each.code) for each in self.computations}
         )
         self.total = 0
+        self._elsewhere: list[Job] = []
         self._report = report
         self._done = 0
         self._first, self._last, self._busy = math.inf, 0.0, 0.0
@@ -442,31 +446,69 @@ class _Update:
         """Compute all that is pending."""
         from analysis.fleet.engine import run
 
-        engine = self._engine
-        with task("computing", self.total, "trip") as step:
+        engine, jobs = self._engine, self._jobs()
+        with task("computing", self.total, "trip") as step, self.catalogue.claims() as claim:
             self.found.engine, self.found.workers = engine.name, engine.workers
-            self._step = step
+            self._step, self._claim = step, claim
             step(0, note=FIRST)
-            run(engine, self._batches(engine.workers), self._finished)
+            while True:
+                run(engine, self._batches(jobs, engine.workers), self._finished)
+                if not self._elsewhere:
+                    break
+                # What this update has taken is recorded: two never wait for each other.
+                others = counted(len(self._elsewhere), "trip")
+                step(self._done, note=f"waiting for {others} of another update")
+                time.sleep(WAIT)
+                jobs, self._elsewhere = iter(self._elsewhere), []
         if self._busy:
             self.found.computing_seconds = self._last - self._first
             whole = self.found.workers * self.found.computing_seconds
             self.found.idle_seconds = max(0.0, whole - self._busy)
 
-    def _batches(self, workers: int) -> Iterator[Batch]:
+    def _batches(self, jobs: Iterator[Job], workers: int) -> Iterator[Batch]:
         from analysis.fleet.work import Batch
 
         given = count = 0
-        jobs = self._jobs()
+        free = self._free(jobs)
         while True:
             left = max(self.total - count, 1)
             most = max(1, min(self.options.batch, -(-left // (SHARES * workers))))
             # One trip each at first: these take longest, and are kept soon.
-            part = tuple(islice(jobs, 1 if given < workers else most))
+            part = tuple(islice(free, 1 if given < workers else most))
             if not part:
                 return
-            yield Batch(part, self.analyses)
-            given, count = given + 1, count + len(part)
+            count += len(part)
+            if wanted := self._left(part):
+                given += 1
+                yield Batch(wanted, self.analyses)
+
+    def _free(self, jobs: Iterator[Job]) -> Iterator[Job]:
+        """Those that no other update computes at present; they are this one's until recorded."""
+        for job in jobs:
+            if self._claim(job.key):
+                yield job
+            else:
+                self._elsewhere.append(job)
+
+    def _left(self, jobs: Sequence[Job]) -> tuple[Job, ...]:
+        """What another update has not recorded of jobs since they were listed."""
+        keys = [job.key for job in jobs]
+        pending = [
+            set(self.catalogue.pending(each, where=self.options.where, keys=keys)["key"])
+            for each in self.computations
+        ]
+        left = []
+        for job in jobs:
+            wanted = tuple(number for number in job.analyses if job.key in pending[number])
+            for number in set(job.analyses) - set(wanted):
+                counts = self.found.counts[self.analyses[number].name]
+                counts.pending, counts.known = counts.pending - 1, counts.known + 1
+            if wanted:
+                left.append(job._replace(analyses=wanted))
+            else:
+                self._claim(job.key, False)
+                self._done += 1
+        return tuple(left)
 
     def _jobs(self) -> Iterator[Job]:
         """Trips with the numbers of the analyses that wait for them, of a page long ones first."""
@@ -530,6 +572,8 @@ class _Update:
         if result.ended:
             self._first, self._last = min(self._first, result.began), max(self._last, result.ended)
             self._busy += result.ended - result.began
+        for key in jobs:
+            self._claim(key, False)
         self._done += len(batch.jobs)
         self._step(self._done, note="")
 

@@ -16,7 +16,7 @@ import secrets
 import sqlite3
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -27,7 +27,7 @@ from sqlalchemy.engine import URL, make_url
 
 from trainlog.errors import InputError
 from trainlog.extras import require
-from trainlog.formats.files import made_folder
+from trainlog.formats.files import made_folder, sha256
 from trainlog.version import __version__
 
 Kind = Literal["text", "time", "number", "count", "json"]
@@ -508,6 +508,44 @@ class Database:
             yield
         finally:
             own.close()
+
+    @contextmanager
+    def claims(self) -> Iterator[Callable[..., bool]]:
+        """``claim(name)`` takes what no other process has; ``claim(name, False)`` frees it.
+
+        It returns whether that was done, without waiting. What a process has is free when it ends.
+        """
+        if self.is_server:
+            with self._reached(), self.engine.connect() as connection:
+                connection.execution_options(isolation_level="AUTOCOMMIT")
+
+                def locked(name: str, take: bool = True) -> bool:
+                    words = sa.func.hashtext(f"{self.schema} {name}")
+                    lock = sa.func.pg_try_advisory_lock if take else sa.func.pg_advisory_unlock
+                    return bool(connection.execute(sa.select(lock(_LOCK + 2, words))).scalar())
+
+                try:
+                    yield locked
+                finally:
+                    connection.execute(sa.select(sa.func.pg_advisory_unlock_all()))
+            return
+        with suppress(ImportError):
+            import fcntl
+
+            with (self.folder / "claims.lock").open("ab") as file:
+
+                def reserved(name: str, take: bool = True) -> bool:
+                    place = int(sha256(name.encode())[:15], 16)
+                    kind = fcntl.LOCK_EX | fcntl.LOCK_NB if take else fcntl.LOCK_UN
+                    try:
+                        fcntl.lockf(file, kind, 1, place)
+                    except (BlockingIOError, PermissionError):
+                        return False
+                    return True
+
+                yield reserved
+            return
+        yield lambda *_: True
 
     @contextmanager
     def _reached(self) -> Iterator[None]:

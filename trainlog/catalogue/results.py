@@ -385,6 +385,7 @@ class Computed(Database):
         *,
         where: str | None = None,
         page: tuple[str, int] | None = None,
+        keys: Sequence[str] | None = None,
     ) -> pd.DataFrame:
         """The trips of which an analysis has not been recorded, in the order of key.
 
@@ -399,6 +400,8 @@ class Computed(Database):
             As for `query`.
         page : (str, int), optional
             Only trips behind this key, and so many at most.
+        keys : sequence of str, optional
+            Only of these trips.
 
         Returns
         -------
@@ -410,6 +413,8 @@ class Computed(Database):
             asked = sa.select(*columns).where(*_unmade(computation_id(connection, of), where))
             if page is not None:
                 asked = asked.where(trips.c.key > page[0]).limit(page[1])
+            if keys is not None:
+                asked = asked.where(trips.c.key.in_(keys))
             rows = connection.execute(asked.order_by(trips.c.key)).all()
         return pd.DataFrame(columns_of(rows, ["key", "sha256", "path", "name"]), dtype=object)
 
