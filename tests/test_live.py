@@ -14,7 +14,9 @@ import time
 import warnings
 from contextlib import nullcontext
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,7 +32,7 @@ from trainlog.errors import InputError
 from trainlog.ingest import ingest
 from trainlog.ingest.live import MOST_KEPT, LiveIngest, LiveOptions, Numbering
 from trainlog.ingest.pipeline import Given
-from trainlog.ingest.sources import Datagrams, GrowingFile
+from trainlog.ingest.sources import Datagrams, GrowingFile, Pipe
 from trainlog.ingest.stream import Framer, time_of
 from trainlog.trip import Trip
 
@@ -357,6 +359,40 @@ def test_a_growing_file_is_followed_through_rotation_and_cut_lines(tmp_path):
         with path.open("ab") as file:
             file.write(b"seven\n")
         assert lines_of(2)[-1] == b"seven"
+
+
+def test_a_file_is_not_closed_while_a_slow_thread_reads_it(tmp_path, monkeypatch):
+    path, failed = tmp_path / "recorder.jsonl", []
+    path.write_bytes(b"one\n")
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    with GrowingFile(path) as source:
+        assert source.read(PATIENCE) == [b"one\n"]
+        thread = source._thread
+        monkeypatch.setattr(source, "_thread", SimpleNamespace(join=lambda _: None))
+    thread.join(PATIENCE)
+    assert source.ended
+    assert not failed
+    assert source._file.closed
+
+
+def test_what_comes_at_the_very_end_of_a_source_is_recorded(tmp_path):
+    class Late(Pipe):
+        """Whose last block comes, and which ends, just after nothing was there to read."""
+
+        def read(self, timeout: float) -> list[bytes]:
+            blocks = super().read(0.0)
+            if not self.ended:
+                self._blocks.append(
+                    b'{"topic":"/train/state","time":"2024-05-01T06:00Z","speed":1}\n'
+                )
+                self.ended = True
+            return blocks
+
+    recording, live = LiveIngest.begun(tmp_path / "a.mcap", Given(), LiveOptions("x"))
+    with recording:
+        live.follow(Late(BytesIO()))
+        live.close()
+    assert live.lines == 1
 
 
 def test_addresses_that_are_none_are_refused():

@@ -528,7 +528,7 @@ class LiveIngest:
         """
         last, self._late = np.inf, int(source.late * NANOSECONDS)
         while True:
-            blocks = source.read(POLL)
+            ended, blocks = source.ended, source.read(POLL)
             now = clock.monotonic()
             for block in blocks:
                 self.take(block, whole=source.whole)
@@ -543,7 +543,7 @@ class LiveIngest:
             if blocks:
                 last = now
             silent = idle is not None and now - last > idle
-            if stopped() or silent or (source.ended and not blocks):
+            if stopped() or silent or (ended and not blocks):
                 break
 
     def close(self, arrival: int | None = None) -> None:

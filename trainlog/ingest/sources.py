@@ -422,7 +422,10 @@ class GrowingFile(Source):
         return b"\n" if cut else b""
 
     def __exit__(self, *error: object) -> None:
-        self._stopping = True
+        super().__exit__(*error)
         self._thread.join(2.0)
+
+    def _run(self) -> None:
+        super()._run()
         if self._file is not None:
             self._file.close()
