@@ -198,6 +198,15 @@ def test_impossible_trains_are_refused(arguments, message):
     refused(InputError, message, Plant.of, level_line(), train, **arguments)
 
 
+def test_without_a_rotating_mass_that_of_the_axles_is_part_of_the_mass():
+    """As TTOBench states the subway of Beijing."""
+    train = flirt(rotating_mass_factor=0.0)
+    parameters = Plant.of(level_line(), train, mass=150e3).parameters
+    inertia = parameters.body_inertia + train.axles.count * parameters.axle_inertia
+    assert inertia == pytest.approx(150e3)
+    refused(InputError, "exceed the train's 7900 kg", Plant.of, level_line(), train, mass=7_900.0)
+
+
 @pytest.mark.parametrize("gradient", [-0.04, 0.0, 0.03])
 def test_a_holding_brake_keeps_a_train_without_friction_brake_until_it_pulls(gradient):
     """All axles driven, nothing but the dynamic brake: it rolls off unless it is held."""

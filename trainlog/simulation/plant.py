@@ -410,10 +410,12 @@ def check_train(train: Train, mass: float, rotating: float, power: float, step: 
             f"{where}: needs at least one powered axle with a rotating mass",
             remedy="give the train axles with a rotating mass",
         )
-    if axles.count * axles.rotating_mass > rotating:
+    # Where the train has no rotating mass, that of its axles is part of its mass.
+    largest = rotating or mass
+    if axles.count * axles.rotating_mass > largest:
         raise InputError(
             f"{where}: {axles.count} powered axles of {axles.rotating_mass:g} kg rotating mass"
-            f" exceed the train's {rotating:g} kg in all",
+            f" exceed the train's {largest:g} kg in all",
             remedy="state the train's rotating_mass_factor, or the rotating_mass of its axles",
         )
     if not 0.0 < axles.adhesive_mass <= train.mass:
