@@ -371,4 +371,6 @@ def test_without_a_recorded_wind_the_band_of_still_air_holds_the_truth():
     assert np.all((low < RESISTANCE(speed)) & (RESISTANCE(speed) < high))
     assert "no wind is recorded" in fit.summary()["in still air"]
     (note,) = (each for each in analysis.fit(windy).notes if "wind is recorded" in each)
-    assert "A head wind of 10 m/s" in note
+    v, curve = 80.0 / 3.6, fit.resistance
+    share = curve.r2 * 10.0 * (2.0 * v + 10.0) / float(curve(v))
+    assert f"A head wind of 10 m/s would be {share:.0%} of it at 80 km/h" in note

@@ -354,6 +354,11 @@ def test_refusals_say_why_in_a_word_and_show_where():
             continue
         if reason in timeline.masks:
             assert timeline.masks[reason].mean() > 0.9
+    caught = refused(
+        TripRefusedError, "to determine mass, r0, r1, r2 .condition", fit_trip,
+        trip(constant_speed, noise=0.03),
+    )  # fmt: skip
+    assert caught.fit is None, "a negative mass adds to no other trip"
     caught = refused(TripRefusedError, "", fit_trip, trip(noise=1.0, seed=1), speeds=(0.5, 44.0))
     assert caught.reason == "excitation"
 

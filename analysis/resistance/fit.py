@@ -36,7 +36,14 @@ from analysis.resistance.recording import (
     sound,
     tunnel_coefficient,
 )
-from analysis.resistance.regression import DELAY_STD, Residuals, Stretch, WindowFit, fit_windows
+from analysis.resistance.regression import (
+    DELAY_STD,
+    LARGEST_CONDITION,
+    Residuals,
+    Stretch,
+    WindowFit,
+    fit_windows,
+)
 from analysis.view import Given, TripView, view_of
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.display import span
@@ -64,9 +71,6 @@ LOWEST_SPEED = 10.0
 """Lowest speed that is asked for unless the caller says otherwise [m/s]: below it a train is only
 on its way from or to a stop, and running resistance is small beside the efforts. The fit's curve
 and band go down to standstill all the same."""
-
-LARGEST_CONDITION = 300.0
-"""Column-normalised condition number beyond which the parameters cannot be separated."""
 
 LARGEST_GAIN_ERROR = 0.2
 """Recorded efforts that are further off than this share are not those of the train."""
@@ -487,7 +491,8 @@ def fit_trip(
     try:
         _check_curve(name, regression, without_gain, unlike, asked, timeline, largest_std)
     except TripRefusedError as error:
-        error.fit = fit
+        # Where the mass is not determined it may come out as negative, and adds to no other trip.
+        error.fit = fit if fit.mass > 0.0 else None
         raise
     return fit
 
@@ -686,9 +691,9 @@ def _check_curve(
     if regression.condition > LARGEST_CONDITION:
         raise TripRefusedError(
             "condition",
-            f"trip '{name}': speed and effort vary too little to separate mass and"
-            f" coefficients (condition number {regression.condition:.0f}, at most"
-            f" {LARGEST_CONDITION:.0f})",
+            f"trip '{name}': speed and effort vary too little to determine"
+            f" {', '.join(regression.inseparable)} (condition number {regression.condition:.0f}, at"
+            f" most {LARGEST_CONDITION:.0f})",
             remedy=_slip_words(timeline)
             or "a trip with starts, coasting and several speeds, or several trips at other speeds",
             timeline=timeline,

@@ -153,11 +153,11 @@ class Fits(Presented):
         ]
         windless = sum(not fit.wind_recorded for fit in self.trips)
         if windless:
-            wind, r2 = 1.96 * HEAD_WIND, self.common.resistance.r2
+            wind, r2 = round(1.96 * HEAD_WIND), self.common.resistance.r2
             more = r2 * wind * (2.0 * STATED_AT + wind) / float(self.common.resistance(STATED_AT))
             words.append(
                 f"No wind is recorded on {counted(windless, 'trip')}: the curve is that of the air"
-                f" of these days. A head wind of {wind:.0f} m/s would be {more:.0%} of it at"
+                f" of these days. A head wind of {wind} m/s would be {more:.0%} of it at"
                 f" {STATED_AT * KMH:.0f} km/h; record it, or fit trips of several days."
             )
         words += [

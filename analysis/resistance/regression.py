@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,9 @@ from analysis.resistance.noise import (
 from estimators.regression import Cut, Free, RecursiveLeastSquares, Regression, regress
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway.resistance import OVER_MASS_STD, TERMS
+
+LARGEST_CONDITION = 300.0
+"""Column-normalised condition number beyond which the parameters cannot be separated."""
 
 LAGS = 10
 """Neighbours over which correlation is looked for."""
@@ -236,6 +240,9 @@ class WindowFit:
         Which windows were used; the others are outliers.
     condition : float
         Column-normalised condition number of the regressors.
+    inseparable : tuple of str
+        Coefficients that take part in what is above `LARGEST_CONDITION`, and the mass if it does or
+        is not positive: with hardly any acceleration that of the noise alone remains.
     stretches : tuple of Stretch
         Each with a force of its own.
     tunnels : (float, float), optional
@@ -260,6 +267,7 @@ class WindowFit:
     residual: FloatArray
     kept: BoolArray
     condition: float
+    inseparable: tuple[str, ...]
     stretches: tuple[Stretch, ...] = ()
     tunnels: tuple[float, float] | None = None
     pulling: tuple[float, float] | None = None
@@ -421,7 +429,7 @@ def fit_windows(
         cluster_factor=factor,
         residual=found.residual,
         kept=found.kept,
-        condition=condition_number(white.used.x),
+        **_separated(white.used.x, float(beta[-1, -1])),
         stretches=tuple(own_force),
         tunnels=tunnels,
         pulling=offset,
@@ -514,13 +522,23 @@ def _best_stretch(
     return float(score[best]), int(edges[first[best]]), int(edges[last[best]])
 
 
-def condition_number(x: FloatArray) -> float:
-    """Condition number of a matrix with its columns normalised; infinite if a column is zero."""
+def _separated(x: FloatArray, mass: float) -> dict[str, Any]:
+    """Condition number of regressors with their columns normalised; and which it does not separate.
+
+    The latter have most of their variance from small singular values (Belsley, Kuh and Welsch 1980,
+    Regression Diagnostics).
+    """
+    names = np.array(["mass", *TERMS])
     norms = np.linalg.norm(x, axis=0)
     if np.any(norms == 0.0):
-        return float("inf")
-    singular = np.linalg.svd(x / norms, compute_uv=False)
-    return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
+        return {"condition": float("inf"), "inseparable": tuple(names[norms == 0.0].tolist())}
+    _, singular, parts = np.linalg.svd(x / norms, full_matrices=False)
+    variance = (parts / np.maximum(singular, 1e-300)[:, None]) ** 2
+    small = singular * LARGEST_CONDITION < singular[0]
+    taking = variance[small].sum(axis=0) > 0.5 * variance.sum(axis=0)
+    taking[0] |= mass <= 0.0
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
+    return {"condition": condition, "inseparable": tuple(names[taking].tolist())}
 
 
 def _history(
