@@ -313,20 +313,19 @@ def changes_of(rows: EvidenceRows, cut: FloatArray, bin_length: float) -> list[F
         odds, day, first, last = _best_stretch(score, gaps)
         if odds <= price + CHANGE_ODDS:
             break
-        profile = score[:, first : last + 1].sum(axis=1)
-        share = np.cumsum(np.exp(profile - logsumexp(profile)))
-        changes.append(
-            FieldChange(
-                int(rows.bins[first]),
-                int(rows.bins[last]),
-                int(days[day]),
-                int(days[np.searchsorted(share, 0.025)]),
-                int(days[np.clip(np.searchsorted(share, 0.975), 0, days.size - 1)]),
-                odds - price,
-            )
-        )
+        place = int(rows.bins[first]), int(rows.bins[last])
+        dated = _days_of(score[:, first : last + 1].sum(axis=1), days) | {"day": int(days[day])}
+        changes.append(FieldChange(*place, **dated, log_odds=odds - price))
         score[:, first : last + 1] = -np.inf
     return sorted(changes, key=lambda change: change.first)
+
+
+def _days_of(profile: FloatArray, days: IntArray) -> dict[str, int]:
+    """The likeliest day of a change, and the first and last of its 95 % band."""
+    share = np.cumsum(np.exp(profile - logsumexp(profile)))
+    first, last = np.minimum(np.searchsorted(share, (0.025, 0.975)), days.size - 1)
+    likely = int(np.argmax(profile))
+    return {"day": int(days[likely]), "earliest": int(days[first]), "latest": int(days[last])}
 
 
 def _best_stretch(score: FloatArray, gaps: FloatArray) -> tuple[float, int, int, int]:
@@ -730,14 +729,61 @@ def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
         new = changes_of(found.rows, found.cut, known.bin_length)
         if not new:
             break
-        earlier = known
-        for change in new:
-            bins = np.arange(change.first, change.last + 1)
-            known = known.between(bins, change.day, np.iinfo(np.int64).max)
-            earlier = earlier.between(bins, 0, change.day - 1)
-        before, found = _settled(earlier, assumed), _settled(known, assumed)
-        changes += [_described(change, before, found) for change in new]
+        earlier, later = _divided(known, new)
+        before, found = _settled(earlier, assumed), _settled(later, assumed)
+        dated = [_dated(change, known, before, found) for change in new]
+        if any(one.day != other.day for one, other in zip(new, dated, strict=True)):
+            earlier, later = _divided(known, dated)
+            before, found = _settled(earlier, assumed), _settled(later, assumed)
+        known = later
+        changes += [_described(change, before, found) for change in dated]
     return replace(found, changes=tuple(changes))
+
+
+def _divided(
+    known: FieldEvidence, changes: list[FieldChange]
+) -> tuple[FieldEvidence, FieldEvidence]:
+    """Evidence of before, and of since the changes of their bins; that of other bins is in both."""
+    earlier = known
+    for change in changes:
+        bins = np.arange(change.first, change.last + 1)
+        known = known.between(bins, change.day, np.iinfo(np.int64).max)
+        earlier = earlier.between(bins, 0, change.day - 1)
+    return earlier, known
+
+
+def _dated(
+    change: FieldChange, known: FieldEvidence, before: FieldPosterior, after: FieldPosterior
+) -> FieldChange:
+    """With the day that parts the two levels best, where that is clearly another.
+
+    While one level was assumed a lower one of before was held for spots, which part as well on any
+    of their days.
+    """
+    own = (known.bin >= change.first) & (known.bin <= change.last)
+    used = (known.used_bin >= change.first) & (known.used_bin <= change.last)
+    days = np.unique(np.concatenate((known.day[own], known.used_day[used])))
+    value = np.zeros(days.size)
+    for sign, each in ((1.0, after), (-1.0, before)):
+        mean = each.probability @ LEVELS
+        spread = each.probability @ LEVELS**2 - mean**2 + each.parameters.trip_std**2
+        place, borne = known.bin[own], known.used_bin[used]
+        std = np.sqrt(spread[place] + known.variance[own])
+        away = ((known.mean[own] - mean[place]) / std) ** 2
+        onset = np.logaddexp(
+            np.log(1.0 - OFTEN) - 0.5 * away - np.log(std),
+            np.log(OFTEN / WIDE) - 0.5 * away / WIDE**2 - np.log(std),
+        )
+        held = log_ndtr(
+            (mean[borne] - known.log_levels[known.used_level[used]]) / np.sqrt(spread[borne])
+        )
+        for day, gain in ((known.day[own], onset), (known.used_day[used], np.maximum(held, -4.0))):
+            value += sign * np.bincount(np.searchsorted(days, day), gain, minlength=days.size)
+    since = np.cumsum(value[::-1])[::-1][1:]
+    now = max(int(np.searchsorted(days, change.day)) - 1, 0)
+    if days.size < 3 or since.max() - since[now] <= CHANGE_ODDS:
+        return change
+    return replace(change, **_days_of(since, days[1:]))
 
 
 def _described(change: FieldChange, before: FieldPosterior, after: FieldPosterior) -> FieldChange:

@@ -12,7 +12,8 @@ label. Where factors differ more than errors do, each trip's own is what its ons
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -63,9 +64,11 @@ PLACED = 5.0
 MOST = 60
 """Of more trips lags are not looked for, nor distributions of factors that are plainly ordinary."""
 
-LASTING, CHANGE = 3, 0.45
-"""So many trips after all others, and factors whose logarithms are up to this, are a change of the
-line."""
+CHANGED = 8.0
+"""Log likelihood ratio from which on all trips since one are taken to meet a changed line."""
+
+STRANGERS = 10.0
+"""Of so many trips one is of another condition, before any evidence."""
 
 SIZES = 10
 """Classes of the standard deviations of onsets."""
@@ -394,7 +397,7 @@ class Agreement:
     placing: FloatArray
 
 
-def agreement_of(rows: TripRows, second: BoolArray, order: IntArray) -> Agreement:
+def agreement_of(rows: TripRows, second: BoolArray, order: IntArray, day: IntArray) -> Agreement:
     """How trips go together.
 
     Parameters
@@ -402,35 +405,41 @@ def agreement_of(rows: TripRows, second: BoolArray, order: IntArray) -> Agreemen
     rows : TripRows
     second : (trips,) bool array
         Trips in the second of two directions.
-    order : (trips,) int array
-        By time.
+    order, day : (trips,) int array
+        By time, and of which day.
     """
     apart = _apart(rows, second)
     groups = [~second, second] if apart else [np.ones(rows.trips, dtype=np.bool_)]
     aside = np.zeros(rows.trips, dtype=np.bool_)
     columns, lag = np.zeros((4, rows.trips)), np.zeros(rows.trips)
     placing = np.zeros((2, rows.bins))
+    time = np.argsort(order, kind="stable")
     for group in groups:
         own = rows.of(group)
-        lag[group] = lags_of(own, factors_of(own)[0].log)[group]
+        found, _ = factors_of(own)
+        lag[group] = lags_of(own, found.log)[group]
         own = own.moved(-lag)
-        # Factors of some trips, which of them are of another condition, and the others' levels.
-        others = np.zeros(own.trips, dtype=np.bool_)
         found, level = factors_of(own)
-        for _ in range(ROUNDS):
-            # Where several are of another condition, one more is no surprise.
-            least = DOUBT if others.sum() < 2 else DOUBT / 2.0
-            new = group & (np.abs(found.log) > LEAST) & (found.doubt > least)
-            new &= ~_changed(found, new, group, order)
-            if np.array_equal(new, others) or 2 * new.sum() >= group.sum():
-                break
-            others = new
-            found, level = factors_of(own, ~others)
-        aside |= others
+        periods = _periods(found, time[group[time]], day)
+        for period in periods:
+            part = np.isin(np.arange(rows.trips), period)
+            several = own if len(periods) == 1 else own.of(part)
+            if len(periods) > 1:
+                found, level = factors_of(several)
+            # Factors of some trips, which are of another condition, and the others' levels.
+            others = np.zeros(own.trips, dtype=np.bool_)
+            for _ in range(ROUNDS):
+                # Where several are of another condition, one more is no surprise.
+                least = DOUBT if others.sum() < 2 else DOUBT / 2.0
+                new = part & (np.abs(found.log) > LEAST) & (found.doubt > least)
+                if np.array_equal(new, others) or 2 * new.sum() >= part.sum():
+                    break
+                others = new
+                found, level = factors_of(several, ~others)
+            aside |= others
+            columns[:, part] = np.array(astuple(found))[:, part]
         within = [bool((group & ~second).any()), bool((group & second).any())]
-        placing[within] = _placing_variance(own, level, lag[group & ~others])
-        every = (found.log, found.std, found.doubt, found.places)
-        columns[:, group] = np.array(every)[:, group]
+        placing[within] = _placing_variance(own, level, lag[group & ~aside])
     factors = Factors(*columns)
     spread = _spread(factors, ~aside & (factors.places > 0))
     return Agreement(apart, aside, factors, spread, lag, placing)
@@ -452,15 +461,52 @@ def _apart(rows: TripRows, second: BoolArray) -> float:
     return 0.5 * (sides[0] - sides[1]) if sides[0] * sides[1] < 0.0 else 0.0
 
 
-def _changed(found: Factors, new: BoolArray, group: BoolArray, order: IntArray) -> BoolArray:
-    """Trips after which all find the same: a change of the line, not a wrong label."""
-    trips = np.flatnonzero(group)[np.argsort(order[group], kind="stable")]
-    usual = np.flatnonzero(~new[trips])
-    last = trips[usual[-1] + 1 :] if usual.size else trips
-    changed = np.zeros(new.size, dtype=np.bool_)
-    if last.size >= LASTING and np.ptp(np.sign(found.log[last])) == 0.0:
-        changed[last] = np.abs(found.log[last]) < CHANGE
-    return changed
+def _periods(found: Factors, trips: IntArray, day: IntArray) -> list[IntArray]:
+    """Trips in order of time, divided where all later ones meet a changed line.
+
+    The likeliest division (Jackson et al. 2005, IEEE Signal Process. Lett. 12), each trip being of
+    another condition now and then. A period between two others, and one that begins with a rise, is
+    of two days or more: a single day is more likely labelled wrong.
+
+    Parameters
+    ----------
+    found : Factors
+    trips : (n,) int array
+        In order of time.
+    day : (trips,) int array
+    """
+    known = trips[(found.places[trips] > 0) & (found.std[trips] < 0.5 * PRIOR)]
+    size = known.size
+    if size < 3:
+        return [trips]
+    log, when = found.log[known], day[known]
+    usual = max(robust_std(np.diff(log)) / np.sqrt(2.0), ORDINARY)
+    std = np.hypot(found.std[known], usual)
+    far = np.abs(log - np.median(log)) > max(LEAST, 3.0 * usual)
+    strangers = (np.count_nonzero(np.diff(far, append=False)) / 2.0 + 1.0) / (size + STRANGERS)
+    away = log[:, None] - GRID
+    height = (1.0 - strangers) * np.exp(-0.5 * (away / std[:, None]) ** 2) / std[:, None]
+    height += strangers * np.exp(-0.5 * (away / PRIOR) ** 2) / PRIOR
+    total = np.vstack((np.zeros(GRID.size), np.cumsum(np.log(height), axis=0)))
+    best, begin = np.zeros(size + 1), np.zeros(size + 1, dtype=np.int64)
+    for end in range(1, size + 1):
+        levels = total[end] - total[:end]
+        value = best[:end] + levels.max(axis=1) - CHANGED * (np.arange(end) > 0)
+        value[(when[:end] == when[end - 1]) & (np.arange(end) > 0) & (end < size)] = -np.inf
+        begin[end] = int(np.argmax(value))
+        best[end] = value[begin[end]]
+    cuts = [size]
+    while cuts[0] > 0:
+        cuts.insert(0, int(begin[cuts[0]]))
+    if len(cuts) > 2 and when[cuts[-2]] == when[-1]:
+        before, after = (np.median(log[a:b]) for a, b in pairwise(cuts[-3:]))
+        cuts = cuts[:-2] + cuts[-1:] if after > before else cuts
+    # Latest trips that find less count for themselves until others contradict them.
+    last = log[cuts[-2] :]
+    ordinary = np.flatnonzero(last >= np.median(last) - LEAST)
+    if ordinary[-1] + 1 < last.size:
+        cuts.insert(-1, cuts[-2] + int(ordinary[-1]) + 1)
+    return np.split(trips, np.flatnonzero(np.isin(trips, known[cuts[1:-1]])))
 
 
 def _spread(found: Factors, chosen: BoolArray) -> float:

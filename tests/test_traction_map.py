@@ -320,6 +320,34 @@ class TestTripsThatDisagree:
             notes[0].startswith("set aside") for notes in notes_of(track).values() if notes
         )
 
+    @pytest.mark.parametrize(("before", "after"), [(1.0, 0.5), (0.5, 1.0)])
+    def test_a_lasting_change_of_any_size_is_followed_and_stated(self, before, after):
+        rail = Rail(7)
+        trips = [rail.trip(number, before if number < 9 else after) for number in range(14)]
+        track, _ = update(empty_map(WAY), trips)
+        assert not any(notes_of(track).values())
+        layer = track.layers["wet"]
+        assert rail.held(layer, after)[0] > 0.93
+        changed = max(layer.changes, key=lambda each: each.end - each.start)
+        assert changed.day == DAY + 9
+        assert changed.after / changed.before == pytest.approx(after / before, rel=0.15)
+
+    @pytest.mark.usefixtures("unestimated")
+    @pytest.mark.parametrize(("factors", "aside"), [
+        ([1.0] * 9 + [0.5], 0),
+        ([1.0] * 9 + [1.9], 1),
+        ([1.0] * 5 + [0.5] + [1.0] * 5, 1),
+        ([1.0] * 6 + [0.5] * 4 + [1.0] * 4, 0),
+    ])  # fmt: skip
+    def test_less_adhesion_counts_until_a_later_trip_contradicts(self, factors, aside):
+        rail = Rail(8)
+        track, _ = update(
+            empty_map(WAY), [rail.trip(number, each) for number, each in enumerate(factors)]
+        )
+        said = [note for notes in notes_of(track).values() for note in notes]
+        assert len(said) == aside
+        assert all(note.startswith("set aside") for note in said)
+
     def test_the_other_track_has_a_layer_of_its_own(self, tmp_path):
         rail = Rail(3)
         ways = {"forward": 1.0, "reverse": 0.7}

@@ -46,6 +46,7 @@ from trainlog.railway.condition import (
     layer_of,
 )
 from trainlog.railway.evidence import DailyEvidence, day_of
+from trainlog.units import DAY
 
 UNITS = {"length": "m", "slippery_length": "m", "spot_length": "m", "life": "days"}
 
@@ -225,6 +226,7 @@ class TripEvidence:
     direction : str
         ``"forward"`` or ``"reverse"``; empty: not known.
     start : int [ns since 1970 UTC]
+        -1: not known.
     evidence : DailyEvidence
     """
 
@@ -232,6 +234,12 @@ class TripEvidence:
     direction: str
     start: int
     evidence: DailyEvidence
+
+    @property
+    def time(self) -> int:
+        """Its start; where that is not known, the first day of its evidence [ns since 1970 UTC]."""
+        days = self.evidence.days
+        return self.start if self.start > 0 or not days.size else int(days[0]) * DAY
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,8 +290,8 @@ def reconciled(
     second = np.array([each.direction == DIRECTIONS[1] for each in dated], dtype=np.bool_)
     found = None
     if len(dated) > 1:
-        order = np.array([each.start for each in dated], dtype=np.int64)
-        found = agreement_of(_trip_rows(track, dated), second, order)
+        order = np.array([each.time for each in dated], dtype=np.int64)
+        found = agreement_of(_trip_rows(track, dated), second, order, order // DAY)
     agree = found is None or not (
         found.apart or found.spread or found.aside.any() or found.lag.any()
     )
