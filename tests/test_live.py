@@ -363,14 +363,24 @@ def test_a_growing_file_is_followed_through_rotation_and_cut_lines(tmp_path):
 
 def test_a_file_is_not_closed_while_a_slow_thread_reads_it(tmp_path, monkeypatch):
     path, failed = tmp_path / "recorder.jsonl", []
+    about_to_read, goes_on = threading.Event(), threading.Event()
     path.write_bytes(b"one\n")
+
+    class Slow(GrowingFile):
+        def _take(self) -> bytes | None:
+            if self._behind:
+                about_to_read.set()
+                goes_on.wait(PATIENCE)
+            return super()._take()
+
     monkeypatch.setattr(threading, "excepthook", failed.append)
-    with GrowingFile(path) as source:
+    with Slow(path) as source:
         assert source.read(PATIENCE) == [b"one\n"]
+        assert about_to_read.wait(PATIENCE)
         thread = source._thread
         monkeypatch.setattr(source, "_thread", SimpleNamespace(join=lambda _: None))
+    goes_on.set()
     thread.join(PATIENCE)
-    assert source.ended
     assert not failed
     assert source._file.closed
 
