@@ -172,8 +172,8 @@ def test_an_edge_has_one_map_by_whatever_it_is_written(edge, stem, earlier, tmp_
 def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path):
     update_network_map(sample("nonstop.mcap"), tmp_path / "maps")
     assert list(network_map(tmp_path / "maps").maps) == ["CH_StGallen_Wil"]
-    refused = update_network_map(sample("nonstop.mcap"), tmp_path / "other", network())
-    assert "has no edge 'CH_StGallen_Wil'" in refused.refused[0].reason
+    found = update_network_map(sample("nonstop.mcap"), tmp_path / "other", network())
+    assert "has no edge 'CH_StGallen_Wil'" in found.refused[0].reason
     with pytest.raises(InputError, match="differs from the 'cut' given"):
         update_network_map(
             sample("nonstop.mcap"), tmp_path / "other", replace(network(), source="else")
