@@ -572,6 +572,17 @@ def test_the_time_that_a_refusal_names_is_accepted():
     assert found.certificate["audit"]["lateness"] <= 1e-4
 
 
+def test_a_refusal_without_a_proof_names_a_time_and_remains_one(monkeypatch):
+    def not_found(*_: Any) -> None:
+        raise UnprovenError("no trajectory was found")
+
+    asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.1))
+    least = fastest_run(TrajectoryProblem(*asked)).times.max()
+    monkeypatch.setattr(optimiser, "_audited", not_found)
+    words = "no trajectory was found; allow at least 308 s"
+    refused(UnprovenError, words, optimised, *asked, running_time=1.0001 * least, cells=40)
+
+
 def test_limits_for_a_train_without_length_are_refused(tmp_path):
     content = json.loads(sample("CH_Stadler_FLIRT_TPF.train.json").read_text("utf-8"))
     del content["length"]

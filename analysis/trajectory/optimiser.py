@@ -564,7 +564,7 @@ def _with_time_to_allow(
     together = _time_together(run, fastest, cells)
     if not running_time < together < np.inf:
         return refusal
-    return InfeasibleError(
+    return type(refusal)(
         refusal.problem,
         file=refusal.file,
         place=refusal.place,

@@ -10,7 +10,8 @@ plan is a trajectory like any other, driven by the audit: where its energy is be
 the default plan came with, the bound was wrong. One that the time limit ends early counts, too.
 
 With --referee IPOPT solves the cells of the default plan as one nonlinear program (CasADi),
-from a start of its own: its energy is not below the bound either.
+from a start of its own. Its energy is not driven: it may be below the bound by the error of the
+cells' times, as for half a kilometre.
 
 With TIMES, the CSV of another run, the running times are taken from there: so the state of another
 checkout (PYTHONPATH) answers the same questions. Times are of the processor.
