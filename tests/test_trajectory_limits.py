@@ -88,6 +88,16 @@ def test_common_brakes_are_common_and_cost_no_less():
     assert common.certificate["energy"] >= own.certificate["energy"] * (1.0 - 1e-6)
 
 
+@pytest.mark.parametrize(
+    "line", [level_line(10_000.0, (0.0, 100.0), (4_000.0, 70.0)), hilly_line()]
+)
+def test_the_bound_is_close_where_one_brakes_for_others(line):
+    options = {"braking": "common", "final_speed": 10.0, "reserve": 0.1, "cells": 150}
+    found = optimised(line, FLIRT, observed(FLIRT, 0.97, 1.0, 1.03), **options).certificate
+    assert len(found["active"]) == 2
+    assert found["gap"] <= 5e-4
+
+
 @pytest.mark.usefixtures("unrenewed")
 def test_limits_and_power_are_kept_and_few_configurations_decide():
     """From standstill to standstill, the power at both ends of every cell."""
