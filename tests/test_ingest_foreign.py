@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from foreign_logs import FIX_2, IMU_2, START, ForeignLog, json_log
+from foreign_logs import FIX_2, IMU_2, START, ForeignLog, json_log, schema_text
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from ingest_logs import profile
@@ -21,29 +21,15 @@ from trainlog.mcap import DamageWarning, read_log, write_log
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 SECOND = 10**9
-LOG = """\
-builtin_interfaces/Time stamp
-uint8 level
-string name
-string msg
-"""
-TWIST = """\
-std_msgs/Header header
-geometry_msgs/Twist twist
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: geometry_msgs/Twist
-geometry_msgs/Vector3 linear
-geometry_msgs/Vector3 angular
-================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-"""
+LATE = -5 * SECOND
+LATE = -5 * SECOND
+LOG = "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
+TWIST = schema_text(
+    "std_msgs/Header header\ngeometry_msgs/Twist twist",
+    std_msgs__Header="builtin_interfaces/Time stamp\nstring frame_id",
+    geometry_msgs__Twist="geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    geometry_msgs__Vector3="float64 x\nfloat64 y\nfloat64 z",
+)
 
 
 def stamp(row, shift=0):
@@ -143,12 +129,7 @@ def test_a_profile_maps_any_field_by_path_and_unit(tmp_path):
 
 @pytest.mark.parametrize(
     ("column", "shift"),
-    [
-        ("log_time", 0),
-        ("publish_time", 1000),
-        ("stamp", -5 * SECOND),
-        ("header.stamp", -5 * SECOND),
-    ],
+    [("log_time", 0), ("publish_time", 1000), ("stamp", LATE), ("header.stamp", LATE)],
 )
 def test_time_can_be_that_of_the_log_or_of_the_message(tmp_path, column, shift):
     path = tmp_path / "fixes.mcap"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -19,7 +21,7 @@ from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, Profile, formats, ingest, profile_of, repairs_of, report_of
-from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions
+from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions, parse_profile
 from trainlog.ingest.registry import format_by_profile
 from trainlog.trip import Trip
 
@@ -133,8 +135,6 @@ def blocks(language: str, name: str) -> str:
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The package that docs/ingest.md shows, installed as pip would."""
-    import tomllib
-
     (tmp_path / "wayside_log.py").write_text(blocks("python", "wayside_log.py"), "utf-8")
     project = tomllib.loads(blocks("toml", "pyproject.toml"))["project"]
     entries = project["entry-points"]["trainlog.ingest"]
@@ -164,8 +164,6 @@ def test_the_pages_own_format_is_found_and_repaired(installed):
 
 def test_a_format_that_cannot_be_loaded_is_named(installed):
     (installed / "wayside_log.py").write_text("import nothing_of_that_name\n", "utf-8")
-    import sys
-
     sys.modules.pop("wayside_log", None)
     refused(InputError, "format 'wayside' cannot be loaded from wayside_log:WAY", formats)
 
@@ -204,10 +202,8 @@ def test_a_profile_of_the_users_folder_is_used_as_if_given(tmp_path, monkeypatch
     assert trip.provenance == given.provenance
     assert trip.attachments == given.attachments
     assert trip.provenance[0]["profile"] == "mine"
-    cm = []
-    for row in run.rows():
-        stamp, speed, _ = row.split(",")
-        cm.append(f"{stamp},{round(100 * float(speed))}")
+    parts = (row.split(",") for row in run.rows())
+    cm = [f"{stamp},{round(100 * float(speed))}" for stamp, speed, _ in parts]
     whole = ingest(write(tmp_path / "whole.csv", cm, f"t,{name}"))
     np.testing.assert_allclose(whole["/train/state"]["speed"], run.speed, atol=0.0051)
     with pytest.raises(InputError, match="no column of the speed; expected one called v or velo"):
@@ -233,8 +229,6 @@ def test_an_entry_point_may_name_a_profile(installed):
         f"WAYSIDE = parse_profile({mine.encode()!r}, file='mine.toml')\n",
         "utf-8",
     )
-    import sys
-
     sys.modules.pop("wayside_log", None)
     run = clean_run(50, 0.1)
     trip = ingest(write(installed / "run.csv", run.rows(), "t,v,s"))
@@ -271,8 +265,6 @@ kinds = { S = { type = ">u2", count = 2 }, X = { type = "nmea" } }
 
 
 def test_lines_of_a_recorder_of_ones_own(tmp_path):
-    from trainlog.ingest.profile import parse_profile
-
     profile = parse_profile(TAGGED.encode(), file="mine.toml")
     lines = [f"{100 * i},S,{7:04x}{360 + i:04x}" for i in range(50)]
     lines[9] = "900,S,0007"

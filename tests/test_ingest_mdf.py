@@ -37,11 +37,7 @@ def speed(seconds: np.ndarray) -> np.ndarray:
 
 
 def measured(
-    path: Path,
-    *,
-    version: str = "4.10",
-    groups: list[list[Any]] | None = None,
-    set_start: bool = True,
+    path: Path, *, version: str = "4.10", groups: Any = None, set_start: bool = True
 ) -> Path:
     from asammdf import MDF
 

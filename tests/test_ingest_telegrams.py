@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import dpkt
 import numpy as np
 import pandas as pd
 import pytest
@@ -175,8 +176,6 @@ def test_a_capture_gives_the_time_of_arrival(tmp_path):
 
 
 def test_captures_of_other_kinds_are_read_alike(tmp_path):
-    import dpkt
-
     run = clean_run(30, 0.5)
     packets = [(int(t), udp(each)) for t, each in zip(run.time, telegrams(run), strict=True)]
     bare = capture(tmp_path / "ip.pcap", [(at, each[14:]) for at, each in packets], link=101)

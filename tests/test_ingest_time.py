@@ -77,8 +77,7 @@ def lasting(rng: np.random.Generator, size: int, rate: float, std: float) -> np.
 
 def drive(line: str, rate: float, count: int, begin: float = BEGIN) -> Drive:
     """What a receiver gives of the trip, `rate` fixes a second, and when that was."""
-    rng = np.random.default_rng(5)
-    at, speed, position = motion(line)
+    rng, (at, speed, position) = np.random.default_rng(5), motion(line)
     seconds = begin + np.arange(count) / rate
     along = np.interp(seconds, at, position) + lasting(rng, count, rate, 2.0)
     along += rng.normal(0.0, 0.2, count)
@@ -100,10 +99,7 @@ def drive(line: str, rate: float, count: int, begin: float = BEGIN) -> Drive:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a recorder writes: file name, rows a second, and the text of a drive.
-
-    The text is of what the receiver gives, and of the distance that wheels count [m].
-    """
+    """How a recorder writes a drive, and the distance that wheels count [m]."""
 
     name: str
     rate: float
@@ -174,18 +170,9 @@ class Case:
 
 
 def recorded(
-    folder: Path,
-    line: str,
-    layout: Layout,
-    step: str | None,
-    *,
-    count: float = 400.0,
-    lost: int = 0,
+    folder: Path, line: str, layout: Layout, step: str | None, *, count: float, lost: int = 0
 ) -> Case:
-    """Write a recording of `count` seconds whose clock was set after a third of it.
-
-    Halfway `lost` seconds are not recorded.
-    """
+    """Of `count` seconds, halfway `lost` not recorded; the clock was set after a third of it."""
     rows = int(count * layout.rate)
     run = drive(line, layout.rate, rows)
     middle = np.arange(rows) - rows // 2

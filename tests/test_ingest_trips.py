@@ -17,10 +17,11 @@ from contents import put
 from killed import PATIENCE
 from recorder_files import drive, gpx, gpx_text
 from refusals import refused
+from simulated_line import level_line
 
-from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, read, read_line, read_train, sample
+from trainlog import DEFAULT_TRAIN, read, read_train, sample
 from trainlog.errors import InputError
-from trainlog.ingest import Ingested, ingest, ingest_all, propose_profile, report_of
+from trainlog.ingest import Ingested, batch, ingest, ingest_all, propose_profile, report_of
 from trainlog.ingest.batch import files_of
 from trainlog.ingest.matching import gradients_in, placed
 from trainlog.ingest.motion import SURE
@@ -170,22 +171,11 @@ STATIONS = (500.0, 3600.0, 7900.0, 10_300.0)
 
 def railway(length: float = 11_000.0, *, level: bool = False) -> Line:
     """A line of four stations that lie otherwise from its other end, rising and falling."""
-    base = read_line(sample(DEFAULT_LINE))
     slopes = [0.0, 0.0] if level else [0.004, -0.009, 0.012, -0.002, 0.007]
     places = np.linspace(0.0, length, len(slopes), endpoint=False)
-    return replace(
-        base,
-        name="valley",
-        length=length,
-        stations=tuple(Station(f"S{number}", at) for number, at in enumerate(STATIONS)),
-        gradients=StepProfile(places, np.array(slopes)),
-        speed_limits=StepProfile(np.array([0.0]), np.array([40.0])),
-        curvatures=None,
-        reference=None,
-        survey=None,
-        tunnels=(),
-        geometry=None,
-    )
+    stations = tuple(Station(f"S{number}", at) for number, at in enumerate(STATIONS))
+    gradients = StepProfile(places, np.array(slopes))
+    return level_line(length, limit=40.0, name="valley", stations=stations, gradients=gradients)
 
 
 def test_a_counter_that_starts_elsewhere_is_placed_by_the_stops_of_each_trip(tmp_path):
@@ -401,8 +391,6 @@ def test_of_a_file_with_several_recordings_each_is_listed(tmp_path):
 
 
 def test_a_reader_that_breaks_stops_no_other_file(campaign, tmp_path, monkeypatch):
-    from trainlog.ingest import batch
-
     usual = batch.ingested
 
     def broken(path: Path, given: object) -> object:

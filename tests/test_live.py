@@ -54,12 +54,7 @@ def recorded(path: Path, data: list[bytes], profile: Path | None = None) -> tupl
     return trainlog.read(path), live
 
 
-MALFORMED = (
-    b"12;34",
-    b"\xff\xfe\x00garbage",
-    b'{"topic": "/train/state", "speed"',
-    b"$GPRMC,12*00",
-)
+MALFORMED = b"12;34", b"\xff\xfe\x00garbage", b'{"topic": "/train/state", "speed"', b"$GPRMC,12*00"
 """What is sent between the lines of a file, one after each 250 of them."""
 
 

@@ -20,6 +20,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros1.decoder import DecoderFactory as Ros1DecoderFactory
 from mcap_ros1.writer import Writer as Ros1Writer
+from mcap_ros2.decoder import DecoderFactory
 from refusals import refused
 
 from trainlog.errors import InputError, LogError
@@ -197,8 +198,6 @@ def test_no_mcap_file_and_no_such_topic(tmp_path):
 
 @pytest.mark.skipif(not SHARED.exists(), reason="the shared data is not here")
 def test_the_files_that_rosbag2_wrote_read_as_the_official_decoder_reads_them():
-    from mcap_ros2.decoder import DecoderFactory
-
     compared = 0
     for path in SHARED.glob("*.mcap"):
         frames = frames_of(path).frames

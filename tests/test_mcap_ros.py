@@ -5,6 +5,7 @@ import struct
 import pytest
 from foreign_logs import FIX_1, FIX_2, cdr, schema_text
 from hypothesis import given, settings, strategies as st
+from mcap_ros2._dynamic import serialize_dynamic
 from refusals import refused
 
 from trainlog.mcap.foreign import (
@@ -53,17 +54,13 @@ def ros_fields(draw):
 
 
 def written(lines, values):
-    from mcap_ros2._dynamic import serialize_dynamic
-
-    given_values = {}
+    given_values = dict(values)
     for line, (name, value) in zip(lines, values.items(), strict=True):
         if value is BYTES:
-            value = [1, 2, 3, 4, 5]
+            given_values[name] = [1, 2, 3, 4, 5]
         elif value is LONG_ARRAY:
-            value = ["" if line.startswith("string") else 0] * 70
-        given_values[name] = value
-    text = "\n".join(lines)
-    return serialize_dynamic("p/msg/Thing", text)["p/msg/Thing"](given_values)
+            given_values[name] = ["" if line.startswith("string") else 0] * 70
+    return serialize_dynamic("p/msg/Thing", "\n".join(lines))["p/msg/Thing"](given_values)
 
 
 @settings(max_examples=15)

@@ -169,6 +169,9 @@ def with_field(place: int, /, **values: object) -> Callable[[Any], None]:
     return change
 
 
+TEXT = FieldDescriptorProto.TYPE_STRING
+
+
 def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path):
     axles, nan = message_class(TRAIN_AXLES), np.nan
     first = [
@@ -267,12 +270,7 @@ def test_fields_are_found_by_name_not_by_number_and_numbers_of_any_kind_are_read
         (descriptor_set(TRAIN_STATE), b"\xff", {}, "not a trainlog.TrainState"),
         (b"\xff\xff", b"", {}, "not a protobuf descriptor"),
         (descriptor_set(TRAIN_AXLES), b"", {}, "does not declare"),
-        (
-            edited(with_field(0, type=FieldDescriptorProto.TYPE_STRING)),
-            b"\x0a\x01x",
-            {},
-            "do not have the fields",
-        ),
+        (edited(with_field(0, type=TEXT)), b"\x0a\x01x", {}, "do not have the fields"),
         (edited(with_field(0, number=2)), b"", {}, "schema of /train/state cannot be used"),
         (edited(with_field(0, number=-1)), b"", {}, "schema of /train/state cannot be used"),
         (descriptor_set(TRAIN_STATE), b"", {"unit.speed": "km/h"}, "in 'km/h', not in 'm/s'"),
@@ -550,16 +548,8 @@ COLUMNS = {
 KEPT_START = 1_735_689_600 * 10**9
 """2025-01-01T00:00:00Z"""
 
-KEPT_METADATA = {
-    "trip": "kept 1",
-    "train": "FLIRT",
-    "line": "St.Gallen–Wil",
-    "direction": "reverse",
-}
-KEPT_PROVENANCE = (
-    {"step": "written by hand", "inputs": {"a": "00"}},
-    {"step": "second", "count": 2},
-)
+KEPT = {"trip": "kept 1", "train": "FLIRT", "line": "St.Gallen–Wil", "direction": "reverse"}
+KEPT_STEPS = {"step": "written by hand", "inputs": {"a": "00"}}, {"step": "second", "count": 2}
 KEPT_ATTACHMENTS = {"line.json": b'{"kept": true}', "train.json": b"{}"}
 
 
@@ -584,7 +574,7 @@ def kept_trip() -> Trip:
         times = KEPT_START + np.array([0, 1, 2, 3, 4, 4]) * 500_000_000 + topic
         kept = {column: np.array(data[column]) for column in columns.split()}
         frames[name] = frame_of(TOPICS[name], times, kept)
-    return Trip(frames, KEPT_METADATA, KEPT_PROVENANCE, KEPT_ATTACHMENTS)
+    return Trip(frames, KEPT, KEPT_STEPS, KEPT_ATTACHMENTS)
 
 
 def test_fields_keep_their_numbers(kept):

@@ -14,9 +14,13 @@ from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 from refusals import refused
 
 import trainlog
+from analysis.fleet.analyses import adhesion
+from analysis.network.edges import edge_line, trips_on_edges
+from analysis.view import TripView
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.railway import (
+    line_of,
     line_to_bytes,
     network_from_bytes,
     read_line,
@@ -311,9 +315,6 @@ def cut_network(west: Edge) -> Network:
 
 
 def test_evidence_counts_for_the_condition_of_each_edge(tmp_path):
-    from analysis.fleet.analyses import adhesion
-    from analysis.view import TripView
-
     west = WHOLE.section(10_000.0, WHOLE.length)
     network = cut_network(Edge("west", west, "Mid", "West"))
     trip = trainlog.read(sample("stopping.mcap"))
@@ -330,9 +331,6 @@ def test_evidence_counts_for_the_condition_of_each_edge(tmp_path):
 
 
 def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path):
-    from analysis.network.edges import edge_line, trips_on_edges
-    from trainlog.formats.railway import line_of
-
     # The second edge is travelled against its chainage.
     west = WHOLE.section(10_000.0, WHOLE.length).reversed()
     network = cut_network(Edge("west", west, "West", "Mid"))

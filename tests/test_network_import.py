@@ -263,9 +263,8 @@ def test_what_a_network_does_not_hold_of_osrd_may_be_of_any_kind(tmp_path):
     named = point("x", "a", 400.0) | {"extensions": {"identifier": True}}
     found = read_small(tmp_path, routes=-5.5, signals=None, operational_points=[named])
     assert found.left_out == ["routes of the interlocking: 1"]
-    assert [station.name for edge in found.networks[0].edges for station in edge.line.stations] == [
-        "x"
-    ]
+    edges = found.networks[0].edges
+    assert [station.name for edge in edges for station in edge.line.stations] == ["x"]
 
 
 @pytest.mark.parametrize(
@@ -306,10 +305,8 @@ def test_kilometres_of_railml_that_do_not_fit_their_track_are_stated(tmp_path):
     words = "tracks whose kilometres do not fit their length, as stated: 1"
     assert words not in railml(RAILML_2, tmp_path).assumed
     for stated, wrong in (("16200.0", "1000000.0"), ("12000.0", "-500.0")):
-        assert (
-            words
-            in railml(RAILML_2.replace(f'absPos="{stated}"', f'absPos="{wrong}"'), tmp_path).assumed
-        )
+        text = RAILML_2.replace(f'absPos="{stated}"', f'absPos="{wrong}"')
+        assert words in railml(text, tmp_path).assumed
 
 
 def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(tmp_path):

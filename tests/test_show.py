@@ -64,14 +64,8 @@ def test_a_table_of_a_recorder_is_shown_as_ingest_reads_it(above, encoding, tmp_
 
 WRONG = {
     "empty": (b"", "is empty"),
-    "prose": (
-        b"Dear all,\nthe train was late.\n",
-        "is text of no format that trainlog knows; give",
-    ),
-    "cut line": (
-        b'{"format": "trainlog/line", "version": 1, "na',
-        "ends in the middle: truncated?",
-    ),
+    "prose": (b"Dear all,\nit was late.\n", "is text of no format that trainlog knows; give"),
+    "cut": (b'{"format": "trainlog/line", "version": 1, "na', "ends in the middle: truncated?"),
     "unknown": (b"\x00\x01\x02\x03" * 50, "is of no format that trainlog knows; it begins with"),
     "replay": (b"RRF2" + bytes(100), "is a recording of the Rerun viewer; show what"),
     "report": (b"<!DOCTYPE html>\n<html>", "is a web page, such as a report; open it in a browser"),
@@ -152,11 +146,8 @@ def test_a_damaged_log_is_shown_and_ends_with_1(share, tmp_path, shell):
     assert shell("show", whole, whole)[0] == 0
     for words in (cut, tmp_path / "logs"):
         status, shown, complaint = shell("show", words, "-q")
-        assert (status, shown, complaint.count("\n")) == (
-            2 if words == cut and not readable else 1,
-            "",
-            1,
-        )
+        expected = 2 if words == cut and not readable else 1
+        assert (status, shown, complaint.count("\n")) == (expected, "", 1)
         assert str(cut) in complaint
 
 

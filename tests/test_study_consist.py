@@ -40,14 +40,8 @@ def run() -> study.ConsistRun:
 
 
 def test_the_train_starts_brakes_halts_and_brakes_in_an_emergency(run):
-    assert [name for _, name in run.phases] == [
-        "start and run",
-        "full service braking",
-        "halt",
-        "start again",
-        "emergency braking",
-        "end",
-    ]
+    names = "start and run, full service braking, halt, start again, emergency braking, end"
+    assert [name for _, name in run.phases] == names.split(", ")
     # It keeps the speed and gains on the descent what 4.5 m of height give at most.
     assert 14.0 < run.speeds.max() < np.sqrt(15.0**2 + 2.0 * 9.81 * 4.5)
     for name in ("halt", "end"):
@@ -120,12 +114,8 @@ def test_energy_is_accounted_for(count, nonlinearity, slack, demands):
     before = plant.energy(state)
     for share, pulls, seconds in demands:
         effort = share * 40_000.0 * count
-        plant.advance(
-            state,
-            min(effort, 31_250.0 * count) if pulls else 0.0,
-            0.0 if pulls else effort,
-            round(seconds / step),
-        )
+        traction = min(effort, 31_250.0 * count) if pulls else 0.0
+        plant.advance(state, traction, 0.0 if pulls else effort, round(seconds / step))
     assert residual(plant, state, before) <= 1e-9
 
 

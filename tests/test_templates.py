@@ -126,20 +126,13 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
 
 def test_a_table_whose_kilometres_fall(tmp_path):
     """The same rows with rising and with falling kilometres give the same line."""
-    rising, falling = (
-        read_line_table(
-            put(
-                tmp_path / f"{name}.csv",
-                [
-                    "km;gradient [permil];limit [km/h];station;radius [m]",
-                    *(f"{km};{rest}" for km, rest in zip(kilometres, rows, strict=True)),
-                ],
-            ),
-            name="A-B",
-        )
-        for rows in [["0;60;A;", ";80;;500", "-25;;;0", ";50;B;"]]
-        for name, kilometres in (("up", (200, 201, 203, 204)), ("down", (204, 203, 201, 200)))
-    )
+    rows, made = ("0;60;A;", ";80;;500", "-25;;;0", ";50;B;"), []
+    for kilometres in ((200, 201, 203, 204), (204, 203, 201, 200)):
+        cells = [f"{km};{rest}" for km, rest in zip(kilometres, rows, strict=True)]
+        head = "km;gradient [permil];limit [km/h];station;radius [m]"
+        path = put(tmp_path / "table.csv", [head, *cells])
+        made.append(read_line_table(path, name="A-B"))
+    rising, falling = made
     assert falling.length == 4_000.0
     assert falling.kilometre([0.0, 1_000.0, 4_000.0]).tolist() == [204e3, 203e3, 200e3]
     at = np.linspace(0.0, 4_000.0, 41)

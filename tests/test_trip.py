@@ -36,9 +36,6 @@ def test_columns_of_axles_are_numbered_from_one():
     assert column_field(TRAIN_AXLES, "wheel_speed_12").unit == "m/s"
     for wrong in ("wheel_speed", "wheel_speed_0", "wheel_speed_x", "speed"):
         refused(KeyError, "", column_field, TRAIN_AXLES, wrong)
-
-
-def test_frames_refuse_columns_that_the_topic_does_not_have():
     refused(KeyError, "", frame_of, TRAIN_STATE, [0], {"velocity": [1.0]})
 
 
