@@ -166,6 +166,9 @@ def test_a_format_that_cannot_be_loaded_is_named(installed):
     (installed / "wayside_log.py").write_text("import nothing_of_that_name\n", "utf-8")
     sys.modules.pop("wayside_log", None)
     refused(InputError, "format 'wayside' cannot be loaded from wayside_log:WAY", formats)
+    other = profile_of({**PLAIN, "file": {"format": "ublox"}})
+    said = "'plain': no general format 'ublox'; formats: gpx"
+    refused(InputError, said, format_by_profile, "mine", other)
 
 
 MINE = """
@@ -214,12 +217,6 @@ def test_a_profile_of_the_users_folder_is_used_as_if_given(tmp_path, monkeypatch
     monkeypatch.setenv("TRAINLOG_PROFILES", str(tmp_path / "absent"))
     formats.cache_clear()
     refused(InputError, r"absent: is not a folder; set TRAINLOG_PROFILES to", ingest, path)
-
-
-def test_a_profile_needs_a_general_format():
-    content = {**PLAIN, "file": {"format": "ublox"}}
-    with pytest.raises(InputError, match="'plain': no general format 'ublox'; formats: gpx"):
-        format_by_profile("mine", profile_of(content))
 
 
 def test_an_entry_point_may_name_a_profile(installed):

@@ -160,15 +160,12 @@ def test_hex_lines_with_nmea_alone(tmp_path):
     assert np.abs(late).max() < 1_000_000
 
 
-def test_hex_lines_without_a_time_are_refused(tmp_path):
+def test_hex_lines_without_a_time_or_of_a_restarted_logger_are_refused(tmp_path):
     lines = [line for line in hexlines(1).text.splitlines() if ",I," in line]
     refused(InputError, r"no message gives the time.*NAV-PVT", read, tmp_path, lines)
     run = drive(9, 1.0)
     void = [f"{since_start(10**9 * i)},U,{nav_pvt(run, i, valid=False).hex()}" for i in range(9)]
     refused(InputError, "no message gives the time", read, tmp_path, lines + void)
-
-
-def test_a_logger_that_was_restarted_is_refused(tmp_path):
     run = drive(300, 1.0)
     lines = [f"{since_start(10**9 * (i % 150 + 5))},U,{nav_pvt(run, i).hex()}" for i in range(300)]
     refused(InputError, r"clock was restarted: .* split the file", read, tmp_path, lines)

@@ -154,12 +154,17 @@ def test_what_lies_off_the_network_is_left_out_and_counted(tmp_path):
     assert trip.start - BEGUN > pd.Timedelta(minutes=2)
 
 
-def test_fixes_elsewhere_and_too_few_of_them_are_refused(tmp_path):
+def test_fixes_elsewhere_too_few_live_or_without_geometries_are_refused(tmp_path):
     fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
     away = replace(fixes, points=fixes.points + 40_000j)
     refused(InputError, "lie more than 150 m from network 'drawn'", ingested, tmp_path, away, Y)
     few = np.where(np.arange(fixes.points.size) % 250 == 0, fixes.points, np.nan)
     refused(InputError, "too few fixes", ingested, tmp_path, replace(fixes, points=few), Y)
+    said = r"no edge of network 'drawn' has a geometry.*--stations"
+    refused(InputError, said, ingested, tmp_path, fixes, without_course(Y))
+    given, options = Given(network=NetworkRoutes(Y)), LiveOptions()
+    said = "found when a trip is over"
+    refused(InputError, said, LiveIngest.begun, tmp_path / "x.mcap", given, options)
 
 
 def test_a_way_that_the_turns_forbid_is_refused(tmp_path):
@@ -167,12 +172,6 @@ def test_a_way_that_the_turns_forbid_is_refused(tmp_path):
     fixes = drive(open_turns.route("B", "J", "C"), GPX, np.random.default_rng(8))
     with pytest.raises(InputError, match=r"follow a route that its turns allow|no trip"):
         list(ingest_each(write_gpx(tmp_path / "b.gpx", fixes), network=Y))
-
-
-def test_a_network_without_geometry_asks_for_stations(tmp_path):
-    fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
-    with pytest.raises(InputError, match=r"no edge of network 'drawn' has a geometry.*--stations"):
-        ingested(tmp_path, fixes, without_course(Y))
 
 
 CHAIN = network_of(
@@ -281,11 +280,6 @@ def test_the_command_takes_a_network_as_such_or_as_a_line(tmp_path, shell, works
     code, _, shown = shell(*words, *both)
     assert code == 2
     assert "a network and a direction are given" in shown
-
-
-def test_live_a_network_is_refused(tmp_path):
-    with pytest.raises(InputError, match="found when a trip is over"):
-        LiveIngest.begun(tmp_path / "x.mcap", Given(network=NetworkRoutes(Y)), LiveOptions())
 
 
 def with_stations(network: Network, places: dict[str, list[tuple[str, float]]]) -> Network:

@@ -85,14 +85,7 @@ def test_the_reversed_line_is_the_same_line(position):
     assert other.altitudes(there) == pytest.approx(LINE.altitudes(position))
 
 
-@pytest.mark.parametrize(
-    "curve", [(1.2, 0.54, 1.0, 1.0), (0.5, 1.2, 1.0, 0.9), (-0.1, 1.0, 1.0, 1.0)]
-)
-def test_curves_that_do_not_rise_from_zero_are_refused(curve):
-    refused(InputError, "creep curve", CreepCurve, *curve)
-
-
-def test_nonsensical_lines_are_refused_with_the_place():
+def test_nonsensical_lines_and_trains_are_refused_with_the_place():
     line = partial(level_line, 1000.0)
     for words, changes in (
         (
@@ -112,8 +105,9 @@ def test_nonsensical_lines_are_refused_with_the_place():
     said = r"values\[2\]: position 5 m follows 10 m; positions must increase"
     refused(InputError, said, StepProfile, np.array([0.0, 10.0, 5.0]), np.zeros(3))
     refused(InputError, "finite", StepProfile, np.array([0.0]), np.array([np.nan]))
-
-
-def test_a_configuration_with_negative_resistance_is_refused():
-    with pytest.raises(InputError, match="running resistance is negative at"):
-        Configuration("c", 1e5, 1e4, RunningResistance(1000.0, -200.0, 0.1), 1e6)
+    # Curves that do not rise from zero, and resistance that is negative at some speed.
+    for curve in ((1.2, 0.54, 1.0, 1.0), (0.5, 1.2, 1.0, 0.9), (-0.1, 1.0, 1.0, 1.0)):
+        refused(InputError, "creep curve", CreepCurve, *curve)
+    negative = RunningResistance(1000.0, -200.0, 0.1)
+    said = "running resistance is negative at"
+    refused(InputError, said, Configuration, "c", 1e5, 1e4, negative, 1e6)

@@ -188,12 +188,6 @@ def test_what_cannot_be_joined_is_named(columns, on, error, said):
     refused(error, said, joined, trip, columns, on, max_gap=None)
 
 
-def test_a_clock_of_a_slipped_unit_is_refused():
-    start = pd.Timestamp("2025-01-01", tz="UTC")
-    with pytest.raises(InputError, match=r"steps of 1e-09 s has 3,600,000,000,000 instants"):
-        regular_clock(start, start + pd.Timedelta(hours=1), 1e-9)
-
-
 def two_topics() -> Trip:
     both = state([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]), controls([0.0, 2.0], [0.0, 1.0])
     return Trip({frame.attrs["topic"]: frame for frame in both})
@@ -275,12 +269,15 @@ def test_a_plan_is_passed_as_constant_effort_moves_a_train():
     assert found.covered == (0.0, 1000.0)
 
 
-def test_grids_that_cannot_be_are_refused():
+def test_grids_and_clocks_that_cannot_be_are_refused():
     refused(InputError, "no trip has a position", grid_over, [curve(np.empty(0), np.empty(0))])
     refused(InputError, "steps of 0 m", grid_over, [curve(np.array([0.0]), np.array([0.0]))], 0.0)
     one = on_grid(curve(np.array([0.0, 1.0]), np.array([0.0, 10.0])), np.array([0.0, 10.0]))
-    with pytest.raises(InputError, match="different grids"):
-        difference(one, on_grid(curve(np.array([0.0]), np.array([0.0])), np.array([0.0])))
+    other = on_grid(curve(np.array([0.0]), np.array([0.0])), np.array([0.0]))
+    refused(InputError, "different grids", difference, one, other)
+    hour = pd.Timestamp("2025-01-01T00Z"), pd.Timestamp("2025-01-01T01Z")
+    said = r"steps of 1e-09 s has 3,600,000,000,000 instants"
+    refused(InputError, said, regular_clock, *hour, 1e-9)
 
 
 LENGTH, CELLS = 4_000.0, 800

@@ -432,13 +432,18 @@ def test_nearest_physical_resistance(r0, r1, r2):
         assert distance <= (other - beta) @ weight @ (other - beta) * (1.0 + 1e-9)
 
 
-def test_what_cannot_be_combined_is_refused():
+def test_what_cannot_be_fitted_or_combined_is_refused():
     covariance = covariance_of((50.0, 50.0, 50.0))
     one = fit_of("a", TRUE, covariance)
     other = fit_of("b", TRUE, covariance, train="other")
     refused(NotIdentifiableError, "no trip", combine, [])
     refused(InputError, "given twice", combine, [one, one])
     refused(InputError, "different trains: other, unit", combine, [one, other])
+    made = trip()
+    refused(LogError, "has no line", fit_trip, replace(made, attachments={}))
+    state = made["/train/state"]
+    backwards = state.iloc[np.r_[0:100, 50 : len(state)]]
+    refused(LogError, "time does not increase", fit_trip, made.with_topic(backwards))
 
 
 @pytest.mark.usefixtures("unpainted")
@@ -530,14 +535,6 @@ def test_options_that_state_nothing_are_refused():
     for (name, words), values in cases.items():
         for value in values:
             refused(InputError, words, fit, sample("nonstop.mcap"), **{name: value})
-
-
-def test_logs_that_cannot_be_fitted_are_refused():
-    made = trip()
-    refused(LogError, "has no line", fit_trip, replace(made, attachments={}))
-    state = made["/train/state"]
-    backwards = state.iloc[np.r_[0:100, 50 : len(state)]]
-    refused(LogError, "time does not increase", fit_trip, made.with_topic(backwards))
 
 
 DIRECTIONS = np.random.default_rng(99).standard_normal((400, 4))
@@ -690,8 +687,8 @@ def test_what_is_no_file_of_summaries_is_refused(tmp_path):
     refused(InputError, "not a trainlog/summaries file", read_summaries, path)
     refused(InputError, "does not exist", read_summaries, tmp_path / "missing.parquet")
     refused(InputError, "lacks column 'mass'", write_summaries, rows().drop(columns="mass"), path)
-    with pytest.raises(InputError, match="unknown column 'weather'"):
-        write_summaries(rows().assign(weather="wet"), path)
+    other = rows().assign(weather="wet")
+    refused(InputError, "unknown column 'weather'", write_summaries, other, path)
 
 
 @pytest.mark.parametrize(
@@ -701,10 +698,10 @@ def test_what_is_no_file_of_summaries_is_refused(tmp_path):
 def test_a_row_that_would_spoil_all_trips_is_refused(column, value, tmp_path):
     bad = rows()
     bad.loc[3, column] = value
-    with pytest.raises(InputError, match="'trip-003': numbers that no fit gives"):
-        write_summaries(bad, tmp_path / "bad.parquet")
+    said = "'trip-003': numbers that no fit gives"
+    refused(InputError, said, write_summaries, bad, tmp_path / "bad.parquet")
     for together in (combine, parameter_set, fleet_resistance):
-        refused(InputError, "'trip-003': numbers that no fit gives", together, bad)
+        refused(InputError, said, together, bad)
 
 
 def test_a_damaged_file_is_refused(tmp_path):

@@ -286,7 +286,7 @@ def test_reports_of_a_train_are_a_recording(tmp_path, found):
     assert trip.metadata["line"] == found.line.name
 
 
-def test_reports_of_others_and_broken_ones_are_counted(tmp_path, found):
+def test_reports_of_others_and_broken_ones_are_counted_and_put_on_no_other_line(tmp_path, found):
     archive = reports_of(found, tmp_path)
     time = datetime.datetime(2026, 5, 17, 6, 31, tzinfo=datetime.UTC)
     message = xml_of(
@@ -301,9 +301,5 @@ def test_reports_of_others_and_broken_ones_are_counted(tmp_path, found):
     assert "reports of other trains (1)" in stated
     assert "reports by another version than 3 (1)" in stated
     assert trip.metadata["repair.damaged_messages"] == "1"
-
-
-def test_reports_are_not_put_on_another_line(tmp_path, found):
     other = read_line("sample_logs/CH_StGallen_Wil.line.json")
-    archive = reports_of(found, tmp_path)
     refused(InputError, "count along the journey's line 'Amstad - d'", ingest, archive, line=other)

@@ -331,11 +331,6 @@ def test_impossible_stops_are_refused(stops, message):
     refused(InputError, message, TimetableDriver, hilly_line(), flirt(), stops)
 
 
-def test_a_train_that_cannot_brake_is_not_driven():
-    train = replace(flirt(), max_dynamic_braking_effort=0.0, max_pneumatic_braking_effort=0.0)
-    refused(InputError, "has no brake", draw_scenarios, hilly_line(), train, count=1)
-
-
 @cache
 def drawn() -> tuple[Scenario, ...]:
     return tuple(draw_scenarios(hilly_line(), flirt(), count=12, seed=1))
@@ -377,8 +372,12 @@ def test_slippery_places_stay_from_trip_to_trip():
 
 def test_bad_wishes_are_refused():
     refused(InputError, "cannot draw 0", draw_scenarios, hilly_line(), flirt(), count=0)
-    with pytest.raises(InputError, match="fewer than two stations"):
-        draw_scenarios(replace(hilly_line(), stations=()), flirt())
+    bare = replace(hilly_line(), stations=())
+    refused(InputError, "fewer than two stations", draw_scenarios, bare, flirt())
+    train = replace(flirt(), max_dynamic_braking_effort=0.0, max_pneumatic_braking_effort=0.0)
+    refused(InputError, "has no brake", draw_scenarios, hilly_line(), train, count=1)
+    for rate in (5, 15, 30, 400):
+        refused(InputError, f"rate {rate} Hz", Sensors, rate=rate)
     refused(InputError, "direction 'up' is unknown", replace, drawn()[0], direction="up")
 
 
@@ -461,8 +460,3 @@ def test_gnss_noise_rates_and_outages():
     assert np.std(motion.speed - speed[0]) == pytest.approx(0.083, rel=0.15)
     reported = np.sqrt(np.mean(fix.horizontal_accuracy**2))
     assert np.std(np.concatenate((north, east))) == pytest.approx(reported, rel=0.25)
-
-
-@pytest.mark.parametrize("rate", [5, 15, 30, 400])
-def test_impossible_rates_are_refused(rate):
-    refused(InputError, f"rate {rate} Hz", Sensors, rate=rate)

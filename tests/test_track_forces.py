@@ -94,12 +94,9 @@ def test_curve_resistance_is_that_of_the_formula_in_plan_and_simulation(formula,
         assert along / FLIRT.mass == pytest.approx(line.track_acceleration(at), abs=1e-7)
 
 
-def test_a_formula_outside_its_radii_is_refused():
+def test_files_state_the_choices_and_leave_the_defaults_out():
     refused(InputError, "does not hold for the radius of 50 m at km", curved, 50.0)
     refused(InputError, "no such curve_resistance", curved, 400.0, formula="roeckel")
-
-
-def test_files_state_the_choices_and_leave_the_defaults_out():
     for formula in ("roeckl", "proportional"):
         line = replace(WIL, curve_resistance=formula)
         again = line_from_bytes(line_to_bytes(line))

@@ -45,6 +45,8 @@ def test_a_missing_topic_is_named_with_those_present():
         trip["/gnss/fix"]
     with pytest.raises(LogError, match="has no samples"):
         _ = Trip({}).start
+    trip = Trip({EVENTS.name: frame_of(EVENTS, [START], {})}, {"trip": "t7"})
+    refused(LogError, r"t7.*does not know where.*slice it by time", trip.within, 0, 1)
 
 
 def test_trips_are_equal_by_metadata_and_samples():
@@ -134,11 +136,6 @@ def test_the_smoothed_position_counts_where_there_is_one():
     assert messages(trip.with_topic(smoothed).within(100, 104)) == ["0 s"]
     unknown = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"speed": [1.0, 1.0]})
     assert messages(trip.with_topic(unknown).within(0, 4)) == ["0 s"]
-
-
-def test_a_trip_without_position_is_refused():
-    trip = Trip({EVENTS.name: frame_of(EVENTS, [START], {})}, {"trip": "t7"})
-    refused(LogError, r"t7.*does not know where.*slice it by time", trip.within, 0, 1)
 
 
 @pytest.mark.parametrize("limits", [(2, 1), (np.nan, 1), (0, np.nan), ("km 1", 2)])
