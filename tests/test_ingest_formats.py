@@ -16,11 +16,11 @@ import pyarrow.parquet
 import pytest
 from contents import put
 from hypothesis import given, settings, strategies as st
-from ingest_logs import PLAIN, clean_run, plain_profile, plain_rows, plain_text, write
+from ingest_logs import PLAIN, clean_run, plain_profile, plain_text, write
 from refusals import refused
 
 from trainlog.errors import InputError
-from trainlog.ingest import RULES, Profile, formats, ingest, profile_of, repairs_of, report_of
+from trainlog.ingest import RULES, Profile, formats, ingest, profile_of, report_of
 from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions, parse_profile
 from trainlog.ingest.registry import format_by_profile
 from trainlog.trip import Trip
@@ -115,14 +115,6 @@ def test_rows_are_counted_as_an_editor_counts_them(tmp_path):
     lines_of_file = path.read_text("utf-8").splitlines()
     assert lines_of_file[found["not_a_number"][0] - 1] == rows[4]
     assert lines_of_file[found["truncated_rows"][0] - 1] == rows[8].split(",")[0]
-
-
-def test_a_stray_quotation_mark_costs_its_cell_only(tmp_path):
-    rows = clean_run(40, 1.0).rows()
-    rows[10] = rows[10].replace(",", ',"', 1)
-    report = report_of(ingest(write(tmp_path / "run.csv", rows), profile=plain_profile()))
-    assert report.rows_kept == 40
-    assert report.counts == {"not_a_number": 1}
 
 
 def blocks(language: str, name: str) -> str:
@@ -315,49 +307,3 @@ def test_empty_cells_at_the_end_make_no_difference(tmp_path, data):
     assert (report.rows_read, report.rows_kept) == (60, 60)
     np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
-
-
-def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path):
-    """All rows end in empty cells: one that does not was cut off, and its last value with it."""
-    rows = [f"{row},,," for row in plain_rows(100)]
-    whole = rows[40]
-    rows[40] = whole.rstrip(",")[:-2]
-    trip = read(tmp_path, rows, "t,v,s,,,")
-    assert report_of(trip).lines()[:2] == [
-        "100 rows read, 99 kept, 1 dropped",
-        "truncated_rows: 1 (rows 42)",
-    ]
-    assert repairs_of(trip)["raw_text"].iloc[0] == rows[40]
-
-
-def test_columns_without_a_name_are_not_used(tmp_path):
-    """Where the header has empty cells for them, they may hold values, in all rows or in some."""
-    run = clean_run(60, 1.0)
-    some = [",7," if i % 5 == 3 else "," * (2 + i % 4) for i in range(60)]
-    for ends in ([",7,8" + "," * (i % 4) for i in range(60)], some):
-        rows = [row + end for row, end in zip(run.rows(), ends, strict=True)]
-        trip = read(tmp_path, rows, "t,v,s,,")
-        assert report_of(trip).findings == ()
-        np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
-
-
-@pytest.mark.parametrize("header", ["t,v,s", "t,v,s,,"])
-def test_rows_that_end_at_their_last_value_are_whole(tmp_path, header):
-    """A writer that leaves out the empty cells at the end of a row, as every other row has some."""
-    rows = [
-        f"{row},{60 + 0.1 * (row.second % 7)},{300 + row.second}" if n % 2 else f"{row},{60.5}"
-        for n, row in enumerate(pd.date_range("2024-05-01T06:00:00Z", periods=200, freq="s"))
-    ]
-    path = put(tmp_path / "run.csv", [header, *rows])
-    profile = plain_profile(
-        columns={
-            "/train/state.speed": {"column": "v", "unit": "km/h"},
-            "/imu.specific_force_x": {"column": "s", "unit": "m/s^2", "scale": 1e-3},
-        }
-    )
-    trip = ingest(path, profile)
-    report = report_of(trip)
-    assert (report.rows_read, report.rows_kept) == (200, 200)
-    assert report.count("truncated_rows") == 0
-    assert report.count("empty") == 100
-    assert trip["/imu"]["specific_force_x"].count() == 100

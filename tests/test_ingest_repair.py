@@ -44,21 +44,6 @@ from trainlog.trip import Trip
 FILES = settings(max_examples=20)
 
 
-def test_swapped_rows_and_one_that_is_lost_are_no_two_clocks(tmp_path):
-    """Each time is written once, so that no row is of a clock that was a second ahead."""
-    swapped = 5, 45, 49, 53, 57
-    rows = [
-        f"2024-05-01T06:{second // 60:02d}:{second % 60:02d}.050Z,{10.0 + second / 9.0:.3f},"
-        for second in range(61)
-    ]
-    for place in swapped:
-        rows[place], rows[place + 1] = rows[place + 1], rows[place]
-    del rows[25]
-    report = report_of(read_plain(tmp_path, rows))
-    assert report.counts.get("clock_step", 0) == 0
-    assert report.count("time_backwards") == len(swapped)
-
-
 @FILES
 @given(damaged_runs())
 def test_damage_is_undone_and_counted(tmp_path, damaged):
@@ -218,18 +203,6 @@ def test_contradictory_rows_of_one_instant_keep_the_first_value(tmp_path):
     trip = read_plain(tmp_path, [*rows[:8], f"{stamp},3.0,{position}", *rows[8:]])
     assert report_of(trip).counts == {"same_time": 1}
     assert trip["/train/state"]["speed"].iloc[7] == float(rows[7].split(",")[1])
-
-
-def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path):
-    rows = plain_rows(60)
-    stamp, _, position = rows[30].split(",")
-    rows[30] = f"{stamp},70.0,{position}"
-    limits = {"columns": {"/train/state.speed": {"unit": "km/h", "min": 0, "max": 240}}}
-    report = report_of(read_plain(tmp_path, rows, limits=limits))
-    assert report.counts == {"out_of_limits": 1}
-    # Without the profile's limit the value is possible, but nothing can have jumped to it.
-    report = report_of(read_plain(tmp_path, rows))
-    assert report.counts == {"spikes": 1}
 
 
 def test_wheels_that_spin_are_no_spikes(tmp_path):
@@ -576,18 +549,6 @@ def test_steps_of_unknown_cause_stay_and_are_reported(tmp_path, size):
     np.testing.assert_allclose(trip["/train/state"]["position"], np.round(position, 1))
 
 
-@pytest.mark.parametrize("length", [1, 2, 5, 30])
-def test_a_counter_that_shows_0_for_a_moment_is_a_spike(tmp_path, length):
-    seconds, speed, distance = motion(700.0)
-    position = 30_000.0 + distance
-    position[3_000 : 3_000 + length] = 0.0
-    trip = read_rows(tmp_path, rows_of(seconds, speed, position))
-    assert report_of(trip).counts == {"spikes": length}
-    assert trip["/train/state"]["position"].isna().to_numpy().nonzero()[0].tolist() == list(
-        range(3_000, 3_000 + length)
-    )
-
-
 FROZEN_RULES = ("spikes", "frozen", "counter", "position_steps")
 
 TOPICS = (
@@ -731,20 +692,3 @@ def test_frozen_values_are_found(log, column, least):
     frame = sampled(log)
     lengths = (20.0, 45.0, 120.0, 300.0)
     assert sum(found_frozen(frame, column, each, rng) for each in lengths) >= least
-
-
-def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path):
-    """An odometer that stays at 0 while the counter of the distance goes on."""
-    seconds = np.arange(600)
-    speed = np.clip(0.4 * (seconds - 60.0), 0.0, 20.0)
-    position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))))
-    dead = np.where((seconds > 300) & (seconds < 420), 0.0, speed)
-    rows = [
-        f"{pd.Timestamp(START + int(i) * SECOND, tz='UTC').isoformat()},{v:.2f},{s:.1f}"
-        for i, v, s in zip(seconds, dead, position, strict=True)
-    ]
-    trip = read_plain(tmp_path, rows)
-    state = trip["/train/state"]
-    assert state["speed"].iloc[302:420].isna().all()
-    assert state["speed"].iloc[:60].notna().all()
-    assert state["position"].notna().all()

@@ -26,7 +26,6 @@ from recorder_files import (
     stamps,
     ublox_text,
 )
-from satellite_trips import PACES, paced
 from simulated_line import hilly_line
 
 from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, draw_scenarios, read_line, read_train, sample
@@ -408,47 +407,6 @@ def test_a_receiver_that_holds_its_place_before_a_gap_sets_no_clock(tmp_path, pa
     old["speed"] = np.where(behind > 0.0, pace * old["speed"], old["speed"])
     kept = replace(run, **old).take(np.flatnonzero((second <= 300.0) | (second > 308.0)))
     assert np.array_equal(without_step(tmp_path, kept, kept.time), kept.time)
-
-
-@pytest.mark.parametrize("late", [False, True])
-def test_a_step_back_that_gives_times_again_needs_no_distance(tmp_path, late):
-    """Speeds alone: times with two speeds each are of two clocks; rows written late fill a gap."""
-    run = drive("hilly", 10.0, 2000)
-    number = np.arange(2000)
-    clock = run.time + np.where(number < 700, 2 * SECOND, 0) * (not late)
-    order = np.argsort(np.where((number >= 700) & (number < 720), number + 30.0, number))
-    order = order if late else number
-    path = tmp_path / "fine.csv"
-    LAYOUTS[5].write(path, replace(run, time=clock).take(order), distance("hilly", run))
-    profile = table_profile({})
-    del profile["columns"]["/train/state.position"]
-    trip = ingest(path, profile=profile_of(profile))
-    report = report_of(trip)
-    assert report.count("clock_step") == (0 if late else 700)
-    assert report.count("clock_step_suspected") == report.count("gaps") == 0
-    assert np.array_equal(trip["/train/state"].index.as_unit("ns").asi8, run.time)
-
-
-@pytest.mark.parametrize("step", [None, 6])
-def test_a_train_may_brake_unseen_as_it_does_elsewhere(tmp_path, step):
-    """A freight train loses no 120 m in 26 s: it went on for 20 s, and the clock was set by 6 s."""
-    at, position, speed = paced(30_000.0, PACES["freight"], 3)
-    steady = np.flatnonzero(np.convolve(np.ptp(speed) * 0.9 < speed, np.ones(400), "valid") == 400)
-    place = int(steady[0]) + 200
-    rows = np.arange(max(place - 6_000, 0), min(place + 6_000, at.size))
-    gap = 200 if step else 260
-    rows = rows[(rows < place) | (rows >= place + gap)]
-    time = START + np.round(at[rows] * SECOND).astype(np.int64)
-    clock = time - np.where(rows < place, (step or 0) * SECOND, 0)
-    lines = [
-        f"{pd.Timestamp(t).isoformat(timespec='milliseconds')}Z,{v:.2f},{s:.1f}"
-        for t, v, s in zip(clock, speed[rows], position[rows], strict=True)
-    ]
-    path = put(tmp_path / "run.csv", ["t,v,s", *lines])
-    trip = ingest(path, profile=profile_of(table_profile({})))
-    moved = 0 if step is None else np.count_nonzero(rows < place)
-    assert report_of(trip).count("clock_step") == moved
-    assert np.abs(trip["/train/state"].index.as_unit("ns").asi8 - time).max() < 0.5 * SECOND
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
