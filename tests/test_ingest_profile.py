@@ -18,7 +18,7 @@ from trainlog.ingest.profile import Quantity
 from trainlog.ingest.recording import Table
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import RunningResistance, Train
-from trainlog.units import _KEPT_IN, _NAMED, _OFFSETS, NANOSECONDS, _registry, _spelled
+from trainlog.units import NANOSECONDS
 
 TRAIN = Train("small", 100_000.0, 0.1, RunningResistance(2e3, 50.0, 8.0), 200e3, 2e6)
 
@@ -238,16 +238,3 @@ def test_an_axle_that_is_not_recorded_keeps_its_number(tmp_path):
     axles = read_log(tmp_path / "run.mcap")["/train/axles"]
     assert [n for n in axles if axles[n].notna().any()] == ["wheel_speed_1", "wheel_speed_3"]
     assert axles["wheel_speed_3"].tolist() == [11.0 + i for i in range(20)]
-
-
-def test_units_that_need_no_registry_are_converted_as_all_others():
-    """Those of the profiles that come along; multipliers are tested with the units."""
-    registry = _registry()
-    for unit, si in _KEPT_IN.items():
-        given = registry.Quantity(1.0, registry.parse_units(_spelled(unit)))
-        kinds = (registry.parse_units(_spelled(each)) for each in _NAMED)
-        assert _NAMED[[given.is_compatible_with(each) for each in kinds].index(True)] == si
-    for (unit, si), offset in _OFFSETS.items():
-        source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
-        shown = [registry.Quantity(each, source).to(target).magnitude for each in (0.0, 1.0)]
-        assert shown == [offset, offset + 1.0]

@@ -26,10 +26,9 @@ from ingest_logs import (
 from recorder_files import MTK_HEADER, Drive, drive, mtk_at_rest, mtk_rows
 from refusals import refused
 
-from trainlog import read
+from trainlog import InputError, Trip, read, repairs_of, report_of
 from trainlog.arrays import FloatArray
-from trainlog.errors import InputError
-from trainlog.ingest import RULES, Finding, Table, ingest, repairs_of, report_of
+from trainlog.ingest import RULES, Finding, Table, ingest
 from trainlog.ingest.clock import (
     drop_before_first_fix,
     drop_clock_jumps,
@@ -39,7 +38,6 @@ from trainlog.ingest.clock import (
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.recording import NO_TIME
 from trainlog.ingest.rules import repaired, spikes
-from trainlog.trip import Trip
 
 FILES = settings(max_examples=20)
 

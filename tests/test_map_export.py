@@ -251,9 +251,6 @@ def test_what_the_line_does_not_state_is_not_a_number():
     unknown = table[["gradient_permil", "curvature_per_km", "speed_limit_km_h"]]
     assert unknown.isna().all(axis=None)
     assert table.station.isna().all()
-
-
-def test_a_map_of_another_line_is_refused():
     other = empty_map(made_up(name="other"))
     refused(InputError, "the map is of line 'other'", line_table, made_up(), other)
 

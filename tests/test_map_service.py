@@ -20,12 +20,10 @@ from trip_parts import without
 import trainlog
 from analysis import update_map
 from analysis.adhesion.condition_map import adhesion_map, empty_map, naming_log
-from trainlog.errors import LogError, NotRecordedError
-from trainlog.formats.mapfile import MapFile, Row, map_to_bytes, read_map
+from trainlog import LogError, NotRecordedError, Trip, draw_scenarios, read_map, simulate
+from trainlog.formats.mapfile import MapFile, Row, map_to_bytes
 from trainlog.mcap import write_log
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import Trip
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "analysed_once")
 

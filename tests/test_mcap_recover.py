@@ -43,17 +43,8 @@ from refusals import refused
 from rerun.chunk import McapReader
 
 import trainlog
-from trainlog.errors import InputError, LogError
-from trainlog.mcap import (
-    Account,
-    DamageWarning,
-    account_of,
-    describe,
-    frames_of,
-    read_log,
-    recover,
-    write_log,
-)
+from trainlog import DamageWarning, InputError, LogError, describe, recover
+from trainlog.mcap import Account, account_of, frames_of, read_log, write_log
 from trainlog.mcap.contents import Contents, contents_of, scanned
 from trainlog.mcap.records import RECOVERY_RECORD, Loss, Source, Unfinished, attachment_at
 from trainlog.topics import EVENTS, TRAIN_STATE

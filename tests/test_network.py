@@ -17,22 +17,11 @@ import trainlog
 from analysis.fleet.analyses import adhesion
 from analysis.network.edges import edge_line, trips_on_edges
 from analysis.view import TripView
-from trainlog.errors import InputError
-from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.railway import (
-    line_of,
-    line_to_bytes,
-    network_from_bytes,
-    read_line,
-    read_network,
-    write_line,
-    write_network,
-)
-from trainlog.formats.samples import sample
-from trainlog.railway import (
+from trainlog import (
     CurvatureProfile,
     Edge,
     Geometry,
+    InputError,
     Leg,
     Line,
     LineReference,
@@ -40,8 +29,15 @@ from trainlog.railway import (
     Node,
     Station,
     StepProfile,
-    Survey,
+    read_line,
+    read_network,
+    sample,
+    write_line,
+    write_network,
 )
+from trainlog.formats.declared import thing_to_bytes
+from trainlog.formats.railway import line_of, line_to_bytes, network_from_bytes
+from trainlog.railway import Survey
 
 WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
 CASES = settings(

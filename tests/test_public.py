@@ -23,10 +23,8 @@ from typing import Any
 import pytest
 
 import analysis
-from trainlog import version
-from trainlog.errors import TrainlogError
+from trainlog import DEFAULT_TRAIN, TrainlogError, sample, version
 from trainlog.extras import EXTRAS
-from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
 
 PACKAGES = ("trainlog", "analysis")

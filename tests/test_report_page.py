@@ -14,17 +14,15 @@ import pytest
 from refusals import refused
 from report_folder import SCRIPT, hostile_trip, planned
 
-from analysis import adhesion_map
+from analysis import ReportOptions, TripView, adhesion_map, fit, write_report
 from analysis.charts import Chart, Curve, Panel, figure_of, rows_to_draw
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.reports import build, page as pages
 from analysis.reports.answers import verdict
-from analysis.reports.build import ReportOptions, kind_of, write_report
+from analysis.reports.build import kind_of
 from analysis.reports.page import DARK, LIGHT, Page, Section
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
-from analysis.resistance.logs import fit
-from analysis.view import TripView
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.mapfile import write_map
 from trainlog.formats.railway import line_of, write_parameters, write_trajectory

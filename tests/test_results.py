@@ -35,15 +35,14 @@ from analysis.resistance.recording import TripRefusedError
 from analysis.trajectory.journey import JourneyPlan
 from analysis.trajectory.optimiser import Front
 from analysis.trajectory.table import PlannedRun
+from trainlog import AdhesionPoints, InputError, LogError, LogWriter, frame_of, write_parameters
 from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
 from trainlog.display import text_of_cell
-from trainlog.errors import InputError, LogError
-from trainlog.formats.railway import write_parameters
 from trainlog.formats.samples import folder
 from trainlog.ingest import ingest_all, propose_profile
-from trainlog.mcap import LogWriter, read_log, write_log
+from trainlog.mcap import read_log, write_log
 from trainlog.mcap.reader import rows_of_log
 from trainlog.presentation import (
     ADHESION,
@@ -56,9 +55,7 @@ from trainlog.presentation import (
     WordTable,
     new_table,
 )
-from trainlog.railway.adhesion import AdhesionPoints
 from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION, TRAIN_STATE
-from trainlog.trip import frame_of
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 

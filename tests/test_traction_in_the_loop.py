@@ -350,14 +350,9 @@ def test_a_simulated_trip_states_its_traction_control_and_what_it_did_not_solve(
     assert "traction_control" not in recorded(scenario, plain).metadata
 
 
-@pytest.mark.parametrize(
-    "efforts", [np.ones(3), np.array([1.0, np.nan, 1.0, 1.0]), np.full((4, 1), 1.0)]
-)
-def test_efforts_that_no_plant_can_give_are_refused(efforts):
+def test_efforts_that_no_plant_can_give_and_periods_that_none_resolves_are_refused():
     unit = plant()
-    refused(InputError, "finite", unit.advance, unit.at(), 1e4, 0.0, 1, 1, efforts)
-
-
-@pytest.mark.parametrize("period", [0.0, 0.001, 0.0125])
-def test_a_period_that_the_plant_does_not_resolve_is_refused(period):
-    refused(InputError, "period", TractionLoop, Shared(np.ones(4), period=period), plant())
+    for efforts in (np.ones(3), np.array([1.0, np.nan, 1.0, 1.0]), np.full((4, 1), 1.0)):
+        refused(InputError, "finite", unit.advance, unit.at(), 1e4, 0.0, 1, 1, efforts)
+    for period in (0.0, 0.001, 0.0125):
+        refused(InputError, "period", TractionLoop, Shared(np.ones(4), period=period), unit)

@@ -441,7 +441,7 @@ def test_dates_that_no_recorder_had_are_refused():
     assert evidence_of(found, empty_map(hilly_line()), "wet").daily.days.size == 1
 
 
-def test_settings_bins_and_lists_that_no_map_takes_are_refused():
+def test_settings_bins_and_lists_that_no_map_takes_are_refused(trip, tmp_path):
     for words, call in (
         ("unknown setting 'speed'", lambda: empty_map(LINE, settings={"speed": 1.0})),
         ("trip_std must be positive", lambda: empty_map(LINE, settings={"trip_std": 0.0})),
@@ -449,6 +449,8 @@ def test_settings_bins_and_lists_that_no_map_takes_are_refused():
         ("fit", lambda: update(empty_map(LINE), [replace(piece(1), bin_length=50.0)])),
         ("not of 'far'", lambda: update(empty_map(LINE), [replace(piece(1), line="far")])),
         ("no trip was given", lambda: adhesion_map([])),
+        ("is updated from logs", lambda: update_map(trip, tmp_path / "own.map")),
+        ("is updated from logs", lambda: update_map([trip], tmp_path / "own.map")),
     ):
         refused(InputError, words, call)
 
@@ -615,12 +617,6 @@ class TestSet:
             refused(InputError, "was compacted", file.remove, [one])
             assert file.amount()[0] == 2
 
-    def test_a_log_in_two_layers_is_refused(self, tmp_path):
-        given_to(tmp_path / "a.map", [piece(1, "dry")])
-        given_to(tmp_path / "b.map", [piece(1, "wet")])
-        with pytest.raises(InputError, match=r"counts trip 'trip-1' as 'wet', another .* as 'dry'"):
-            merged(tmp_path, [tmp_path / "a.map", tmp_path / "b.map"])
-
     def test_maps_that_differ_are_not_merged_and_files_are_not_replaced(self, tmp_path):
         given_to(tmp_path / "a.map", [piece(1)])
         with MapFile(tmp_path / "b.map", empty_map(LINE, settings={"trip_std": 0.2})):
@@ -629,6 +625,10 @@ class TestSet:
         refused(InputError, r"b\.map: .* differ in settings", merge_files, [a, b], c)
         refused(InputError, r"a\.map: exists already", merge_files, [b], a)
         refused(InputError, "no map was given", merge_files, [], c)
+        wet = tmp_path / "wet.map"
+        given_to(wet, [piece(1, "wet")])
+        said = r"counts trip 'trip-1' as 'wet', another .* as 'dry'"
+        refused(InputError, said, merge_files, [a, wet], c)
         assert not c.exists()
 
 
@@ -924,9 +924,3 @@ class TestPacked:
             expected = np.concatenate([each[name] for each in kept])
             assert found[name].dtype == expected.dtype
             assert found[name].tobytes() == expected.tobytes()
-
-
-def test_a_trip_in_memory_is_no_log_of_a_map(tmp_path):
-    trip = trainlog.read(sample("nonstop.mcap"))
-    for each in (trip, [trip]):
-        refused(InputError, "is updated from logs", update_map, each, tmp_path / "own.map")

@@ -9,6 +9,9 @@ from refusals import refused
 from trainlog.errors import InputError
 from trainlog.units import (
     _FACTORS,
+    _KEPT_IN,
+    _NAMED,
+    _OFFSETS,
     DISTANCE,
     FORCE,
     KILOMETRE,
@@ -49,9 +52,8 @@ def test_known_conversions(value, unit, si, expected):
 
 @pytest.mark.parametrize("unit", ["kg", "furlong per", "", "km", "m/s/", "[m]"])
 def test_wrong_units_are_refused_with_the_unit_named(unit):
-    caught = refused(InputError, "cannot be read as m/s", to_si, 1.0, unit, "m/s")
-    assert f"'{unit}'" in str(caught)
-    assert "declare a unit" in str(caught)
+    said = rf"'{re.escape(unit)}' cannot be read as m/s; declare a unit"
+    refused(InputError, said, to_si, 1.0, unit, "m/s")
 
 
 @pytest.mark.parametrize(
@@ -67,11 +69,21 @@ def test_a_misspelt_unit_is_answered_with_the_common_spelling(unit, meant):
         factor("kg", kind)
 
 
-@pytest.mark.parametrize(("unit", "si"), _FACTORS)
-def test_units_of_own_files_are_converted_as_all_others(unit, si):
+def test_units_that_need_no_registry_are_converted_as_all_others():
+    """Those of files of one's own, and of the profiles that come along."""
     registry = _registry()
-    source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
-    assert factor(unit, si) == (float(registry.Quantity(1.0, source).to(target).magnitude), 0.0)
+    for unit, si in _FACTORS:
+        source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
+        known = float(registry.Quantity(1.0, source).to(target).magnitude)
+        assert factor(unit, si) == (known, 0.0), unit
+    for unit, si in _KEPT_IN.items():
+        given = registry.Quantity(1.0, registry.parse_units(_spelled(unit)))
+        kinds = (registry.parse_units(_spelled(each)) for each in _NAMED)
+        assert _NAMED[[given.is_compatible_with(each) for each in kinds].index(True)] == si
+    for (unit, si), offset in _OFFSETS.items():
+        source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
+        shown = [registry.Quantity(each, source).to(target).magnitude for each in (0.0, 1.0)]
+        assert shown == [offset, offset + 1.0]
 
 
 @pytest.mark.parametrize(
