@@ -1,17 +1,15 @@
 """Settings of the tests, and what their command line adds."""
 
-from __future__ import annotations
-
 import gc
 import os
 import random
 import secrets
 import shutil
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +113,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session", autouse=True)
 def own_settings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """No test reads the settings of the user who runs it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TRAINLOG_SETTINGS", str(tmp_path_factory.mktemp("settings") / "none.toml"))
         yield
@@ -150,7 +147,6 @@ def made_once(of_all_workers: Path) -> Callable[[str, Callable[[Path], object]],
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Others who lock the path wait."""
     with path.open("wb") as lock:
         if fcntl is not None:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -159,10 +155,7 @@ def locked(path: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def remembered(of_all_workers: Path) -> Iterator[None]:
-    """What is costly is made once of the same arguments, however often it is asked for.
-
-    For tests of what is made of it: of commands, pages and files.
-    """
+    """What is costly is made once of the same arguments: for tests of what is made of it."""
     from remembered import COSTLY, Remembered, place_of
 
     results = Remembered(of_all_workers)
@@ -174,10 +167,7 @@ def remembered(of_all_workers: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def few_rounds() -> Iterator[None]:
-    """Conditions of lines are estimated in few rounds, less settled: a third of the time.
-
-    For tests of what is made of maps; how right they are is tested where they are estimated.
-    """
+    """Conditions of lines are estimated in few rounds, for tests of what is made of maps."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("estimators.condition_field.ROUNDS", 3)
         yield
@@ -185,10 +175,7 @@ def few_rounds() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def analysed_once() -> Iterator[None]:
-    """What a log shows of adhesion is made once, however often a test gives it to a map.
-
-    It does not depend on the map that it is added to, where all are of one line.
-    """
+    """What a log shows of adhesion is made once; all maps must be of one line."""
     from analysis.adhesion import evidence
 
     made, kept = evidence.evidence_of_log, dict[tuple[object, ...], object]()
@@ -205,19 +192,22 @@ def analysed_once() -> Iterator[None]:
 
 
 @pytest.fixture
-def shell(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., tuple[int, str, str]]:
+def shell(monkeypatch, capsys):
     """Runs the words of a command: its exit status, standard output and standard error."""
-    from command import run
+    from trainlog.cli.main import main
 
-    return partial(run, monkeypatch, capsys)
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        captured = capsys.readouterr()
+        return int(ended.value.code or 0), captured.out, captured.err
+
+    return run
 
 
 @pytest.fixture
-def works(shell: Callable[..., tuple[int, str, str]]) -> Callable[..., str]:
-    """Runs the words of a command that ends with 0: its standard output."""
-
+def works(shell):
     def printed(*words: object) -> str:
         status, shown, complaint = shell(*words)
         assert status == 0, complaint
@@ -228,10 +218,7 @@ def works(shell: Callable[..., tuple[int, str, str]]) -> Callable[..., str]:
 
 @pytest.fixture
 def unpainted() -> Iterator[None]:
-    """Figures are made and written, but not painted, which takes half a second each.
-
-    For tests of commands that draw besides; pictures are painted in the tests of pictures.
-    """
+    """Figures are made and written, but not painted: for tests of commands that draw besides."""
     from painting import without_painting
 
     with without_painting():
@@ -240,19 +227,13 @@ def unpainted() -> Iterator[None]:
 
 @pytest.fixture
 def unpainted_page(unpainted: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Charts of a page are neither painted nor made for BokehJS: two seconds each page.
-
-    For tests of the words of a page; charts of pages are tested where they are looked at.
-    """
+    """Charts of a page are neither painted nor made for BokehJS: for tests of a page's words."""
     monkeypatch.setattr("analysis.reports.page.find_spec", lambda _: None)
 
 
 @pytest.fixture
 def unrenewed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans stay on their first cells, as audited and certified, with a wider gap: half the time.
-
-    For tests of what is made of plans; how close they come is tested where they are searched.
-    """
+    """Plans stay on their first cells, with a wider gap: for tests of what is made of plans."""
     for name in ("RENEWALS", "FINER_RENEWALS"):
         monkeypatch.setattr(f"analysis.trajectory.optimiser.{name}", 0)
 
@@ -287,6 +268,5 @@ def postgresql_server() -> Iterator[str]:
 
 @pytest.fixture
 def postgresql_place(postgresql_server: str) -> str:
-    """URL of a catalogue of its own on the server."""
     sign = "&" if "?" in postgresql_server else "?"
     return f"{postgresql_server}{sign}schema=test_{secrets.token_hex(6)}"

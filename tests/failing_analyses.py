@@ -1,15 +1,12 @@
 """Analyses that go wrong on one trip, for tests of a fleet; workers import them by name."""
 
-from __future__ import annotations
-
 import os
 import signal
 from multiprocessing.connection import Connection
 
 import pandas as pd
 
-from analysis.fleet.analyses import FleetAnalysis
-from analysis.view import TripView
+from analysis import FleetAnalysis, TripView
 from trainlog.errors import LogError
 from trainlog.formats.summaries import Column
 
@@ -28,20 +25,17 @@ def deadly(trip: TripView, name: str) -> pd.DataFrame:
 
 
 def deadly_after(trip: TripView, name: str) -> pd.DataFrame:
-    """Ends the worker when it has written half of the result."""
     if trip.name == name:
         Connection._send = half_sent
     return _counted(trip)
 
 
 def half_sent(self: Connection, data: bytes, *_: object) -> None:
-    """Write half of a message, and end."""
     os.write(self.fileno(), bytes(data)[: len(data) // 2])
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def wrong(trip: TripView, name: str) -> pd.DataFrame:
-    """Fails by a mistake in the analysis, or refuses."""
     if trip.name == name:
         raise ZeroDivisionError("no samples at all")
     if trip.name == "trip-001":

@@ -1,7 +1,5 @@
 """Many short trips of a few seconds' making, for tests of a fleet."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +10,7 @@ from trainlog.trip import Trip
 
 SAMPLES = ("sample_logs/nonstop.mcap", "sample_logs/stopping.mcap")
 MINUTES = 4
-TRIPS = 4
-"""So many are made for all tests of a session, in the fixture `fleet_logs`."""
+TRIPS = 4  # so many are made for all tests of a session, in the fixture `fleet_logs`
 
 
 def short_trips(folder: Path, count: int) -> list[Path]:
@@ -33,6 +30,5 @@ def short_trips(folder: Path, count: int) -> list[Path]:
 
 
 def later(trip: Trip, by: pd.Timedelta) -> Trip:
-    """The trip as if it had been driven later."""
     topics = {name: frame.set_axis(frame.index + by) for name, frame in trip.topics.items()}
     return replace(trip, topics=topics, provenance=trip.provenance[:1])

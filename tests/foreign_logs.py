@@ -1,7 +1,5 @@
 """MCAP files as other programs write them, made with the official writers."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterable
@@ -10,8 +8,7 @@ from typing import Any
 
 from mcap.writer import Writer
 
-START = 1_700_000_000 * 10**9
-"""Time of the first message [ns]."""
+START = 1_700_000_000 * 10**9  # time of the first message [ns]
 
 SEPARATOR = "=" * 80 + "\n"
 
@@ -90,28 +87,22 @@ class ForeignLog:
         self._writer = Writer(self._stream)
         self._writer.start(profile="", library="test")
 
-    def channel(
-        self, topic: str, message_encoding: str, schema: tuple[str, str, bytes] | None = None
-    ) -> int:
-        """Declare a channel; `schema` is its name, encoding and data."""
+    def channel(self, topic, message_encoding, schema=None):
         schema_id = 0 if schema is None else self._writer.register_schema(*schema)
         return self._writer.register_channel(topic, message_encoding, schema_id)
 
     def add(self, channel: int, messages: Iterable[bytes], step: int = 10**8) -> None:
-        """Add messages, the first at `START`."""
         for row, data in enumerate(messages):
             time = START + row * step
             self._writer.add_message(channel, time, data, time + 1000, row)
 
     def close(self) -> Path:
-        """Finish the file."""
         self._writer.finish()
         self._stream.close()
         return self.path
 
 
 def json_log(path: Path, topic: str, messages: list[Any], schema: str = "example.Thing") -> Path:
-    """A file with one topic of JSON messages."""
     log = ForeignLog(path)
     described = (schema, "jsonschema", b'{"type": "object"}')
     log.add(
@@ -122,10 +113,8 @@ def json_log(path: Path, topic: str, messages: list[Any], schema: str = "example
 
 
 def cdr(body: bytes) -> bytes:
-    """A little-endian CDR message of this content."""
     return b"\x00\x01\x00\x00" + body
 
 
 def cdr_numbers(*values: float) -> bytes:
-    """A CDR message of doubles."""
     return cdr(struct.pack(f"<{len(values)}d", *values))

@@ -1,7 +1,5 @@
 """Random lines, trains and results for the tests of the formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -9,30 +7,13 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from trainlog.railway import (
-    Axles,
-    Brake,
-    BrakingCurves,
-    Configuration,
-    CurvatureProfile,
-    EffortCurve,
-    Geometry,
-    Line,
-    LineReference,
-    ParameterSet,
-    RunningResistance,
-    Station,
-    StepProfile,
-    Survey,
-    TrackConditionMap,
-    Train,
-    Trajectory,
-    Tunnel,
-)
-from trainlog.railway.condition import ConditionLayer
+from trainlog.railway import BrakingCurves, Configuration, CurvatureProfile, Geometry, ParameterSet
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.train import Consist, ConsistBrake, Coupler, Vehicle
-from trainlog.railway.trajectory import Journey, TimingPoint
+from trainlog.railway.line import Line, LineReference, Station, StepProfile, Survey, Tunnel
+from trainlog.railway.resistance import EffortCurve, RunningResistance
+from trainlog.railway.train import Axles, Brake, Consist, ConsistBrake, Coupler, Train, Vehicle
+from trainlog.railway.trajectory import Journey, TimingPoint, Trajectory
 
 NAMES = st.text(min_size=1, max_size=12)
 SHARES = st.floats(0.0, 1.0, allow_subnormal=False)
@@ -50,7 +31,6 @@ def arrays(size: int, low: float, high: float) -> st.SearchStrategy[Any]:
 
 @st.composite
 def positions(draw: Callable[..., Any], length: float) -> Any:
-    """Rising positions that begin at 0."""
     marks = draw(st.lists(st.integers(1, 999), max_size=6, unique=True))
     return np.array([0.0, *(length * mark / 1000.0 for mark in sorted(marks))])
 
@@ -62,38 +42,23 @@ def lines(draw: Callable[..., Any]) -> Line:
     curvature = st.one_of(st.just(0.0), sizes(1e-9, 0.02), sizes(-0.02, -1e-9))
     bend = st.lists(curvature, min_size=bends.size, max_size=bends.size).map(np.array)
     points = draw(positions(length))
-    geometry = (
-        Geometry(
-            points,
-            draw(arrays(points.size, -90.0, 90.0)),
-            draw(arrays(points.size, -180.0, 180.0)),
-            draw(NAMES),
-        )
-        if points.size > 1
-        else None
-    )
+    geometry = None
+    if points.size > 1:
+        ends = draw(arrays(points.size, -90.0, 90.0)), draw(arrays(points.size, -180.0, 180.0))
+        geometry = Geometry(points, *ends, draw(NAMES))
     stops = sorted(draw(st.lists(sizes(0.0, 1.0), max_size=4)))
+    half = 0.5 * length
+    tunnel = st.builds(Tunnel, sizes(0.0, half), sizes(1e-3 * half, half), sizes(1.0, 200.0))
+    far, against = arrays(bends.size, -1e6, 1e6), arrays(gradients.size, 0.1, 99.0)
     return Line(
         name=draw(NAMES),
         length=length,
         stations=tuple(Station(draw(NAMES), stop * length) for stop in stops),
         speed_limits=StepProfile(limits, draw(arrays(limits.size, 0.1, 100.0))),
-        speed_limits_reverse=draw(
-            st.none()
-            | st.builds(StepProfile, st.just(gradients), arrays(gradients.size, 0.1, 99.0))
-        ),
+        speed_limits_reverse=draw(st.none() | st.builds(StepProfile, st.just(gradients), against)),
         gradients=StepProfile(gradients, draw(arrays(gradients.size, -0.2, 0.2))),
-        curvatures=draw(
-            st.one_of(st.none(), st.builds(CurvatureProfile, st.just(bends), bend, bend))
-        ),
-        tunnels=tuple(
-            Tunnel(
-                0.5 * length * draw(SHARES),
-                0.5 * length * max(draw(SHARES), 1e-3),
-                draw(sizes(1.0, 200.0)),
-            )
-            for _ in range(draw(st.integers(0, 2)))
-        ),
+        curvatures=draw(st.none() | st.builds(CurvatureProfile, st.just(bends), bend, bend)),
+        tunnels=tuple(draw(st.lists(tunnel, max_size=2))),
         altitude=draw(sizes(-100.0, 3000.0)),
         geometry=geometry,
         source=draw(st.text(max_size=20)),
@@ -101,16 +66,7 @@ def lines(draw: Callable[..., Any]) -> Line:
             st.dictionaries(st.sampled_from(["M_NVAVADH", "Kt_int"]), sizes(0.0, 2.0))
         ),
         survey=draw(st.none() | st.builds(Survey, sizes(1e-6, 0.01), st.none() | sizes(1.0, 1e5))),
-        reference=draw(
-            st.none()
-            | st.builds(
-                LineReference,
-                NAMES,
-                st.just(bends),
-                arrays(bends.size, -1e6, 1e6),
-                arrays(bends.size, -1e6, 1e6),
-            )
-        ),
+        reference=draw(st.none() | st.builds(LineReference, NAMES, st.just(bends), far, far)),
     )
 
 
@@ -121,11 +77,11 @@ CURVES = st.lists(st.tuples(sizes(0.0, 100.0), sizes(0.1, 2.0)), max_size=3).map
 @st.composite
 def effort_curves(draw: Callable[..., Any], least: float = 0.0) -> EffortCurve:
     steps = draw(arrays(draw(st.integers(1, 6)), 0.01, 20.0))
-    return EffortCurve(
-        np.concatenate(([0.0], np.cumsum(steps))), draw(arrays(steps.size + 1, least, 1e6))
-    )
+    speeds = np.concatenate(([0.0], np.cumsum(steps)))
+    return EffortCurve(speeds, draw(arrays(speeds.size, least, 1e6)))
 
 
+BRAKING = st.dictionaries(st.sampled_from(["K_dry_rst", "T_be", "v_uncertainty"]), sizes(0.0, 9.0))
 TRAINS = st.builds(
     Train,
     name=NAMES,
@@ -147,49 +103,30 @@ TRAINS = st.builds(
     tunnel_resistance=CURVES,
     axles=st.builds(Axles, st.integers(1, 40), sizes(1.0, 1e6), sizes(0.1, 2.0), sizes(0.0, 1e4)),
     brake=st.builds(Brake, sizes(0.0, 5.0), sizes(0.0, 5.0)),
-    braking_curves=st.one_of(
-        st.none(),
-        st.builds(
-            BrakingCurves,
-            CURVES,
-            CURVES,
-            st.dictionaries(
-                st.sampled_from(["K_dry_rst", "T_be", "v_uncertainty"]), sizes(0.0, 9.0)
-            ),
-        ),
-    ),
-    seats=st.one_of(st.none(), st.integers(1, 2000)),
-    coaches=st.one_of(st.none(), st.integers(1, 50)),
+    braking_curves=st.none() | st.builds(BrakingCurves, CURVES, CURVES, BRAKING),
+    seats=st.none() | st.integers(1, 2000),
+    coaches=st.none() | st.integers(1, 50),
     source=st.text(max_size=20),
     assumed=st.lists(NAMES, max_size=3).map(tuple),
-    traction_curve=st.one_of(st.none(), effort_curves(1.0)),
-    dynamic_braking_curve=st.one_of(st.none(), effort_curves()),
+    traction_curve=st.none() | effort_curves(1.0),
+    dynamic_braking_curve=st.none() | effort_curves(),
 )
 
-DETAILS = st.dictionaries(
-    NAMES,
-    st.recursive(
-        st.one_of(
-            st.none(), st.booleans(), st.integers(), sizes(-1e300, 1e300), st.text(max_size=8)
-        ),
-        lambda inner: st.one_of(
-            st.lists(inner, max_size=3), st.dictionaries(NAMES, inner, max_size=3)
-        ),
-        max_leaves=6,
-    ),
-    max_size=3,
+SINGLE = (st.none(), st.booleans(), st.integers(), sizes(-1e300, 1e300), st.text(max_size=8))
+NESTED = st.recursive(
+    st.one_of(SINGLE),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
+    max_leaves=6,
 )
-CONFIGURATIONS = st.builds(
-    Configuration, NAMES, sizes(1.0, 1e7), sizes(0.0, 1e6), RESISTANCES, sizes(1.0, 1e8)
-)
+DETAILS = st.dictionaries(NAMES, NESTED, max_size=3)
+MASS, OTHER_MASS, POWER = sizes(1.0, 1e7), sizes(0.0, 1e6), sizes(1.0, 1e8)
+CONFIGURATIONS = st.builds(Configuration, NAMES, MASS, OTHER_MASS, RESISTANCES, POWER)
 PARAMETER_SETS = st.builds(
     ParameterSet,
     train=NAMES,
     configurations=st.lists(CONFIGURATIONS, max_size=3).map(tuple),
-    common=st.one_of(st.none(), RESISTANCES),
-    common_covariance=st.one_of(
-        st.none(), arrays(9, -1e9, 1e9).map(lambda values: values.reshape(3, 3))
-    ),
+    common=st.none() | RESISTANCES,
+    common_covariance=st.none() | arrays(9, -1e9, 1e9).map(lambda values: values.reshape(3, 3)),
     speed_range=st.tuples(sizes(0.0, 20.0), sizes(20.0, 90.0)),
     details=st.lists(DETAILS, max_size=2),
     provenance=DETAILS,

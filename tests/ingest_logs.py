@@ -1,7 +1,5 @@
 """Recorded files for the tests of ingest: clean ones, and clean ones damaged in a known way."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,17 +19,14 @@ PLAIN = {
         "/train/state.speed": {"column": "v", "unit": "m/s"},
         "/train/state.position": {"column": "s", "unit": "m"},
     },
-}
-"""A profile for the files that `write` writes."""
+}  # A profile for the files that `write` writes
 
 
 def plain_profile(**sections: object) -> Profile:
-    """`PLAIN` with sections added or replaced."""
     return profile_of({**PLAIN, **sections})
 
 
 def profile(columns: object, **sections: object) -> Profile:
-    """A profile of these columns, by field, and other sections."""
     return profile_of({**HEAD, "columns": columns, **sections})
 
 
@@ -40,7 +35,6 @@ def plain_text(rows: list[str], header: str = "t,v,s") -> str:
 
 
 def plain_rows(count: int = 20, step: float = 1.0) -> list[str]:
-    """Rows of a train that gathers speed."""
     run = clean_run(count, step)
     return run.rows()
 
@@ -51,7 +45,6 @@ def write(path: Path, rows: list[str], header: str = "t,v,s") -> Path:
 
 
 def read_plain(folder: Path, rows: list[str], **sections: object) -> Trip:
-    """The trip of rows, by the plain profile with sections added or replaced."""
     return ingest(write(folder / "run.csv", rows), profile=plain_profile(**sections))
 
 
@@ -65,10 +58,8 @@ class Run:
 
     def rows(self) -> list[str]:
         stamps = pd.DatetimeIndex(self.time, tz="UTC").strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-        return [
-            f"{t},{v:.3f},{s:.2f}"
-            for t, v, s in zip(stamps, self.speed, self.position, strict=True)
-        ]
+        columns = zip(stamps, self.speed, self.position, strict=True)
+        return [f"{t},{v:.3f},{s:.2f}" for t, v, s in columns]
 
 
 def clean_run(count: int, step: float, phase: float = 0.3) -> Run:

@@ -5,8 +5,6 @@ notes the points that it passes in a file that outlasts it, and may be ordered t
 They are forked by functions that tests call `in_own_process`.
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os
@@ -58,14 +56,12 @@ class Forked:
             os._exit(status)
 
     def poll(self) -> int | None:
-        """Its exit status if it has ended, negative if it was killed."""
         if self.returncode is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             self.returncode = os.waitstatus_to_exitcode(status) if pid else None
         return self.returncode
 
     def send_signal(self, number: int) -> None:
-        """Send it a signal, if it has not ended."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
@@ -81,10 +77,7 @@ class Forked:
 
 
 class Piped(Forked):
-    """A process that does some work; what it prints is read from a pipe.
-
-    This process keeps no end to write: of one that fails nothing is read, and nobody waits.
-    """
+    """A process that does some work; what it prints is read from a pipe."""
 
     def __init__(self, work: Callable[[], object], complaints: Path | None = None) -> None:
         self.shown = b""
@@ -109,7 +102,6 @@ class Piped(Forked):
         return bool(data)
 
     def end(self) -> int:
-        """Read the rest; its exit status, negative if it was killed."""
         while self.read():
             pass
         os.close(self.pipe)
@@ -117,7 +109,6 @@ class Piped(Forked):
 
     @property
     def lines(self) -> list[str]:
-        """The lines that it printed whole."""
         return self.shown.decode().split("\n")[:-1]
 
 
@@ -133,7 +124,6 @@ class Passed:
         self.order: tuple[str, int] | None = None
 
     def at(self, point: str) -> None:
-        """Note a point, and end there if that was ordered."""
         number = self._points.index(point)
         self._view[number] += 1
         self._view[len(self._points)] = number
@@ -160,21 +150,13 @@ class Passed:
 
     @property
     def last(self) -> str:
-        """The last point; empty if it passed none."""
         return self._points[self._view[len(self._points)]] if self.total else ""
 
 
 class Watched(Forked):
     """A process that notes what it passes, and ends at a point if that is ordered."""
 
-    def __init__(
-        self,
-        folder: Path,
-        points: Sequence[str],
-        watch: Callable[[Passed], None],
-        work: Callable[[], object],
-        order: tuple[str, int] | None = None,
-    ) -> None:
+    def __init__(self, folder, points, watch, work, order=None):
         self.passed = Passed(folder / f"passed-{time.monotonic_ns()}", points)
         self.passed.order = order
 
@@ -185,7 +167,6 @@ class Watched(Forked):
         super().__init__(watched)
 
     def kill_after(self, points: int, within: float) -> None:
-        """Kill it a moment after it passed so many points, or let it end."""
         while self.passed.total < points and self.poll() is None:
             time.sleep(0.001)
         time.sleep(within)

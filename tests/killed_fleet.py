@@ -1,14 +1,11 @@
 """Updates of a fleet that are killed: the parent or a worker, at random moments."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -28,9 +25,7 @@ def workers(process: psutil.Process) -> list[psutil.Process]:
     return [each for server in servers for each in server.children()] or servers
 
 
-def kill_at_random(
-    catalogue: str, kills: int, seed: int, analyses: Sequence[str]
-) -> dict[str, int]:
+def kill_at_random(catalogue, kills, seed, analyses):
     """Update until nothing is pending, killing at random moments; what was done.
 
     Each moment is that at which some results more are recorded, and up to half a second later:
@@ -69,12 +64,10 @@ def kill_at_random(
 
 
 def recorded(catalogue: str) -> int:
-    """Rows of results."""
     return sum(count for _, count in rows_by_trip(catalogue))
 
 
 def rows_by_trip(catalogue: str) -> list[tuple[str, int]]:
-    """How many rows of results each trip has, of all analyses."""
     with open_catalogue(catalogue) as opened, opened.reading() as connection:
         asked = sa.select(trips.c.key, sa.func.count(results.c.computation)).join(
             results, results.c.trip == trips.c.id
@@ -93,7 +86,6 @@ def kept(folder: Path) -> dict[str, bytes]:
 
 
 def maps_in(folder: Path) -> dict[str, bytes]:
-    """The maps of a folder, as their recordings give them."""
     found = {}
     for path in sorted(folder.glob("*.map")):
         whole = path.with_suffix(".whole")
@@ -104,6 +96,5 @@ def maps_in(folder: Path) -> dict[str, bytes]:
 
 
 def grow_old(results_folder: Path) -> None:
-    """Let files of results seem to be of yesterday."""
     for path in results_folder.rglob("*.parquet"):
         os.utime(path, (0, 0))

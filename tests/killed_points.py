@@ -6,15 +6,13 @@ file that outlasts it. Between them some results are forgotten, and the code is 
 that there is always something to compute, to merge and to map. At last two updates end.
 """
 
-from __future__ import annotations
-
 import json
 import pathlib
 import random
 import shutil
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -71,15 +69,9 @@ RENAMED = {
 
 
 def watch(passed: Passed) -> None:
-    """Let this process note what it passes."""
     doing = ["asking"]
 
-    def around(
-        owner: Any,
-        name: str,
-        then: Callable[..., str] = lambda *_: "",
-        while_doing: Callable[..., str] = lambda *_: doing[-1],
-    ) -> None:
+    def around(owner, name, then=lambda *_: "", while_doing=lambda *_: doing[-1]):
         """What goes on during calls of a function, and the point behind each, if it is one."""
         inner = getattr(owner, name)
 
@@ -194,22 +186,15 @@ def forget_whole(catalogue: Catalogue, analysis: FleetAnalysis) -> None:
     for each in (own, replace(own, code=OTHER_CODE)):
         catalogue.forget(each, states=results.STATES)
     with catalogue.writing() as connection:
-        used = sa.select(result_files.c.name).where(
-            sa.exists().where(table.c.file == result_files.c.id)
-        )
-        named = set(connection.execute(used).scalars())
+        used = sa.exists().where(table.c.file == result_files.c.id)
+        named = set(connection.execute(sa.select(result_files.c.name).where(used)).scalars())
         for path in (catalogue.results_folder / analysis.name).glob("[!.]*.parquet"):
             if path.name not in named:
                 path.unlink()
 
 
-def run(
-    where: str, kept: str, logs: str, each: int, at_random: int, together: int
-) -> Mapping[str, Mapping[str, int]]:
-    """Kill updates at each point so many times, then at random, so many at once; where they fell.
-
-    By SIGKILL, on one catalogue.
-    """
+def run(where, kept, logs, each, at_random, together):
+    """Kill updates at each point so many times, then at random, so many at once."""
     folder = Path(kept).parent
     folder.mkdir(parents=True, exist_ok=True)
     with open_catalogue(where, results=kept if "://" in where else None) as catalogue:

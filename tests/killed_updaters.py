@@ -1,9 +1,4 @@
-"""Updaters of one map that are killed, forked from a process that has imported everything.
-
-Each begins within milliseconds.
-"""
-
-from __future__ import annotations
+"""Updaters of one map that are killed, forked from a process that has imported everything."""
 
 import os
 import selectors
@@ -18,9 +13,8 @@ import numpy as np
 from killed import Piped
 from test_traction_map import LINE, part, piece
 
-from analysis import update_map
 from analysis.adhesion import condition_map
-from analysis.adhesion.condition_map import empty_map
+from analysis.adhesion.condition_map import empty_map, update_map
 from trainlog.cli.main import run
 from trainlog.formats.mapfile import MapFile, Recording
 
@@ -31,12 +25,10 @@ SHARED |= {990: piece(990, "wet")}
 
 
 def recording_of(seed: int) -> Recording:
-    """The recording whose trip is named after a seed."""
     return condition_map.recording_of(SHARED.get(seed) or piece(seed, ("dry", "wet")[seed % 2]))
 
 
 def wait_for(running: Sequence[Piped], lines: int) -> None:
-    """Until all updaters together have printed so many lines, or have ended."""
     with selectors.DefaultSelector() as selector:
         for each in running:
             selector.register(each.pipe, selectors.EVENT_READ, each)
@@ -55,7 +47,6 @@ def kill(running: Sequence[Piped], rng: np.random.Generator, within: float) -> i
 
 
 def append(path: Path, seeds: Sequence[int]) -> None:
-    """Add recordings to a map's file, and state each when it is on the disk."""
     with MapFile(path, EMPTY) as file:
         for seed in seeds:
             file.append(recording_of(seed))
@@ -63,11 +54,7 @@ def append(path: Path, seeds: Sequence[int]) -> None:
 
 
 def kill_and_append(folder: str, updaters: int, kills: int, each: int) -> dict[str, Any]:
-    """Updaters with recordings of their own, and with some that all are given, are killed.
-
-    None of those that begin together with 0 kills. Returns the map, how many were killed and how
-    many ended, and the seeds that each updater had stated.
-    """
+    """Updaters with recordings of their own, and with some that all are given, are killed."""
     own_folder = Path(folder, f"{kills}-kills")
     own_folder.mkdir()
     path, rng = own_folder / "a.map", np.random.default_rng(1)
@@ -102,11 +89,7 @@ def append_by_all(folder: str, updaters: int, *given: Sequence[int]) -> list[dic
 
 
 def kill_and_update(place: str, logs: str, updaters: int, rounds: int) -> list[dict[str, Any]]:
-    """Commands that update one map from one folder of logs are killed, then all may end.
-
-    Returns of each round the map, what was stated by the killed and by those that ended (with
-    exit status and complaints), how many were killed, and which trips counted between the two.
-    """
+    """Commands that update one map from one folder of logs are killed, then all may end."""
     rng, found, folder = np.random.default_rng(2), [], Path(place)
     # Compiled functions are loaded once, by all updaters together.
     update_map(logs, folder / "first.map")
@@ -120,13 +103,9 @@ def kill_and_update(place: str, logs: str, updaters: int, rounds: int) -> list[d
             counted = [row.known.name for row in file.trips() if row.counted]
         texts = [folder / f"{number}+{n}" for n in range(updaters)]
         again = [Piped(partial(run, words), text) for text in texts]
-        ended = [
-            (each.end(), each.lines, text.read_text())
-            for each, text in zip(again, texts, strict=True)
-        ]
+        pairs = zip(again, texts, strict=True)
+        ended = [(each.end(), each.lines, text.read_text()) for each, text in pairs]
         stated = [line for each in running for line in each.lines]
-        found.append(
-            {"map": str(path), "killed": killed, "stated": stated, "counted": counted}
-            | {"ended": ended}
-        )
+        known = {"killed": killed, "stated": stated, "counted": counted, "ended": ended}
+        found.append({"map": str(path), **known})
     return found

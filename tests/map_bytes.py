@@ -1,7 +1,5 @@
 """Maps in the bytes of their files."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +11,6 @@ from trainlog.railway import TrackConditionMap
 
 @contextmanager
 def opened(data: bytes, name: str = "track.map") -> Iterator[MapFile]:
-    """The map file of these bytes, which is written for it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(data)

@@ -1,9 +1,4 @@
-"""Whether what trainlog makes of a damaged log is right: judged against what was written.
-
-`verdict` reads a damaged file in every way there is and returns what is wrong with the answers.
-"""
-
-from __future__ import annotations
+"""Whether what trainlog makes of a damaged log is right: judged against what was written."""
 
 import resource
 import signal
@@ -28,49 +23,33 @@ from mcap.writer import CompressionType, Writer
 from mcap_mutations import CHANNEL, CHUNK, HEAD, MAGIC, SCHEMA, records_of
 from mcap_trips import trip_of
 
-from trainlog.errors import LogError, TrainlogError
-from trainlog.mcap import account_of, describe, read_log, recover, write_log
+from trainlog import DamageWarning, LogError, TrainlogError, Trip, describe, recover
+from trainlog.mcap import account_of, read_log, write_log
 from trainlog.mcap.contents import check_is_mcap, contents_of, fetched, index_in, scanned
-from trainlog.mcap.records import Account, DamageWarning, Source, message_data, opened
+from trainlog.mcap.records import Account, Source, message_data, opened
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_STATE
-from trainlog.trip import Trip
 
-Message = tuple[str, int, bytes]
-"""Topic, log time and data."""
+Message = tuple[str, int, bytes]  # topic, log time and data
 
 _TWICE = ("comes again", "one file ends here", "without its chunk")
 """What an account says of files in which something comes twice."""
 
-LONGEST = 20
-"""No reading of a small file may take more time of the processor [s]."""
+LONGEST = 20  # no reading of a small file may take more time of the processor [s]
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """A whole log and what is in it.
-
-    Attributes
-    ----------
-    data : bytes
-    messages : Counter of Message
-    groups : list of (bytes, Counter of Message)
-        Each chunk's record, with its messages.
-    declarations : list of bytes
-        Its schema and channel records.
-    trip : Trip or None
-        None if it is not one of trainlog's.
-    """
+    """A whole log and what is in it."""
 
     name: str
     data: bytes
     messages: Counter[Message]
-    groups: list[tuple[bytes, Counter[Message]]] = field(repr=False)
-    declarations: list[bytes] = field(repr=False)
-    trip: Trip | None = None
+    groups: list[tuple[bytes, Counter[Message]]] = field(repr=False)  # each chunk's record
+    declarations: list[bytes] = field(repr=False)  # its schema and channel records
+    trip: Trip | None = None  # none if it is not one of trainlog's
 
 
 def specimen(name: str, data: bytes, trip: Trip | None = None) -> Specimen:
-    """The specimen that a whole file is, by what the official reader finds in it."""
     records = records_of(data)
     channels = {channel.id: channel.topic for channel in _summary(data).channels.values()}
     groups = []
@@ -96,9 +75,6 @@ def _streamed(data: bytes, channels: dict[int, str]) -> Counter[Message]:
             return found
         if type(record).__name__ == "Message":
             found[channels[record.channel_id], record.log_time, record.data] += 1
-
-
-# -------------------------------------------------------------------------------- the specimens
 
 
 @cache
@@ -147,9 +123,6 @@ def foreign(compression: CompressionType, *, chunks: bool = True) -> bytes:
     return stream.getvalue()
 
 
-# --------------------------------------------------------------------------------- the judgement
-
-
 class Hang(BaseException):
     """A file took longer than any file may."""
 
@@ -171,7 +144,6 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def most_memory() -> int:
-    """The most memory that this process has had so far [bytes]."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else most * 1024
 
@@ -179,15 +151,7 @@ def most_memory() -> int:
 def verdict(data: bytes, whole: Specimen, path: Path, *, rebuild: bool = True) -> list[str]:
     """What is wrong with how trainlog reads these bytes, the damaged form of a whole log.
 
-    Parameters
-    ----------
-    data : bytes
-    whole : Specimen
-        What the file was.
-    path : Path
-        Where to put the damaged file; ``recovered.mcap`` beside it is written, too.
-    rebuild : bool
-        Whether to recover it as well.
+    They are put at `path`; what is rebuilt of them is ``recovered.mcap`` beside it.
     """
     path.write_bytes(data)
     wrong: list[str] = []
@@ -201,10 +165,8 @@ def verdict(data: bytes, whole: Specimen, path: Path, *, rebuild: bool = True) -
         frames = traceback.extract_tb(error.__traceback__)
         place = " < ".join(f"{each.name}:{each.lineno}" for each in frames[:-4:-1])
         return [f"raises {type(error).__name__}: {error} ({place})"]
-    wrong += [
-        f"warns: {each.message}" for each in caught if not isinstance(each.message, DamageWarning)
-    ]
-    return wrong
+    others = (each.message for each in caught if not isinstance(each.message, DamageWarning))
+    return [*wrong, *(f"warns: {each}" for each in others)]
 
 
 def _judged(data: bytes, whole: Specimen, path: Path, *, rebuild: bool) -> Iterator[str]:
@@ -237,7 +199,6 @@ def _judged(data: bytes, whole: Specimen, path: Path, *, rebuild: bool) -> Itera
 
 
 def messages_in(source: Source, contents) -> Counter[Message]:
-    """Every message that the contents of a file lead to."""
     found: Counter[Message] = Counter()
     for place in contents.chunks:
         content = opened(fetched(source, place), place.offset)
@@ -275,9 +236,7 @@ def _account(data: bytes, account: Account) -> Iterator[str]:
         yield "bytes that are said to be read are no records"
 
 
-def _messages(
-    data: bytes, whole: Specimen, found: Counter[Message], account: Account
-) -> Iterator[str]:
+def _messages(data, whole, found, account):
     """What comes back was written, and everything that can come back does."""
     if found.total() != account.messages:
         yield f"{found.total()} messages come back, the account says {account.messages}"
@@ -304,7 +263,6 @@ def _messages(
 
 
 def _nameless(messages: Counter[Message]) -> Counter[tuple[int, bytes]]:
-    """The messages without their topics."""
     found: Counter[tuple[int, bytes]] = Counter()
     for (_, time, data), count in messages.items():
         found[time, data] += count
@@ -352,7 +310,6 @@ def _rows(frame: pd.DataFrame) -> Counter[tuple[int, tuple[object, ...]]]:
 
 
 def _reads(path: Path) -> bool:
-    """Whether a damaged log gives a trip."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DamageWarning)
         try:

@@ -1,7 +1,5 @@
 """Figures that are made but not painted, which takes half a second each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +9,6 @@ import pytest
 
 @contextmanager
 def without_painting() -> Iterator[None]:
-    """Figures are written as the beginning of a file of their kind."""
     from matplotlib.figure import Figure
 
     def written(_: Figure, path: Path, format: str = "png", **__: object) -> None:

@@ -1,7 +1,5 @@
 """Files of the recorders met in the field, with their defects: pure functions of a seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,7 +24,7 @@ class Drive:
     def __len__(self) -> int:
         return self.time.size
 
-    def take(self, index: np.ndarray) -> Drive:
+    def take(self, index):
         return Drive(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
@@ -50,11 +48,8 @@ def drive(count: int, rate: float, seed: int = 0) -> Drive:
 
 @dataclass
 class Recorded:
-    """A file and what is wrong with it."""
-
     text: str
-    truth: Drive
-    """The samples that the file still holds, in the order of time."""
+    truth: Drive  # the samples that the file still holds, in the order of time
     defects: dict[str, int] = field(default_factory=dict)
 
 
@@ -73,17 +68,10 @@ EXTENSIONS = {
     "osmand": "<extensions><osmand:speed>{v}</osmand:speed></extensions>",
     "plain": "<extensions><speed>{v}</speed></extensions>",
     "none": "",
-}
-"""Where GPX files keep the speed."""
+}  # where GPX files keep the speed
 
 
-def gpx_text(
-    run: Drive,
-    *,
-    speed: str = "1.0",
-    offset: str = "Z",
-    parts: list[list[np.ndarray]] | None = None,
-) -> str:
+def gpx_text(run, *, speed="1.0", offset="Z", parts=None):
     """A GPX file; `parts` are the indexes of the points of each segment of each track."""
     version = "1.0" if speed == "1.0" else "1.1"
     stated = stamps(run.time, offset)
@@ -137,7 +125,6 @@ MTK_HEADER = "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt,Speed,HDOP"
 
 
 def mtk_rows(run: Drive, scaled: bool = False) -> list[str]:
-    """The rows of an MTK logger: whole seconds, however many rows there are in one."""
     rows = []
     for i, stamp in enumerate(pd.DatetimeIndex(run.time)):
         place = (run.longitude[i], run.latitude[i])
@@ -200,7 +187,6 @@ def mtk_at_rest(seed: int, *, moving: int = 60, resting: int = 400, again: float
 
 
 def checked(body: str) -> str:
-    """An NMEA sentence with its checksum."""
     total = 0
     for character in body.encode("ascii"):
         total ^= character
@@ -212,10 +198,7 @@ def _degrees(value: float, width: int) -> str:
     return f"{whole:0{width}d}{60.0 * (abs(value) - whole):09.6f}"
 
 
-def nmea_lines(
-    run: Drive, kinds: tuple[str, ...] = ("RMC", "GGA", "GST", "VTG", "GSV")
-) -> list[str]:
-    """The sentences of each fix, one fix after the other."""
+def nmea_lines(run, kinds=("RMC", "GGA", "GST", "VTG", "GSV")):
     lines = []
     for i, stamp in enumerate(pd.DatetimeIndex(run.time)):
         of_day = stamp.strftime("%H%M%S.") + f"{stamp.microsecond // 10_000:02d}"
@@ -270,7 +253,6 @@ def nav_pvt(run: Drive, i: int, *, valid: bool = True, fixed: bool = True) -> by
 
 
 def since_start(nanoseconds: int) -> str:
-    """``HH:MM:SS.ffffff``."""
     seconds, micro = divmod(nanoseconds // 1_000, 1_000_000)
     return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}.{micro:06d}"
 
@@ -281,10 +263,8 @@ class HexLines:
 
     text: str
     fixes: Drive
-    utc: np.ndarray
-    """True time of the samples of the IMU [ns]."""
-    words: np.ndarray
-    """(n, 6) their words."""
+    utc: np.ndarray  # true time of the samples of the IMU [ns]
+    words: np.ndarray  # (n, 6) their words
 
 
 def hexlines(seed: int, seconds: int = 30, rate: int = 100, drift: float = 20e-6) -> HexLines:

@@ -1,7 +1,5 @@
 """Calls that are refused: the kind of the error, and what its message states."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar
 

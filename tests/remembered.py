@@ -1,7 +1,5 @@
 """Results of costly functions, made once of the same arguments by all workers of a run."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import os
@@ -20,12 +18,10 @@ COSTLY = (
     "analysis.resistance.passport._delay_and_ratio",
     "analysis.resistance.fit.fit_windows",
     "analysis.trajectory.optimiser._optimised",
-)
-"""Functions whose results depend on their arguments and the constants of their modules alone."""
+)  # functions whose results depend on their arguments and the constants of their modules alone
 
 
 def place_of(dotted: str) -> tuple[Any, str]:
-    """The module of a function, and its name there."""
     module, _, name = dotted.rpartition(".")
     return importlib.import_module(module), name
 

@@ -1,7 +1,5 @@
 """A small trip over a small line, and how to read a recording back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -9,19 +7,10 @@ import numpy as np
 import pyarrow as pa
 from rerun.chunk import RrdReader
 
-from trainlog import topics
+from trainlog import Geometry, Line, RunningResistance, Station, StepProfile, Trajectory, topics
 from trainlog.formats.railway import line_to_bytes
-from trainlog.railway import (
-    Configuration,
-    Geometry,
-    Line,
-    RunningResistance,
-    Station,
-    StepProfile,
-    TrackConditionMap,
-    Trajectory,
-)
-from trainlog.railway.condition import ConditionLayer
+from trainlog.railway import Configuration
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.topics import Topic
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
@@ -73,10 +62,7 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
         topics.TRAIN_AXLES: {"wheel_speed": wheels, "wheel_effort": wheels},
         topics.GNSS_FIX: {"latitude": latitude * known, "longitude": longitude * known},
         topics.GNSS_MOTION: {"speed": speed},
-        topics.ENVIRONMENT: {
-            "speed_limit": line.speed_limit(position),
-            "gradient": line.gradient(position),
-        },
+        topics.ENVIRONMENT: {n: getattr(line, n)(position) for n in ("speed_limit", "gradient")},
         topics.EVENTS: {
             "level": [2, 3],
             "message": ["departure from A", "slip protection"],
@@ -107,7 +93,6 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
 
 
 def condition_of() -> TrackConditionMap:
-    """Three bins of the line observed when dry, none when wet."""
     bins = 80
     observed = np.isin(np.arange(bins), (10, 11, 60))
 
@@ -126,7 +111,6 @@ def condition_of() -> TrackConditionMap:
 
 
 def trajectory_of() -> Trajectory:
-    """Two configurations in four cells."""
     configurations = tuple(
         Configuration(name, mass, 5e3, RunningResistance(2e3, 50.0, 5.0), 1e6)
         for name, mass in (("light", 1e5), ("heavy", 1.2e5))
@@ -145,7 +129,6 @@ def trajectory_of() -> Trajectory:
 
 
 def entities(path: Path) -> dict[str, set[str]]:
-    """Entities of a recording and the timelines that they are on; none if they always hold."""
     found: dict[str, set[str]] = {}
     for chunk in RrdReader(path).stream().to_chunks():
         if not chunk.entity_path.startswith("/__"):
@@ -163,15 +146,11 @@ def rows(path: Path, entity: str) -> dict[str, np.ndarray]:
     if not batches:
         return {}
     table = pa.Table.from_batches(batches)
-    return {
-        name: _values(table[name].combine_chunks())
-        for name in table.column_names
-        if "RowId" not in name
-    }
+    names = [name for name in table.column_names if "RowId" not in name]
+    return {name: _values(table[name].combine_chunks()) for name in names}
 
 
 def static(path: Path, entity: str, component: str) -> list[Any]:
-    """A component that an entity always has."""
     for chunk in RrdReader(path).stream().to_chunks():
         batch = chunk.to_record_batch()
         if chunk.entity_path == entity and chunk.is_static and component in batch.schema.names:

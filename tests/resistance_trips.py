@@ -1,7 +1,5 @@
 """Trips whose motion is known in closed form, for the tests of the identification."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -47,16 +45,13 @@ def varied_speed(time: FloatArray) -> FloatArray:
 
 
 def constant_speed(time: FloatArray) -> FloatArray:
-    """Nothing but 30 m/s."""
     return np.full(time.size, 30.0)
 
 
 SpeedOf = Callable[[FloatArray], FloatArray]
 
 
-def driven(
-    speed_of: SpeedOf, mass: float, resistance: RunningResistance, duration: float, train: Train
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def driven(speed_of, mass, resistance, duration, train):
     """Times every tenth of a second, speeds, and the efforts that they need."""
     time = np.arange(0.0, duration, 0.1)
     acceleration = (speed_of(time + 1e-4) - speed_of(time - 1e-4)) / 2e-4
@@ -77,7 +72,6 @@ def recording(
     noise: float = 0.0,
     seed: int = 0,
 ) -> Recording:
-    """An exact recording on a level line, with noise on the speed if wanted."""
     time, speed, effort = driven(speed_of, mass, resistance, duration, TRAIN)
     nothing, shown = np.zeros(time.size), measured(speed, noise, seed)
     groups = (np.cumsum(speed) * 0.1 // 500.0).astype(np.int64)
@@ -109,7 +103,6 @@ def trip(
     seed: int = 0,
     train: Train = TRAIN,
 ) -> Trip:
-    """A trip on a level line whose recorder shows speed, chainage and efforts."""
     time, speed, effort = driven(speed_of, mass, resistance, duration, train)
     position = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
     stamps = np.int64(1_700_000_000_000_000_000) + np.round(time * 1e9).astype(np.int64)
@@ -124,5 +117,4 @@ def trip(
 
 
 def changed(original: Trip, topic: str, **columns: object) -> Trip:
-    """The trip with columns of one topic replaced."""
     return original.with_topic(original[topic].assign(**columns))

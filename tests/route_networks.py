@@ -4,8 +4,6 @@ The errors are none that the matcher assumes: they last and wander, jump in cutt
 late, are missing in tunnels, and the receiver's datum is shifted against the network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from ingest_logs import profile
+from scipy.signal import lfilter
 
+from trainlog import Edge, Geometry, Line, Network, Node, Station, StepProfile
 from trainlog.arrays import ComplexArray, FloatArray
 from trainlog.ingest import Profile
 from trainlog.railway.geometry import from_plane, to_plane
-from trainlog.railway.line import Geometry, Line, Station, StepProfile
-from trainlog.railway.network import Edge, Network, Node, Route
 
 ORIGIN = (47.4, 9.2)
 Points = ComplexArray
@@ -45,7 +43,6 @@ def bowed(start: complex, end: complex, aside: float, ramp: float = 0.05) -> Poi
 
 
 def line_of(name: str, points: Points, stations: Sequence[tuple[str, float]]) -> Line:
-    """A line along points of the plane [m]."""
     position = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
     latitude, longitude = from_plane(points, ORIGIN)
     length = float(position[-1])
@@ -83,39 +80,25 @@ PHONE = Receiver(rate=1.0 / 11.0, white=6.0, lasting=6.0, time=120.0, stated=12.
                  outliers=0.01, gaps=1, multipath=1, frozen=0)  # fmt: skip
 
 
-def motion(
-    stops: Sequence[float], rng: np.random.Generator, rate: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Time [s], position [m] and speed [m/s] of a train that stops at places."""
-    time, position, speed = [0.0], [float(stops[0])], [0.0]
+def motion(stops, rng, rate):
+    rows = [(float(stops[0]), 0.0)]
     dt = min(0.1, 1.0 / rate) if rate >= 1.0 else 0.5
     for begin, end in pairwise(stops):
         most = float(rng.uniform(14.0, 32.0))
         s, v = float(begin), 0.0
-        for _ in range(int(rng.uniform(20.0, 45.0) / dt)):
-            time.append(time[-1] + dt)
-            position.append(s)
-            speed.append(0.0)
+        rows += [(s, 0.0)] * int(rng.uniform(20.0, 45.0) / dt)
         while s < end - 0.5:
             v = min(v + 0.6 * dt, most, np.sqrt(max(2.0 * 0.7 * (end - s), 0.05)))
             s = min(s + v * dt, float(end))
-            time.append(time[-1] + dt)
-            position.append(s)
-            speed.append(v)
-    for _ in range(int(25.0 / dt)):
-        time.append(time[-1] + dt)
-        position.append(position[-1])
-        speed.append(0.0)
-    every = round(1.0 / rate / dt)
-    return np.array(time)[::every], np.array(position)[::every], np.array(speed)[::every]
+            rows.append((s, v))
+    rows += [(rows[-1][0], 0.0)] * int(25.0 / dt)
+    position, speed = np.array(rows)[:: round(1.0 / rate / dt)].T
+    return round(1.0 / rate / dt) * dt * np.arange(position.size), position, speed
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """Fixes as received, NaN where there is none, and where the train was [m].
-
-    The plane of the points touches the earth at `origin` [deg].
-    """
+    """Fixes as received, NaN where there is none, and where the train was [m]."""
 
     seconds: FloatArray
     points: Points
@@ -125,24 +108,14 @@ class Received:
     origin: tuple[float, float] = ORIGIN
 
 
-def received(
-    track: tuple[FloatArray, Points],
-    drive: tuple[FloatArray, FloatArray, FloatArray],
-    receiver: Receiver,
-    rng: np.random.Generator,
-    tunnels: Sequence[tuple[float, float]] = (),
-) -> Received:
-    """What a receiver gives of a drive along a track (positions [m], points)."""
+def received(track, drive, receiver, rng, tunnels=()):
     seconds, position, speed = drive
     count, step = seconds.size, 1.0 / receiver.rate
     points = np.interp(position, *track)
     keep = np.exp(-step / receiver.time)
     steps = rng.standard_normal((count, 2)) @ np.array([1.0, 1j]) * np.sqrt(1.0 - keep**2)
-    wander = np.zeros(count, dtype=complex)
-    last = complex(*rng.standard_normal(2))
-    for i in range(count):
-        last = keep * last + steps[i]
-        wander[i] = last
+    first = complex(*rng.standard_normal(2))
+    wander, _ = lfilter([1.0], [1.0, -keep], steps, zi=[keep * first])
     points = points + receiver.shift * np.exp(2j * np.pi * rng.random())
     points += receiver.lasting * wander
     points += receiver.white * (rng.standard_normal((count, 2)) @ np.array([1.0, 1j]))
@@ -171,11 +144,7 @@ def received(
     return Received(seconds, points, shown, stated, position)
 
 
-def network_of(
-    edges: Sequence[tuple[str, str, str, Points]],
-    stations: Sequence[str],
-    turns: dict[str, tuple[tuple[str, str], ...]] | None = None,
-) -> Network:
+def network_of(edges, stations, turns=None):
     """A network of edges (name, start, end, course); nodes named as stations are stations."""
     nodes: dict[str, Node] = {}
     for _, start, end, course in edges:
@@ -250,14 +219,7 @@ def balloon() -> Network:
     )
 
 
-def drive(
-    route: Route,
-    receiver: Receiver,
-    rng: np.random.Generator,
-    stops: Sequence[float] = (),
-    tunnels: Sequence[tuple[float, float]] = (),
-) -> Received:
-    """A trip over a route, as received."""
+def drive(route, receiver, rng, stops=(), tunnels=()):
     geometry = route.line.geometry
     points = to_plane(geometry.latitudes, geometry.longitudes, ORIGIN)
     places = stops or (40.0, 0.45 * route.length, route.length - 40.0)
@@ -266,7 +228,6 @@ def drive(
 
 
 def write_csv(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -> Path:
-    """The fixes as a table that its own profile describes."""
     lost = np.isnan(fixes.points)
     latitude, longitude = from_plane(np.where(lost, 0.0, fixes.points), fixes.origin)
     time = pd.Timestamp(start, tz="UTC") + pd.to_timedelta(fixes.seconds, unit="s")
@@ -281,7 +242,6 @@ def write_csv(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -
 
 
 def profile_for(fixes: Received) -> Profile:
-    """How `write_csv` writes."""
     columns = {
         "/gnss/fix.latitude": {"column": "latitude", "unit": "deg"},
         "/gnss/fix.longitude": {"column": "longitude", "unit": "deg"},

@@ -5,8 +5,6 @@ made on different machines are therefore compared to `TOLERANCE` of the largest 
 only two runs on one machine are compared byte by byte.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import fields
@@ -38,7 +36,6 @@ def first_difference(found: Path, kept: Path, tolerance: float = TOLERANCE) -> s
 
 
 def _content(path: Path) -> Any:
-    """All values of a file, as JSON would hold them."""
     if path.suffix == ".json":
         return json.loads(path.read_bytes())
     if path.suffix == ".mcap":
@@ -63,7 +60,6 @@ def _content(path: Path) -> Any:
 
 
 def _of_numbers(found: np.ndarray, kept: np.ndarray, tolerance: float) -> str | None:
-    """Two columns of numbers; NaN equals NaN."""
     largest = float(np.max(np.abs(kept[np.isfinite(kept)]), initial=0.0))
     off = np.where((found == kept) | (np.isnan(found) & np.isnan(kept)), 0.0, np.abs(found - kept))
     beyond = ~(off <= tolerance * largest)

@@ -1,17 +1,14 @@
 """Trips of a satellite receiver along any curve of the plane, with the truth beside them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from scipy.signal import lfilter
 
-from trainlog.railway import Geometry
+from trainlog import Geometry, Trip, frame_of
 from trainlog.railway.geometry import from_plane
 from trainlog.topics import GNSS_FIX, GNSS_MOTION, TRAIN_STATE
-from trainlog.trip import Trip, frame_of
 
 ORIGIN = (47.0, 9.0)
 START = pd.Timestamp("2024-05-01T06:00:00Z").value
@@ -34,8 +31,6 @@ def winding(length: float = 12_000.0) -> Geometry:
 
 @dataclass(frozen=True)
 class Receiver:
-    """How a receiver errs."""
-
     rate: float = 1.0
     noise: float = 3.0
     lasting: bool = False
@@ -46,7 +41,6 @@ class Receiver:
 
 
 def motion(length: float, top: float = 25.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time [s], position [m] and speed [m/s] of a run with a stop of 40 s in the middle."""
     half = np.linspace(0.0, length / 2.0, 4_000)
     pace = np.sqrt(np.minimum(2.0 * 0.5 * half, 2.0 * 0.6 * (half[-1] - half)))
     pace = np.maximum(np.minimum(pace, top), 0.15)
@@ -58,13 +52,8 @@ def motion(length: float, top: float = 25.0) -> tuple[np.ndarray, np.ndarray, np
     return even, position, np.gradient(position, even)
 
 
-def drive(
-    geometry: Geometry, receiver: Receiver, seed: int = 1, *, reverse: bool = False
-) -> tuple[Trip, pd.DataFrame]:
-    """A trip over the whole geometry, and its true position [m] and speed [m/s].
-
-    Position grows in the direction of travel; `reverse` runs the geometry from its end.
-    """
+def drive(geometry, receiver, seed=1, *, reverse=False):
+    """A trip over the whole geometry, or from its end; its true position [m] and speed [m/s]."""
     generator = np.random.default_rng(seed)
     length = float(geometry.positions[-1])
     way = geometry.reversed(length) if reverse else geometry
@@ -74,8 +63,8 @@ def drive(
     error = generator.standard_normal(t.size) + 1j * generator.standard_normal(t.size)
     if receiver.lasting:
         keep = np.exp(-1.0 / receiver.rate / 30.0)
-        for k in range(1, t.size):
-            error[k] = keep * error[k - 1] + np.sqrt(1.0 - keep**2) * error[k]
+        error[1:] *= np.sqrt(1.0 - keep**2)
+        error = lfilter([1.0], [1.0, -keep], error)
     error = receiver.noise * error
     for begin, end, size in receiver.bursts:
         error[(t >= begin) & (t < end)] += size
@@ -109,14 +98,11 @@ def drive(
 
 
 def errors(estimate: pd.DataFrame, truth: pd.DataFrame, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of an estimate every second, and its standard deviations."""
     index = estimate.index.as_unit("ns").asi8
     even = np.arange(index[0], index[-1], 1_000_000_000)
     at = (even - index[0]) / 1e9
-    stated = [
-        np.interp(at, (index - index[0]) / 1e9, estimate[column])
-        for column in (name, f"{name}_std")
-    ]
+    own = (index - index[0]) / 1e9
+    stated = [np.interp(at, own, estimate[column]) for column in (name, f"{name}_std")]
     known = (truth.index.as_unit("ns").asi8 - index[0]) / 1e9
     return stated[0] - np.interp(at, known, truth[name]), stated[1]
 
@@ -232,9 +218,7 @@ class Field:
     places: str = "measured"  # or a kind of `misplaced`
 
 
-def misplaced(
-    kind: str, t: np.ndarray, generator: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def misplaced(kind, t, generator):
     """How old each position is [s], how far aside [m], its accuracy over the usual, and if shown.
 
     "held": one position for 5 to 60 s, eight times an hour. "replayed": after an outage of 20 to
@@ -283,25 +267,18 @@ def heavy(count: int, interval: float, memory: float, generator: np.random.Gener
     for _ in range(2):
         drawn = lfilter([1.0 - keep], [1.0, -keep], drawn)
     drawn = drawn[2_000:]
-    size = np.sqrt(3.0) * np.sqrt(
-        np.sum(np.convolve(*[(1 - keep) * keep ** np.arange(3000)] * 2) ** 2)
-    )
-    return drawn / size
+    response = np.convolve(*[(1 - keep) * keep ** np.arange(3000)] * 2)
+    return drawn / np.sqrt(3.0 * np.sum(response**2))
 
 
-def spans(
-    rate: float, shortest: float, longest: float, end: float, generator: np.random.Generator
-) -> list[tuple[float, float]]:
+def spans(rate, shortest, longest, end, generator):
     """Times drawn at a rate an hour, each of a drawn length [s]."""
     count = generator.poisson(rate * end / 3_600.0) if rate else 0
     begins = generator.uniform(40.0, end - 60.0, count)
     return [(b, b + generator.uniform(shortest, longest)) for b in np.sort(begins)]
 
 
-def shown_speed(
-    kind: str, t: np.ndarray, time: np.ndarray, speed: np.ndarray, generator: np.random.Generator
-) -> np.ndarray:
-    """What a receiver gives for the speed."""
+def shown_speed(kind, t, time, speed, generator):
     step = t[1] - t[0]
     true = np.interp(t, time, speed)
     white = 0.1 * generator.standard_normal(t.size)
@@ -340,10 +317,7 @@ def shown_speed(
     raise ValueError(kind)
 
 
-def receive(
-    geometry: Geometry, run: tuple[np.ndarray, np.ndarray, np.ndarray], field: Field, seed: int
-) -> tuple[Trip, pd.DataFrame]:
-    """A trip as a receiver of the field records it, and its truth."""
+def receive(geometry, run, field, seed):
     generator = np.random.default_rng(seed)
     time, position, speed = run
     t = np.arange(generator.uniform(0.0, field.interval), time[-1], field.interval)
@@ -388,9 +362,8 @@ def receive(
             shown[inside] = shown[last]
     stamps = START + (t[seen] * 1e9).astype(np.int64)
     size = np.hypot(field.noise, 0.5)
-    stated = (
-        worse * size * field.stated * np.exp(0.3 * heavy(t.size, field.interval, 30.0, generator))
-    )
+    lasting = heavy(t.size, field.interval, 30.0, generator)
+    stated = worse * size * field.stated * np.exp(0.3 * lasting)
     fix = {"latitude": latitude[seen], "longitude": longitude[seen]}
     fix["horizontal_accuracy"] = stated[seen] if field.stated else np.full(seen.sum(), 5.0)
     topics = {"/gnss/fix": frame_of(GNSS_FIX, stamps, fix)}

@@ -1,24 +1,11 @@
 """A small line and a train for the tests of the simulation: nothing read from disk."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from trainlog.railway import (
-    Axles,
-    Brake,
-    CurvatureProfile,
-    Geometry,
-    Line,
-    RunningResistance,
-    Station,
-    StepProfile,
-    Train,
-    Tunnel,
-)
+from trainlog import Axles, Brake, CurvatureProfile, Train
+from trainlog.railway import Geometry, Line, RunningResistance, Station, StepProfile, Tunnel
 from trainlog.units import KMH
 
 
@@ -27,13 +14,10 @@ def steps(*pairs: tuple[float, float]) -> StepProfile:
     return StepProfile(np.array(positions, dtype=float), np.array(values, dtype=float))
 
 
-def level_line(
-    length: float = 100_000.0, gradient: float = 0.0, limit: float = 60.0, **others: Any
-) -> Line:
+def level_line(length=100_000.0, gradient=0.0, limit=60.0, **others):
     ends = Station("A", 0.0), Station("B", length)
-    return replace(
-        Line("level", length, ends, steps((0.0, limit)), steps((0.0, gradient))), **others
-    )
+    level = Line("level", length, ends, steps((0.0, limit)), steps((0.0, gradient)))
+    return replace(level, **others)
 
 
 def hilly_line() -> Line:
@@ -68,7 +52,6 @@ def hilly_line() -> Line:
 
 
 def flirt(**changes: object) -> Train:
-    """Nearly the FLIRT of the samples."""
     known: dict[str, object] = {
         "name": "flirt",
         "mass": 122_000.0,

@@ -1,7 +1,5 @@
 """Trips for the catalogue without logs: what registering asks of a file, drawn from a seed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
@@ -48,9 +46,8 @@ def synthetic_entry(number: int, seed: int = 1, trains: int = 20, days: int = 36
         "messages": minutes * 2000,
         "software": "trainlog 0.1.0",
     }
-    identity = TripIdentity(
-        pd.Timestamp(start, tz="UTC"), pd.Timestamp(end, tz="UTC"), minutes * 600, blocks
-    )
+    ends = (pd.Timestamp(each, tz="UTC") for each in (start, end))
+    identity = TripIdentity(*ends, minutes * 600, blocks)
     edges = ((line, values["km_from"], values["km_to"], direction),)
     if number % 4 == 0:
         edges += ((f"line {(int(line[-1]) + 1) % 10}", 0.0, 5.0, direction),)

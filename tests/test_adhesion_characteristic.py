@@ -1,7 +1,5 @@
 """Adhesion characteristics: families behind one interface, and the plant that runs on them."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -23,23 +21,19 @@ from analysis.adhesion.slip import onset
 from estimators.adhesion import AdhesionObserver, SlipDetector, impulse, smoothed_force, train_speed
 from estimators.creep_curve import estimate_creep_curve
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
+from trainlog import AdhesionTable, CreepCurve, PolachCurve, draw_scenarios, polach_curve
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import CharacteristicFile, read_adhesion_points
-from trainlog.formats.declared import file_content, thing_from_bytes, thing_to_bytes
+from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.railway import RunningResistance, StepProfile
 from trainlog.railway.adhesion import (
     DRY,
     WET,
     AdhesionCharacteristic,
     AdhesionPoints,
-    AdhesionTable,
-    CreepCurve,
-    PolachCurve,
     creep_coefficients,
-    polach_curve,
 )
-from trainlog.simulation import draw_scenarios
 from trainlog.simulation.dynamics import WHEELS
 from trainlog.simulation.plant import Plant
 
@@ -155,9 +149,6 @@ def test_what_is_no_characteristic_is_refused(make, message):
     refused(InputError, message, make)
 
 
-# --------------------------------------------------------------------------------- in the plant
-
-
 @pytest.mark.parametrize("curve", [None, polach_curve("wet"), FAMILIES["table over creepage"]])
 @settings(max_examples=5)
 @given(
@@ -178,9 +169,8 @@ def test_energy_and_momentum_are_conserved_on_any_characteristic(curve, efforts,
     # Between the points of its table a characteristic has edges, which cost accuracy.
     assert abs(kinetic - gained) <= 2e-6 * total
 
-    free = Plant.of(
-        level_line(), flirt(resistance=RunningResistance(0.0, 0.0, 0.0)), characteristic=curve
-    )
+    rolling = flirt(resistance=RunningResistance(0.0, 0.0, 0.0))
+    free = Plant.of(level_line(), rolling, characteristic=curve)
     state = free.at(0.0, 20.0)
     state.wheel_speeds[:] = [26.0, 21.0, 15.0, 20.5]
     p = free.parameters
@@ -193,7 +183,6 @@ def test_energy_and_momentum_are_conserved_on_any_characteristic(curve, efforts,
 
 @family
 def test_the_plant_agrees_with_an_adaptive_solver(curve):
-    """The same equations with the characteristic itself, scaled to the rail at every speed."""
     peak, effort, train = 0.2, 30e3, flirt()
     plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, peak)), characteristic=curve)
     p = plant.parameters
@@ -225,7 +214,6 @@ def magic_formula(slips: np.ndarray, maximum: float, optimum: float, form: float
 
 @pytest.mark.parametrize(("curve", "optimum"), [(1, (0.0034, 0.016)), (2, (0.013, 0.019))])
 def test_the_eurosprinter_curves(curve, optimum):
-    """At most 2 % of the maximum (RMS), where the plant's own shape misses by more than half."""
     creepage, adhesion, _ = eurosprinter(curve)
     fit = fit_adhesion_characteristic(AdhesionPoints(creepage, adhesion), speed=10.0)
     found = fit.characteristic.over_creepage(creepage, 10.0)
@@ -275,8 +263,6 @@ def test_bands_hold_the_truth_of_curves_of_another_form():
     assert np.median(np.abs(found)) < 0.01
 
 
-# --------------------------------------------------------------------------------------- files
-
 CURVES = st.one_of(
     st.builds(
         lambda a, more, c, variable: CreepCurve(a, a * more, c, c, variable),
@@ -310,23 +296,6 @@ def test_files_give_back_what_was_written(curve):
     np.testing.assert_allclose(again(slips, 20.0), curve(slips, 20.0), rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"table_over_creepage": None, "polach": None}, "describes 0 characteristics"),
-        ({"polach": {"stiffness": 300}}, "300 has no unit"),
-        ({"friction": 0.3}, "unknown key 'friction'"),
-        ({"version": 2}, "version 2 is newer"),
-    ],
-)
-def test_files_that_are_no_characteristic_are_refused(change, message):
-    content = file_content(CharacteristicFile.of(polach_curve("wet"), {})) | change
-    content = {key: value for key, value in content.items() if value is not None}
-    with pytest.raises(InputError, match=message) as caught:
-        thing_from_bytes(CharacteristicFile, json.dumps(content).encode(), "wet.json")
-    assert "wet.json" in str(caught.value)
-
-
 def written(folder: Path, text: str) -> Path:
     return put(folder / "curve.csv", text)
 
@@ -344,14 +313,8 @@ def test_points_in_the_units_of_their_header(tmp_path):
     [
         ("creepage;adhesion\n1;0.2\n", "'creepage' has no unit"),
         ("creepage [1];adhesion\n1;0.2\n4;0.2\n", r"beyond 2 \(200 %\).*state its unit"),
-        (
-            "creepage [%];adhesion\n1;0.2\n2;20\n",
-            r"line 3, column 'adhesion': 20 is not below 1.5; state its unit",
-        ),
-        (
-            "creepage [%];adhesion\n1;0.2\n2;nan\n",
-            r"line 3, column 'adhesion': 'nan' is not a number",
-        ),
+        ("creepage [%];adhesion\n1;0.2\n2;20\n", "line 3, column 'adhesion': 20 is not below 1.5"),
+        ("creepage [%];adhesion\n1;0.2\n2;nan\n", "line 3, column 'adhesion': 'nan' is not a"),
         ("creepage [%];adhesion\n1;-0.2\n", r"line 2: slip and adhesion have opposite signs"),
         ("creepage [%];adhesion\n1;x\n", r"line 2, column 'adhesion': 'x' is not a number"),
         ("force [kN];adhesion\n1;0.2\n", "'kN' cannot be read as m/s"),
@@ -434,17 +397,7 @@ class Run:
     inertia: float
 
 
-def run(
-    base: float,
-    *,
-    curve: CreepCurve = DRY,
-    demand: float = 0.26,
-    speed: float = 8.0,
-    climb: float = 0.1,
-    seconds: float = 200.0,
-    seed: int = 0,
-) -> Run:
-    """A plant that pulls with an adhesion of `demand` uphill, on a rail of about `base`."""
+def run(base, *, curve=DRY, demand=0.26, speed=8.0, climb=0.1, seconds=200.0, seed=0):
     rng = np.random.default_rng(seed)
     places = np.arange(0.0, 40_000.0, 100.0)
     rail = StepProfile(places, base * np.exp(0.12 * rng.standard_normal(places.size)))
@@ -468,10 +421,8 @@ def rms(values: FloatArray) -> float:
 
 
 def smoothed(plant: Run, noise: float) -> FloatArray:
-    force = smoothed_force(
-        plant.time, plant.wheel_speed, plant.wheel_effort, ROTATING_MASS, noise, FORCE_RATE
-    )
-    return force.force / AXLE_LOAD
+    measured = plant.time, plant.wheel_speed, plant.wheel_effort
+    return smoothed_force(*measured, ROTATING_MASS, noise, FORCE_RATE).force / AXLE_LOAD
 
 
 class TestSlipDetector:
@@ -485,7 +436,6 @@ class TestObserver:
     @given(st.integers(0, 2**31), st.integers(1, 5))
     @settings(max_examples=8)
     def test_it_is_the_linear_gaussian_filter(self, seed, axles):
-        """The engine of all models, on uneven steps with speeds and efforts missing."""
         rng = np.random.default_rng(seed)
         count = 200
         time = np.cumsum(rng.uniform(0.02, 0.5, count))
@@ -525,18 +475,15 @@ class TestObserver:
         assert rms(error[slips]) < 0.008
 
     def test_refuses_bad_input(self):
-        with pytest.raises(InputError, match="rotating mass must be positive"):
-            AdhesionObserver(1, 0.0, 0.05, FORCE_RATE)
-        with pytest.raises(InputError, match="speed noise must be positive"):
-            AdhesionObserver(1, 1.0, np.nan, FORCE_RATE)
-        observer = AdhesionObserver(1, ROTATING_MASS, 0.05, FORCE_RATE)
-        with pytest.raises(InputError, match="row 2: adhesion observer: time must increase"):
-            observer.update(np.array([0.0, 1.0, 2.0, 2.0]), np.ones((4, 1)), np.ones((4, 1)))
-        observer.update(np.array([5.0]), np.ones((1, 1)), np.ones((1, 1)))
-        with pytest.raises(InputError, match="row 0"):
-            observer.update(np.array([4.0]), np.ones((1, 1)), np.ones((1, 1)))
-        with pytest.raises(InputError, match="do not fit"):
-            observer.update(np.arange(3.0), np.ones((2, 1)), np.ones((2, 1)))
+        one, many = np.ones((1, 1)), np.ones((4, 1))
+        refused(InputError, "rotating mass must be", AdhesionObserver, 1, 0.0, 0.05, FORCE_RATE)
+        refused(InputError, "speed noise must be", AdhesionObserver, 1, 1.0, np.nan, FORCE_RATE)
+        update = AdhesionObserver(1, ROTATING_MASS, 0.05, FORCE_RATE).update
+        said = "row 2: adhesion observer: time must increase"
+        refused(InputError, said, update, np.array([0.0, 1.0, 2.0, 2.0]), many, many)
+        update(np.array([5.0]), one, one)
+        refused(InputError, "row 0", update, np.array([4.0]), one, one)
+        refused(InputError, "do not fit", update, np.arange(3.0), many[:2], many[:2])
 
 
 class TestTrainSpeed:
@@ -552,15 +499,8 @@ class TestTrainSpeed:
         # What is given of brake and resistance is wrong by 8 per mille of the train's weight.
         other = np.full(plant.time.size, -0.008 * 9.81 * plant.inertia)
         gained = impulse(plant.time, plant.wheel_speed, plant.wheel_effort, other, ROTATING_MASS)
-        found = train_speed(
-            plant.time,
-            plant.wheel_speed,
-            smoothed(plant, 0.03),
-            0.03,
-            gained / plant.inertia,
-            reference,
-            np.full(plant.time.size, 0.1),
-        )
+        wheels, std = (plant.wheel_speed, smoothed(plant, 0.03)), np.full(plant.time.size, 0.1)
+        found = train_speed(plant.time, *wheels, 0.03, gained / plant.inertia, reference, std)
         limit = 0.03 if satellites else 0.25
         assert rms(found.speed - plant.speed) < limit
         assert np.max(np.abs(found.speed - plant.speed)) < 3.0 * limit
@@ -577,14 +517,12 @@ class TestOnset:
         assert not fell
 
     def test_measured_creep_curves(self):
-        """Curves after a measurement peak at 0.16 m/s and lie flat or fall slowly beyond."""
         creepage, adhesion, speed = eurosprinter(2)
         time = np.arange(0.0, 12.0, 0.05)
         wheel, used, effort = climb(creepage * speed, adhesion, time)
         noise = 0.02 * np.random.default_rng(3).standard_normal(wheel.shape)
-        force = smoothed_force(
-            time, wheel + noise, effort, ROTATING_MASS, 0.02, FORCE_RATE
-        ).force / (AXLE_LOAD)
+        force = smoothed_force(time, wheel + noise, effort, ROTATING_MASS, 0.02, FORCE_RATE)
+        force = force.force / AXLE_LOAD
         assert rms(force[20:-20] - used[20:-20]) < 0.008
         peak = int(np.argmax(wheel[:, 0]))
         window = force[peak - 60 : peak, 0]
@@ -593,9 +531,7 @@ class TestOnset:
         assert window[top].mean() == pytest.approx(adhesion.max(), rel=0.03)
 
 
-def climb(
-    slip: FloatArray, adhesion: FloatArray, time: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def climb(slip, adhesion, time):
     """An axle of a train at 10 m/s whose effort rises slowly until it slips away, then is cut."""
     fine = 1e-3
     steps = round((time[1] - time[0]) / fine)

@@ -1,7 +1,5 @@
 """Statements of SQL and expressions that choose trips: the same on each database."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -14,13 +12,8 @@ import pytest
 from refusals import refused
 from synthetic_trips import synthetic_entry
 
-from trainlog.catalogue import (
-    Catalogue,
-    Computation,
-    ResultOutcome,
-    catalogue as module,
-    open_catalogue,
-)
+from trainlog.catalogue import Computation, ResultOutcome, catalogue as module, open_catalogue
+from trainlog.catalogue.catalogue import Catalogue
 from trainlog.catalogue.where import condition_of
 from trainlog.cli.fleet import fleet_query
 from trainlog.cli.options import lasting_change, moment
@@ -36,7 +29,6 @@ ENTRIES = [synthetic_entry(number, trains=6, days=400) for number in range(TRIPS
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Where a catalogue of synthetic trips is, of which two computations have results."""
     folder = tmp_path_factory.mktemp("sql")
     where = str(folder / "catalogue")
     if request.param == "postgresql":
@@ -46,14 +38,21 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     with open_catalogue(where, results=results) as catalogue:
         catalogue.register(ENTRIES)
         for code, most, value in (("1", TRIPS, 1.0), ("2", 50, 2.0)):
-            todo = catalogue.pending(Computation("top speed", code))
+            computation = Computation("top speed", code)
+            todo = catalogue.pending(computation)
             for at in range(0, most, 20):
                 part = todo.iloc[at : min(at + 20, most)]
-                rows = [key for key in part["key"] for _ in range(2)]
-                table = pa.table({"key": rows, "value": [value] * len(rows)})
-                done = [ResultOutcome(row.key, row.sha256, rows=2) for row in part.itertuples()]
-                catalogue.record(Computation("top speed", code), done, table)
+                recorded(catalogue, part, computation, each=2, value=value)
     return where
+
+
+def recorded(catalogue, todo, computation=FIRST, each=1, **values):
+    """Record results of trips: of each so many rows of the same values."""
+    keys = [key for key in todo["key"] for _ in range(each)]
+    columns = {name: given if isinstance(given, list) else [given] * len(keys)
+               for name, given in values.items()}  # fmt: skip
+    done = [ResultOutcome(row.key, row.sha256, rows=each) for row in todo.itertuples()]
+    return catalogue.record(computation, done, pa.table({"key": keys, **columns}))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,6 @@ def catalogue(place: str) -> Iterator[Catalogue]:
 
 
 def judged() -> pd.DataFrame:
-    """The trips as they were drawn."""
     frame = pd.DataFrame([{**each.entry.values, "edges": each.entry.edges} for each in ENTRIES])
     for name in ("name", "train", "kind", "line", "direction", "weather"):
         frame[name] = frame[name].astype("string")
@@ -124,10 +122,8 @@ def test_the_statement_in_the_help_runs(tmp_path):
     (statement,) = re.findall(r'fleet query "(select [^"]+)"', str(fleet_query.__doc__))
     with open_catalogue(tmp_path / "catalogue") as catalogue:
         catalogue.register(ENTRIES)
-        todo = catalogue.pending(Computation("resistance", "1"))
-        table = pa.table({"key": list(todo["key"]), "train": ["a"] * TRIPS, "r0": [2e3] * TRIPS})
-        done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
-        catalogue.record(Computation("resistance", "1"), done, table)
+        resistance = Computation("resistance", "1")
+        recorded(catalogue, catalogue.pending(resistance), resistance, train="a", r0=2e3)
         assert (catalogue.sql(statement).iloc[:, 1] == 2e3).all()
 
 
@@ -198,7 +194,6 @@ SAME = [
 
 
 def unordered(value: object) -> object:
-    """A cell, with the rows that an aggregate gathered in it in a fixed order."""
     if isinstance(value, str) and value.startswith("["):
         value = json.loads(value)
     if isinstance(value, np.ndarray | list):
@@ -207,7 +202,6 @@ def unordered(value: object) -> object:
 
 
 def as_found(statement: str, frame: pd.DataFrame) -> list[str]:
-    """Rows as a statement gives them; in a fixed order where the statement names none."""
     rows = [repr(row) for row in frame.map(unordered).to_numpy().tolist()]
     return rows if "order by" in statement else sorted(rows)
 
@@ -218,9 +212,7 @@ def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register(ENTRIES[:20])
         part = catalogue.pending(FIRST).iloc[:15]
-        table = pa.table({"key": part["key"].tolist(), "value": [float(n) for n in range(15)]})
-        done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
-        catalogue.record(FIRST, done, table)
+        recorded(catalogue, part, value=[float(n) for n in range(15)])
         found = {statement: catalogue.sql(statement) for statement in SAME}
         monkeypatch.setattr(module, "_columns_of", lambda connection, statement: None)
         for statement, frame in found.items():
@@ -235,10 +227,7 @@ def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(tmp_path,
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register(ENTRIES[:4])
         for half in (0, 2):
-            part = catalogue.pending(FIRST).iloc[:2]
-            table = pa.table({"key": part["key"].tolist(), "value": [half + 1.0] * 2})
-            done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
-            catalogue.record(FIRST, done, table)
+            recorded(catalogue, catalogue.pending(FIRST).iloc[:2], value=half + 1.0)
         whole = catalogue.sql('select * from "top speed" order by key')
         (path, _) = sorted((catalogue.results_folder / "top speed").iterdir())
         data = path.read_bytes()
@@ -254,16 +243,13 @@ def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(tmp_path,
             assert str(caught.file) == str(path)
             assert "trainlog fleet update --retry" in str(caught.remedy)
         path.unlink()
-        with pytest.raises(InputError, match="a file of results is missing"):
-            catalogue.sql('select * from "top speed"')
+        asked = 'select * from "top speed"'
+        refused(InputError, "a file of results is missing", catalogue.sql, asked)
         assert catalogue.sql("select count(*) as n from trips")["n"][0] == 4
         assert catalogue.forget(FIRST) == 2
         todo = catalogue.pending(FIRST)
-        again = whole[whole["key"].isin(todo["key"])]
-        assert len(again) == 2
-        done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
-        table = pa.Table.from_pandas(again, preserve_index=False).replace_schema_metadata(None)
-        assert catalogue.record(FIRST, done, table) == 2
+        again = whole.set_index("key").loc[todo["key"]]
+        assert recorded(catalogue, todo, value=again["value"].tolist()) == 2
         found = catalogue.sql('select * from "top speed" order by key')
         pd.testing.assert_frame_equal(found, whole)
         assert catalogue.forget(FIRST) == 0
@@ -288,17 +274,15 @@ def test_overviews_sum_the_trips_by_what_is_asked(catalogue):
     groups = edges.groupby("edge")
     assert found["trips"].to_dict() == groups["name"].nunique().to_dict()
     assert found["forward"].sum() == (edges["direction"] == "forward").sum()
-    assert found["distance"].sum() == pytest.approx(
-        1e3 * (edges["edges"].str[2] - edges["edges"].str[1]).sum()
-    )
+    length = (edges["edges"].str[2] - edges["edges"].str[1]).sum()
+    assert found["distance"].sum() == pytest.approx(1e3 * length)
     for edge in found.index:
         assert len(catalogue.query(line=edge)) == found["trips"][edge]
-    with pytest.raises(InputError, match="no overview by 'colour'; known: route, train"):
-        catalogue.overview("colour")
+    said = "no overview by 'colour'; known: route, train"
+    refused(InputError, said, catalogue.overview, "colour")
 
 
 def held(name: str, key: str) -> Callable[[pd.DataFrame], pd.Series]:
-    """What each trip has under a key of a column of several values."""
     return lambda f: pd.Series([each.get(key) for each in f[name]]).convert_dtypes()
 
 
@@ -352,8 +336,7 @@ CHOSEN: dict[str, Any] = {
     "(weather = 'wet' or kind is null) and not (line = 'line 1' or train like '%1')": (
         ((F.weather == "wet") | F.kind.isna()) & ~(over("line 1") | F.train.str.endswith("1"))
     ),
-}
-"""Expressions, and which trips pandas chooses by them."""
+}  # expressions, and which trips pandas chooses by them
 
 
 @pytest.mark.parametrize("text", CHOSEN)

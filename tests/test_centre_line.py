@@ -1,37 +1,41 @@
 """A line from the fixes of trips: where it lies, how it bends, what it rests on."""
 
-from __future__ import annotations
-
+import sys
 from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 from ingest_logs import HEAD
 from refusals import refused
 from satellite_trips import Receiver, curve_of, drive, errors, winding
+from scipy.integrate import solve_ivp
+from simulated_line import level_line
 
 from analysis import TripRefusedError, coast_down, fit_trip, geometry_of, line_of
 from analysis.charts import draw
 from analysis.geometry.centre_line import CentreLine
 from estimators.centre_line import CURVATURE_CHANGE, OVER, Ride, fitted_curve, height_profile
-from trainlog import Geometry, InputError, Trip
-from trainlog.errors import NotIdentifiableError
+from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.railway import line_to_bytes, read_line, write_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
+from trainlog.formats.ttobench import read_track
 from trainlog.ingest import ingest_each, profile_of
 from trainlog.ingest.chainage import estimated_state
 from trainlog.mcap import read_log
-from trainlog.railway import StepProfile
-from trainlog.railway.geometry import beside, nearest_on, track_of
-from trainlog.railway.line import Survey
-from trainlog.trip import LINE_ATTACHMENT
+from trainlog.railway import geometry as planes
+from trainlog.railway.geometry import beside
+from trainlog.railway.line import CurvatureProfile, Geometry, Line, StepProfile, Survey
+from trainlog.trip import LINE_ATTACHMENT, Trip
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
+from make_line import Anchor, place
 
 PLAIN = profile_of(HEAD)
 
 
 def trips(count: int, track: Geometry | None = None, **options: object) -> list[Trip]:
-    """Trips both ways, once and five times a second, with outages at different places."""
     found = []
     for seed in range(count):
         begin = 100.0 + 47.0 * seed
@@ -63,7 +67,6 @@ def test_a_picture_of_equal_scales_is_drawn_without_a_warning(centre_line, tmp_p
 
 
 def test_the_deviations_of_a_curve_are_its_errors():
-    """Curves whose curvature wanders as the fit expects, seen with noise of 3 m."""
     generator = np.random.default_rng(1)
     fine = np.arange(0.0, 3_000.0, 1.0)
     seen = slice(None, None, 20)
@@ -84,9 +87,9 @@ def test_the_deviations_of_a_curve_are_its_errors():
 
 
 def test_a_line_lies_where_its_trips_ran(centre_line):
-    true = track_of(winding())
+    true = planes.track_of(winding())
     points = true.plane(centre_line.latitude, centre_line.longitude)
-    error = beside(true, points, nearest_on(true, points)[0])[1]
+    error = beside(true, points, planes.nearest_on(true, points)[0])[1]
     assert np.sqrt(np.mean(error**2)) < 1.2
     assert np.mean(np.abs(error) < 1.96 * centre_line.std) > 0.9
     assert abs(centre_line.length - 12_000.0) < 10.0
@@ -112,7 +115,6 @@ def test_a_further_trip_finds_its_chainage_on_the_line_built(centre_line):
 
 
 def test_stretches_without_fixes_are_reported():
-    """All trips are blind at the same place: a tunnel."""
     found = []
     for seed in range(3):
         trip, truth = drive(winding(), Receiver(), seed)
@@ -151,14 +153,10 @@ def test_a_trip_elsewhere_is_reported_and_not_used():
     assert len(centre_line.used) == 2
 
 
-def test_trips_without_fixes_make_no_line():
-    trip = trips(1)[0]
-    with pytest.raises(InputError, match="none of the trips has satellite fixes"):
-        geometry_of([Trip({"/gnss/motion": trip["/gnss/motion"]}, trip.metadata)])
-
-
 def test_a_trip_with_too_few_fixes_is_reported_and_not_used():
     first, second = trips(2)
+    blind = Trip({"/gnss/motion": first["/gnss/motion"]}, first.metadata)
+    refused(InputError, "none of the trips has satellite fixes", geometry_of, [blind])
     short = of_rows(second, slice(10))
     found = geometry_of([first, short])
     reason = "it has 10 satellite fixes, at least 11 are needed"
@@ -174,7 +172,6 @@ METRO = ("007", "015", "016", "017", "024", "026", "034", "035", "036", "038", "
 
 @pytest.mark.skipif(not AALTO.is_file(), reason="the Aalto data are not here")
 def test_phones_on_a_metro_make_its_line():
-    """Real movement: a fix every 11 s, good to 20 m, none in the tunnels and no speed."""
     rides = {ride.name.split("-")[1]: ride for ride in ingest_each(AALTO)}
     centre_line = geometry_of([rides[number] for number in METRO])
     assert len(centre_line.used) == len(METRO)
@@ -186,17 +183,14 @@ def test_phones_on_a_metro_make_its_line():
     assert 1_000.0 < sum(end - begin for begin, end in centre_line.unsupported) < 5_000.0
     # A ride that took no part, by the phone with the best fixes.
     fix = rides["098"]["/gnss/fix"].dropna(subset=["latitude"])
-    track = track_of(centre_line.geometry)
+    track = planes.track_of(centre_line.geometry)
     points = track.plane(fix["latitude"].to_numpy(), fix["longitude"].to_numpy())
-    assert np.median(nearest_on(track, points)[1]) < 12.0
+    assert np.median(planes.nearest_on(track, points)[1]) < 12.0
     line = line_of(centre_line, "metro")
     backwards = centre_line.longitude[0] > centre_line.longitude[-1]
     frame = estimated_state(rides["098"], line.reversed() if backwards else line, PLAIN).frame
     assert frame["position"].iloc[-1] - frame["position"].iloc[0] > 10_000.0
     assert frame["speed"].max() < 30.0
-
-
-# ---------- Gradients from the altitudes of rides: how well they are known, and what refuses them
 
 
 FLAT = StepProfile(np.array([0.0]), np.array([0.0]))
@@ -210,10 +204,7 @@ def hills(length: float, seed: int) -> StepProfile:
     return StepProfile(edges, rng.uniform(-0.02, 0.02, edges.size))
 
 
-def rides_over(
-    slopes: StepProfile, length: float, count: int, seed: int, size: float = 5.0, hold: float = 60.0
-) -> list[Ride]:
-    """Rides in both directions whose altitudes wander between random levels, heavy tails too."""
+def rides_over(slopes, length, count, seed, size=5.0, hold=60.0):
     rng = np.random.default_rng(seed)
     places = np.arange(0.0, length + 5.0, 5.0)
     heights = np.concatenate(([0.0], np.cumsum(5.0 * slopes(places)[:-1])))
@@ -278,13 +269,12 @@ def test_altitudes_of_a_cold_start_count_as_little_as_they_are_stated_to():
 
 
 def test_two_rides_do_not_show_how_they_err():
-    with pytest.raises(InputError, match="2 rides with altitudes"):
-        height_profile(rides_over(FLAT, 8_000.0, 2, 1), 8_000.0)
+    two = rides_over(FLAT, 8_000.0, 2, 1)
+    refused(InputError, "2 rides with altitudes", height_profile, two, 8_000.0)
     refused(InputError, "too short", height_profile, rides_over(FLAT, 800.0, 4, 1), 800.0)
 
 
 def with_altitudes(trip: Trip, truth: object, slopes: StepProfile, seed: int) -> Trip:
-    """The trip's fixes with altitudes that err by half a metre, for a minute or so."""
     rng = np.random.default_rng(seed)
     fix = trip["/gnss/fix"].copy()
     known = truth.index.as_unit("ns").asi8
@@ -351,3 +341,108 @@ def test_what_needs_gradients_refuses_a_line_that_only_assumes_them():
     rough = replace(known, survey=Survey(2e-3, 500.0))
     bare.attachments[LINE_ATTACHMENT] = line_to_bytes(rough)
     refused(NotIdentifiableError, r"known to 2\.0 per mille only", coast_down, [bare])
+
+
+LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
+TRACK = LIBRARY / "tracks" / "CH_StGallen_Wil.json"
+needs_track = pytest.mark.skipif(not TRACK.is_file(), reason="the TTOBench library is not here")
+
+
+def profile(*elements: tuple[float, float, float]) -> CurvatureProfile:
+    positions, start, end = (np.array(column) for column in zip(*elements, strict=True))
+    return CurvatureProfile(positions, start, end)
+
+
+def line(curvatures: CurvatureProfile | None, length: float) -> Line:
+    return replace(level_line(length, limit=20.0), curvatures=curvatures)
+
+
+@settings(max_examples=30)
+@given(
+    st.lists(
+        st.tuples(st.floats(5.0, 300.0), st.floats(-0.006, 0.006), st.floats(-0.006, 0.006)),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_any_curve_is_exact_to_a_millimetre(elements):
+    widths = np.array([element[0] for element in elements])
+    starts = np.concatenate(([0.0], np.cumsum(widths)[:-1]))
+    length = float(widths.sum())
+    curves = CurvatureProfile(starts, *np.array(elements)[:, 1:].T)
+    positions, points = planes.plane_curve(curves, length)
+    assert np.all(np.diff(positions) <= 25.0 + 1e-9)
+    assert set(starts) <= set(positions)
+    state = np.zeros(3)
+    for start, width, (_, first, last) in zip(starts, widths, elements, strict=True):
+
+        def slope(s, y, a=first, b=last, w=width):
+            return [np.sin(y[2]), np.cos(y[2]), a + (b - a) * s / w]
+
+        reference = solve_ivp(slope, (0.0, width), state, rtol=1e-11, atol=1e-9)
+        state = reference.y[:, -1]
+        end = np.interp(start + width, positions, points)
+        assert abs(end - complex(state[0], state[1])) < 1e-3
+
+
+def test_the_plane_and_the_earth_are_inverse():
+    origin = (47.4, 9.2)
+    east, north = np.meshgrid(np.linspace(-3e4, 3e4, 7), np.linspace(-3e4, 3e4, 7))
+    points = (east + 1j * north).ravel()
+    latitudes, longitudes = planes.from_plane(points, origin)
+    assert planes.to_plane(latitudes, longitudes, origin) == pytest.approx(points, abs=1e-4)
+
+
+def test_a_minute_of_arc_has_its_published_length():
+    half, origin = 1.0 / 120.0, (45.0, 9.0)
+    north = planes.to_plane(45.0 + half, 9.0, origin) - planes.to_plane(45.0 - half, 9.0, origin)
+    east = planes.to_plane(45.0, 9.0 + half, origin) - planes.to_plane(45.0, 9.0 - half, origin)
+    assert complex(north) == pytest.approx(1j * 111_132.0 / 60.0, abs=0.02)
+    assert complex(east) == pytest.approx(78_847.0 / 60.0, abs=0.02)
+
+
+def test_a_placed_line_meets_anchors_that_agree_with_it():
+    bends = profile((0.0, 0.0, 0.0), (3000.0, 0.0, 0.001), (3200.0, 0.001, 0.001))
+    length, origin = 6000.0, (47.4, 9.2)
+    positions, points = planes.plane_curve(bends, length)
+    turned = points * np.exp(-1j * np.radians(230.0)) + (200.0 - 300.0j)
+    marks = [0, positions.size // 2, positions.size - 1]
+    latitudes, longitudes = planes.from_plane(turned[marks], origin)
+    anchors = tuple(
+        Anchor(float(positions[mark]), float(latitude), float(longitude))
+        for mark, latitude, longitude in zip(marks, latitudes, longitudes, strict=True)
+    )
+    placed = place(line(bends, length), anchors, tolerance=0.01)
+    assert placed.residuals.max() < 0.05
+    assert placed.scale == pytest.approx(1.0, abs=1e-5)
+    assert placed.heading == pytest.approx(230.0, abs=0.05)
+    at = placed.geometry.at(positions)
+    assert np.abs(planes.to_plane(*at, origin) - turned).max() < 0.02
+
+
+def test_a_line_without_curvature_or_anchors_cannot_be_placed():
+    anchors = (Anchor(0.0, 47.4, 9.2), Anchor(100.0, 47.4, 9.3))
+    said, straight = "placing it needs curvatures and two anchors", profile((0.0, 0.0, 0.0))
+    refused(InputError, said, place, line(None, 100.0), anchors)
+    refused(InputError, said, place, line(straight, 100.0), anchors[:1])
+
+
+ANCHORS = (
+    Anchor(9_286.1, 47.41190, 9.25366),
+    Anchor(14_476.1, 47.4146, 9.1872),
+    Anchor(20_086.1, 47.4370, 9.1330),
+    Anchor(29_556.1, 47.46250, 9.04090),
+)
+
+
+@needs_track
+def test_positive_radii_bend_to_the_right():
+    track = read_track(TRACK)
+    known = track.curvatures
+    bends = CurvatureProfile(known.positions, -known.start, -known.end)
+    mirrored = replace(track, curvatures=bends)
+    right, left = place(track, ANCHORS), place(mirrored, ANCHORS)
+    assert right.residuals.max() < 300.0
+    assert abs(right.scale - 1.0) < 1e-3
+    assert left.residuals.max() > 1000.0
+    assert abs(left.scale - 1.0) > 5e-3

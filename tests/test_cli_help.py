@@ -1,7 +1,5 @@
 """Help of all commands: readable at 80 columns, in words of the field, the same everywhere."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 import sys
@@ -35,8 +33,7 @@ DIFFERENT = {
     "--train": "a file; of the catalogue, a name",
     "--trips-per-day": "on one line; of a fleet, where --count may stand in their place",
     "--weather": "of a simulated trip; a table of times",
-}
-"""Options whose values are not of one kind in all commands."""
+}  # options whose values are not of one kind in all commands
 
 
 @pytest.mark.parametrize("columns", ["80", pytest.param("120", marks=pytest.mark.long)])
@@ -58,7 +55,6 @@ def test_help_of_every_command_fits_the_terminal_and_loses_nothing(columns, monk
 
 
 def examples(command: Any) -> list[list[str]]:
-    """The words of the examples in a command's help."""
     return [
         shlex.split(each.removeprefix("Example: trainlog "))
         for each in (command.help or "").split("\n\n")

@@ -4,8 +4,6 @@ The schemas are renewed by ``pytest tests/test_cli_json.py --renew-golden``; the
 reviewed like code.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator
@@ -92,29 +90,24 @@ docs --list
 docs adhesion --path
 demo -o demonstrated
 demo --fleet -o demonstrated-fleet
-"""
-"""Run one after the other, with the samples at hand."""
+"""  # run one after the other, with the samples at hand
 
 NAMED = {
     *("labels", "layers", "passport", "repairs", "counts", "rms", "topics", "metadata", "rows"),
     *("explained", "messages", "dropped", "malformed", "not_used"),
-}
-"""Keys of objects whose own keys are names that the data give."""
+}  # keys of objects whose own keys are names that the data give
 
 STEPS = [
     ["new", "samples", "-o", "copied"],
     ["show", "--check", "cut.mcap", "sample_logs/nonstop.mcap"],
-]
-"""Commands of the demos, of which the last finds damage; those of their own take minutes."""
+]  # commands of the demos, of which the last finds damage; those of their own take minutes
 
-COMMON = ("command", "status", "notes", "written")
-"""Keys of every command."""
+COMMON = ("command", "status", "notes", "written")  # keys of every command
 
 Schema = dict[str, Any]
 
 
 def schema_of(value: Any, key: str = "") -> Schema:
-    """A schema that fits a value, and others of its kind."""
     if isinstance(value, bool):
         return {"type": ["boolean"]}
     if isinstance(value, int | float):
@@ -135,18 +128,12 @@ def schema_of(value: Any, key: str = "") -> Schema:
         return {"type": ["object"], "additionalProperties": inner}
     if isinstance(value, dict):
         parts = {name: schema_of(each, name) for name, each in value.items()}
-        required = sorted(parts)
-        return {
-            "type": ["object"],
-            "properties": parts,
-            "required": required,
-            "additionalProperties": False,
-        }
+        closed = {"required": sorted(parts), "additionalProperties": False}
+        return {"type": ["object"], "properties": parts, **closed}
     return {"type": ["null"]}
 
 
 def merged(one: Schema, other: Schema) -> Schema:
-    """A schema that fits what either fits."""
     if not one or not other:
         return one or other
     found: Schema = {"type": sorted({*one["type"], *other["type"]})}
@@ -170,7 +157,6 @@ def merged(one: Schema, other: Schema) -> Schema:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with the samples, a damaged log, and points of an adhesion characteristic."""
     folder = tmp_path_factory.mktemp("json")
     copy_samples(folder / "sample_logs")
     log = (folder / "sample_logs" / "nonstop.mcap").read_bytes()

@@ -1,7 +1,5 @@
 """The command line in a real terminal: progress is seen there, and Ctrl-C ends everything."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re
@@ -27,15 +25,12 @@ CONTROL_C = b"\x03"
 
 @dataclass
 class Seen:
-    """What a person saw of a command."""
-
     status: int
     text: str
     group: int
 
     @property
     def lines(self) -> list[str]:
-        """Lines as they were printed, without colours and what moves the cursor."""
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.text)
         return [line.strip() for line in re.split(r"[\r\n]+", plain) if line.strip()]
 
@@ -73,7 +68,6 @@ def typed(words: list[str | Path], folder: Path, *, until: str = "", columns: in
 
 
 def nobody_left(group: int) -> bool:
-    """Whether no process of a command is left."""
     try:
         os.killpg(group, 0)
     except ProcessLookupError:
@@ -102,10 +96,8 @@ def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(tmp_p
 
 
 def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path):
-    seen = typed(
-        ["simulate", "drive", "--line=sample", "--train=sample", "--count=2", "-o", "trips"],
-        tmp_path,
-    )
+    words = "simulate drive --line=sample --train=sample --count=2 -o trips"
+    seen = typed(words.split(), tmp_path)
     assert seen.status == 0
     assert re.search(r"1 of 2 trips", seen.words)
     assert re.search(r"trips a (minute|second)", seen.words)

@@ -1,7 +1,5 @@
 """Running resistance from coasting: known answers, simulated trips, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -18,29 +16,26 @@ from analysis.truth import truth_of
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
-from trainlog.formats.railway import CoastDownResult, line_to_bytes, read_coast_down, train_of
+from trainlog.formats.railway import CoastDownResult, line_to_bytes, train_of
 from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Line, StepProfile
 from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of, seconds
 
-RATIO = 0.93
-"""Mass over inertia of the train that is driven here."""
+RATIO = 0.93  # mass over inertia of the train that is driven here
 
 STEP = 0.1
 
 
 def line_of_gradients(values: Sequence[float], each: float = 400.0) -> Line:
-    """A line whose gradient changes every `each` metres."""
     gradients = StepProfile(each * np.arange(len(values)), list(values))
     return level_line(each * len(values), limit=45.0, name="made", gradients=gradients)
 
 
 LEVEL = line_of_gradients([0.0] * 300)
-HILLY = line_of_gradients(
-    (6e-3 * np.sin(np.arange(300) * 1.7) + 3e-3 * np.cos(np.arange(300) * 0.61)).tolist()
-)
+PLACES = np.arange(300)
+HILLY = line_of_gradients(6e-3 * np.sin(PLACES * 1.7) + 3e-3 * np.cos(PLACES * 0.61))
 
 
 def coasting_down(time: FloatArray, start: float, curve: tuple[float, float, float]) -> FloatArray:
@@ -63,21 +58,8 @@ def coasting_down(time: FloatArray, start: float, curve: tuple[float, float, flo
     return np.asarray((found - c1) / (2.0 * c2))
 
 
-def driven(
-    line: Line,
-    curve: tuple[float, float, float],
-    efforts: Sequence[tuple[float, float]],
-    *,
-    start: float = 0.0,
-    speed: float = 10.0,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Time, position, speed and effort over inertia of a drive, every `STEP`.
-
-    Parameters
-    ----------
-    efforts : sequence of (duration [s], effort over inertia [m/s²])
-        NaN holds the speed that there is.
-    """
+def driven(line, curve, efforts, *, start=0.0, speed=10.0):
+    """Time, position, speed and effort over inertia of a drive, every `STEP`; see `DRIVE`."""
     grid = line.track_acceleration(np.arange(0.0, line.length + 100.0, 1.0))
     c0, c1, c2 = curve
     rows = []
@@ -134,8 +116,7 @@ CURVE = (0.014, 4e-4, 6e-5)
 DRIVE = [
     *((60.0, 0.5), (70.0, 0.0), (40.0, 0.35), (20.0, np.nan), (80.0, 0.0), (25.0, -0.2)),
     *((60.0, 0.45), (30.0, 0.07), (90.0, 0.0), (20.0, 0.3), (40.0, np.nan), (60.0, 0.0)),
-]
-"""Durations [s] and efforts over inertia [m/s²]; NaN holds the speed."""
+]  # durations [s] and efforts over inertia [m/s²]; NaN holds the speed
 
 
 def c(curve: tuple[float, float, float], speed: np.ndarray) -> np.ndarray:
@@ -207,9 +188,8 @@ def test_what_is_missing_is_named():
     twice = coast_down([trip, trip])
     assert "'made (2)' is the same drive as 'made', which is used" in twice.refused["made (2)"]
     np.testing.assert_array_equal(twice.curve.covariance, coast_down([trip]).curve.covariance)
-    other = replace(trip, metadata={"trip": "b", "train": "b"})
-    with pytest.raises(InputError, match="different trains: a, b"):
-        coast_down([replace(trip, metadata={"trip": "a", "train": "a"}), other])
+    unlike = [replace(trip, metadata={"trip": name, "train": name}) for name in "ab"]
+    refused(InputError, "different trains: a, b", coast_down, unlike)
     back = frame_of(GNSS_MOTION, [2, 3, 3, 4], {"speed": [1.0, 2.0, 3.0, 4.0]})
     refused(LogError, "time does not increase", coast_down, [trip.with_topic(back)])
     refused(NotIdentifiableError, "no trip was given", coast_down, [])
@@ -219,16 +199,12 @@ def test_several_trips_are_sharper_than_one_and_come_in_any_order():
     trips = []
     for number in range(3):
         time, position, speed, _ = driven(HILLY, CURVE, DRIVE, start=5_000.0 * number)
-        trips.append(
-            recorded(time, position, speed, line=HILLY, seed=number, name=f"trip-{number}")
-        )
+        named = {"seed": number, "name": f"trip-{number}"}
+        trips.append(recorded(time, position, speed, line=HILLY, **named))
     together = coast_down(trips)
     assert np.array_equal(together.curve.theta, coast_down(trips[::-1]).curve.theta)
     assert inside(together, CURVE)
     assert error(together, CURVE) < 0.02
-
-
-# ------------------------------------------------------------------------ recorded and simulated
 
 
 @cache
@@ -237,7 +213,6 @@ def sample_trip(name: str) -> Trip:
 
 
 def satellites_only(trip: Trip) -> Trip:
-    """Without what the train itself recorded but its chainage."""
     state = trip["/train/state"].assign(speed=np.nan)
     kept = {"/gnss/motion": trip["/gnss/motion"], "/train/state": state}
     return replace(trip, topics=kept)
@@ -294,46 +269,23 @@ def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path):
     assert result.trips[0]["segments"]
     with pytest.raises(KeyError):
         result["r0"]
-    with pytest.raises(InputError, match="covariance: rows differ in length"):
-        thing_from_bytes(
-            CoastDownResult, data.replace(b'"covariance": [\n    [', b'"covariance": [\n    [0, ')
-        )
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_the_command_writes_result_and_picture(tmp_path, works):
-    output = tmp_path / "coast-down.json"
-    stated = works("fit", "coasting", sample("nonstop.mcap"), "-o", output)
-    assert "Running resistance of the coasting train" in stated
-    assert read_coast_down(output).gradient == "line"
-    assert output.with_suffix(".png").is_file()
-
-
-# ------------------------------------------------------------------------------ gradient unknown
+    longer = data.replace(b'"covariance": [\n    [', b'"covariance": [\n    [0, ')
+    said = "covariance: rows differ in length"
+    refused(InputError, said, thing_from_bytes, CoastDownResult, longer)
 
 
 @cache
-def coasting_over(
-    count: int, *, both: bool
-) -> tuple[list[Trip], dict[str, list[tuple[float, float]]]]:
-    """Trips that coast over the same track from different speeds, and when."""
+def coasting_over(count, *, both):
     trips, spans = [], {}
     back = HILLY.reversed()
     for number in range(count):
         turned = both and number % 2 == 1
         line, start = (back, HILLY.length - 47_000.0) if turned else (HILLY, 40_000.0)
         speed = (38.0, 33.0, 28.0, 24.0)[(number // 2 if both else number) % 4]
-        time, position, stated, _ = driven(
-            line, CURVE, [(200.0, 0.0)], start=start + 90.0 * number, speed=speed
-        )
-        trip = recorded(
-            time,
-            position,
-            stated,
-            seed=number,
-            name=f"trip-{number}",
-            direction="reverse" if turned else "forward",
-        )
+        begun = {"start": start + 90.0 * number, "speed": speed}
+        time, position, stated, _ = driven(line, CURVE, [(200.0, 0.0)], **begun)
+        way = "reverse" if turned else "forward"
+        trip = recorded(time, position, stated, seed=number, name=f"trip-{number}", direction=way)
         trips.append(trip)
         spans[trip.name] = [(0.0, float(time[-1]))]
     return trips, spans
@@ -372,9 +324,8 @@ def test_both_ways_over_unknown_gradients_tell_all_of_it():
 
 def test_unknown_gradients_are_not_guessed():
     trips, spans = coasting_over(1, both=False)
-    with pytest.raises(NotIdentifiableError, match="0 of them over a piece coasted more than once"):
-        coast_down_without_gradient(trips, spans=spans)
-    with pytest.raises(NotIdentifiableError, match=r"no trip shows .* no lever was recorded"):
-        coast_down_without_gradient(trips)
-    with pytest.raises(NotIdentifiableError, match="no lever was recorded"):
-        lever_at_rest(trips[0], motion_of(trips[0]))
+    words, error = "0 of them over a piece coasted more than once", NotIdentifiableError
+    refused(error, words, coast_down_without_gradient, trips, spans=spans)
+    words = r"no trip shows .* no lever was recorded"
+    refused(error, words, coast_down_without_gradient, trips)
+    refused(error, "no lever was recorded", lever_at_rest, trips[0], motion_of(trips[0]))

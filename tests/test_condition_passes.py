@@ -1,7 +1,5 @@
 """Passes, spots and changes of a line's condition: sums written out in full, drawn truths."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise, product
 
@@ -25,16 +23,7 @@ from analysis.adhesion.map_state import (
 )
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.verification.forecasts import rolling_forecast
-from estimators.condition_passes import (
-    OFTEN,
-    WIDE,
-    along_line,
-    beside,
-    blurred,
-    diagonals_of,
-    emissions,
-    over_days,
-)
+from estimators import condition_passes as passes
 from trainlog.condition import estimated, layer_before
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
@@ -45,7 +34,6 @@ FRESH = np.array([[False, False, True], [False, False, True], [True, True, False
 
 @pytest.mark.parametrize("left_out", [(), (1, 2)])
 def test_the_pass_along_a_line_adds_up_all_ways_through_it(left_out):
-    """Every bin's own likelihood is no part of what the others say of it."""
     rng = np.random.default_rng(1)
     bins, classes, size = 3, 3, 3
     likelihood = rng.uniform(0.1, 1.0, (bins, size))
@@ -55,8 +43,8 @@ def test_the_pass_along_a_line_adds_up_all_ways_through_it(left_out):
     kernels[1] = kernels[0]  # the level moves alike in classes between which it is kept
     kernels[2] = np.diag(kernels[2].sum(axis=1))  # not at all: another half band width
     flat = np.isin(np.arange(bins), left_out)
-    half, diagonals = diagonals_of(kernels)
-    found, cavity, low, moves, held = along_line(
+    half, diagonals = passes.diagonals_of(kernels)
+    found, cavity, low, moves, held = passes.along_line(
         likelihood, flat, share, start, half, diagonals, switch, FRESH, False
     )
     states = list(product(range(classes), range(size)))
@@ -80,7 +68,7 @@ def test_the_pass_along_a_line_adds_up_all_ways_through_it(left_out):
     np.testing.assert_allclose(low, last / whole, rtol=1e-10)
     np.testing.assert_allclose(moves, changes / whole, rtol=1e-10)
     np.testing.assert_allclose(held, inside / whole, rtol=1e-10)
-    alone = along_line(likelihood, flat, share, start, half, diagonals, switch, FRESH, True)
+    alone = passes.along_line(likelihood, flat, share, start, half, diagonals, switch, FRESH, True)
     assert alone[0] == found
     assert not any(each.any() for each in alone[1:])
 
@@ -94,7 +82,7 @@ NEAR = np.array([[0.1, 0.2, 0.3, 0.4]])
 def said(count: int, mean: float, scatter: float, error: float) -> tuple[np.ndarray, ...]:
     """What a day with onsets, and nothing used without slip, says of each level."""
     nothing = np.zeros(0, dtype=np.int64)
-    return emissions(
+    return passes.emissions(
         np.array([[count, mean, scatter, error]]), np.zeros(2, dtype=np.int64), nothing,
         np.zeros(0), np.zeros((1, STEPS.size)), STEPS, SPOT, TRIP_STD, MET, NEAR,
         np.zeros(1, dtype=np.int64), ASTRAY,
@@ -104,9 +92,9 @@ def said(count: int, mean: float, scatter: float, error: float) -> tuple[np.ndar
 def test_one_onset_is_of_the_level_or_wide_of_it_or_astray_or_of_a_spot():
     mean, error = np.log(0.12), 0.02
     plain, short, number = said(1, mean, 0.0, error)
-    std, wide = (np.sqrt((factor * TRIP_STD) ** 2 + error) for factor in (1.0, WIDE))
+    std, wide = (np.sqrt((factor * TRIP_STD) ** 2 + error) for factor in (1.0, passes.WIDE))
     here = norm.pdf(mean, STEPS, std)
-    own = (1.0 - OFTEN) * here + OFTEN * norm.pdf(mean, STEPS, wide)
+    own = (1.0 - passes.OFTEN) * here + passes.OFTEN * norm.pdf(mean, STEPS, wide)
     np.testing.assert_allclose(np.exp(plain[0]), own + ASTRAY * NEAR[0] @ here, rtol=1e-9)
     # A spot bears less than what lasts, or it is not met; of its own, or one of all onsets.
     beyond = 1.0 - np.cumsum(SPOT)
@@ -118,12 +106,12 @@ def test_one_onset_is_of_the_level_or_wide_of_it_or_astray_or_of_a_spot():
 def test_two_onsets_are_shared_out_between_the_level_its_neighbours_and_spots():
     """Of both, either the lower one or both were of short spots, or astray; others slipped less."""
     error, borne = 0.02, 3.0
-    variance, wide = (((factor * TRIP_STD) ** 2 + error) for factor in (1.0, WIDE))
+    variance, wide = (((factor * TRIP_STD) ** 2 + error) for factor in (1.0, passes.WIDE))
     tail = np.log([[0.2, 0.4, 0.9, 1.0], [0.1, 0.2, 0.5, 0.8]])
     lower, higher = np.log(0.1), np.log(0.16)
     mean, scatter = 0.5 * (lower + higher), (0.5 * (higher - lower)) ** 2
     # Of the second row; the first one holds what was used without slip alone.
-    plain, short, number = emissions(
+    plain, short, number = passes.emissions(
         np.array([[0.0, 0.0, 0.0, 0.0], [2.0, mean, scatter, error]]), np.array([0, 1, 3]),
         np.array([1, 0, 1]), np.array([2.0, borne - 1.0, 1.0]), tail, STEPS, SPOT, TRIP_STD, MET,
         NEAR, np.zeros(2, dtype=np.int64), ASTRAY,
@@ -133,7 +121,7 @@ def test_two_onsets_are_shared_out_between_the_level_its_neighbours_and_spots():
     bears = np.exp((borne - 1.0) * tail[0] + tail[1])
     low, middle, high = (norm.pdf(x, STEPS, np.sqrt(variance)) for x in (lower, mean, higher))
     scattered = norm.pdf(lower, STEPS, np.sqrt(wide)) * norm.pdf(higher, STEPS, np.sqrt(wide))
-    own = (1.0 - OFTEN) * low * high + OFTEN * scattered
+    own = (1.0 - passes.OFTEN) * low * high + passes.OFTEN * scattered
     one_astray, both_astray = ASTRAY * NEAR[0] @ low * high, (ASTRAY * NEAR[0] @ middle) ** 2
     np.testing.assert_allclose(np.exp(plain[1]), bears * (own + one_astray + both_astray))
 
@@ -157,7 +145,7 @@ def test_the_pass_over_days_adds_up_all_that_may_have_been():
     message, lasting = rng.uniform(-1.0, 1.0, 4), rng.dirichlet(np.ones(4))
     cavity = rng.dirichlet(np.ones(4), 2)
     given = (starts, day, plain, short, message, cavity, STEPS, cells, share, occupied, life)
-    found, present, lasts, state, turnover, cut = over_days(*given, lasting, True)
+    found, present, lasts, state, turnover, cut = passes.over_days(*given, lasting, True)
     likelihood, turns = np.zeros((2, 4)), np.zeros((2, 4, 4))
     of_spot, of_any, ended = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((2, 4, 2))
 
@@ -207,7 +195,7 @@ def test_the_pass_over_days_adds_up_all_that_may_have_been():
         before, after, whole = np.log(np.array(parts) @ lasting)
         np.testing.assert_allclose(cut[r], before + after - whole, rtol=1e-9)
     assert cut[0] == cut[3] == 0.0
-    assert not over_days(*given, lasting, False)[-1].any()
+    assert not passes.over_days(*given, lasting, False)[-1].any()
 
 
 def test_neighbours_of_a_day_say_what_all_their_states_added_up_say():
@@ -217,7 +205,7 @@ def test_neighbours_of_a_day_say_what_all_their_states_added_up_say():
     odds, prior = np.array([0.4, -0.3, 1.1, 2.0, 0.7]), np.array([0.1, 0.2, 0.3, 0.05, 0.15])
     level, noise = np.log([0.07, np.nan, 0.05, 0.08, 0.1]), np.array([0.02, 0.1, 0.03, 0.01, 0.02])
     keep, mean, std = 0.8, np.log(0.06), 0.3
-    found = beside(order, day, place, odds, prior, level, noise, keep, mean, std)
+    found = passes.beside(order, day, place, odds, prior, level, noise, keep, mean, std)
 
     def alike(r: int, other: int, tie: float) -> float:
         if np.isnan(level[r] + level[other]):
@@ -254,20 +242,17 @@ def test_a_normal_error_blurs_each_cell_over_those_of_the_grid():
     for row, own in enumerate(probability):
         kernel = norm.pdf(cells[:, None], cells, std[row])
         kernel /= kernel.sum(axis=0)
-        found = blurred(probability, std, step)[row]
+        found = passes.blurred(probability, std, step)[row]
         np.testing.assert_allclose(found, kernel @ own, rtol=1e-4)
 
 
 LINE = level_line(2_500.0)
 BINS = 100
 DAY = 20_000
-OF_TRIP = 0.12
-"""With which the evidence is weighted."""
+OF_TRIP = 0.12  # with which the evidence is weighted
 
 
-def met(
-    day: int, place: int, level: float, borne: float, bins: int = 3, std: float = 0.03
-) -> DailyEvidence:
+def met(day, place, level, borne, bins=3, std=0.03):
     """A trip with onsets at `level` in a few bins; everywhere else it used `borne` without slip."""
     weight, logs = np.zeros(BINS), np.zeros(BINS)
     slipped = slice(place, place + bins)
@@ -293,7 +278,6 @@ def day(number: int) -> pd.Timestamp:
 
 class TestWhatPasses:
     def test_a_spot_has_its_place_and_days_and_is_not_the_lasting_condition(self):
-        """Thirty days of trips that bear 0.15; on the last three a spot of 0.07 in three bins."""
         pieces = [calm(DAY + number, 0.15) for number in range(27)]
         visited = layer_of(pieces + [met(DAY + n, 40, 0.07, 0.15) for n in range(27, 30)])
         assert np.all(visited.quantile(0.5)[40:43] > 0.14)
@@ -317,7 +301,6 @@ class TestWhatPasses:
 class TestChanges:
     @pytest.mark.parametrize(("before", "after"), [(0.08, 0.16), (0.16, 0.08)])
     def test_a_change_is_dated_and_not_averaged_away(self, before, after):
-        """Slip at one level for twenty days, then at another: ground, or grown over."""
         pieces = [met(DAY + number, 38, before, 0.06, bins=6) for number in range(0, 40, 2)]
         pieces += [met(DAY + number, 38, after, 0.06, bins=6) for number in range(40, 56, 2)]
         layer = layer_of(pieces)
@@ -341,11 +324,7 @@ def test_what_one_day_alone_showed_may_have_passed():
 
 @pytest.mark.parametrize("place_from", [pytest.param(None, marks=pytest.mark.long), 7])
 def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from):
-    """Every trip bears 0.13 and all slip is at 0.16, but for a place that is slippery later.
-
-    What was borne without slip allows any level above: a spread between trips that grows with it
-    must not lift the levels above all onsets. Days are asked for from the last to the first.
-    """
+    """A spread between trips that grows must not lift levels above all onsets; last days first."""
     pieces = []
     for number in range(16):
         pieces += [calm(DAY + number, 0.13), met(DAY + number, 20 + 3 * number, 0.16, 0.13)]
@@ -363,7 +342,6 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from):
 
 
 def test_without_evidence_parameters_are_assumed_and_with_it_estimated():
-    """Levels of places and trips are drawn with numbers that the map does not know."""
     generator = np.random.default_rng(4)
     places = np.log(0.2) + 0.1 * generator.standard_normal(BINS)
     pieces = []
@@ -386,7 +364,6 @@ def test_without_evidence_parameters_are_assumed_and_with_it_estimated():
 
 @pytest.mark.parametrize("length", [300.0, 1_000.0, 2_500.0])
 def test_bins_longer_than_a_slippery_place_have_the_level_of_their_onsets(length):
-    """Of ten bins one was met at 0.06, the others at 0.12, on each of twenty days."""
     levels = np.where(np.arange(10) == 2, 0.06, 0.12)
     weight, unused = np.full(10, 1.0 / OF_TRIP**2), np.zeros((10, LEVELS.size))
     pieces = [
@@ -404,15 +381,9 @@ FEW_LEVELS = np.array([0.04, 0.06, 0.08, 0.10])
 FEW_BINS = 40
 
 
-def made(
-    seen: dict[int, float] | None = None, demonstrated: dict[tuple[int, int], float] | None = None
-) -> TrackConditionMap:
-    """A map with estimates of 10 per cent where seen, and trips that bore levels."""
-    observed, mean, censored = (
-        np.zeros(FEW_BINS, bool),
-        np.zeros(FEW_BINS),
-        np.zeros((FEW_BINS, FEW_LEVELS.size)),
-    )
+def made(seen=None, demonstrated=None):
+    observed, mean = np.zeros(FEW_BINS, bool), np.zeros(FEW_BINS)
+    censored = np.zeros((FEW_BINS, FEW_LEVELS.size))
     for index, adhesion in (seen or {}).items():
         observed[index], mean[index] = True, np.log(adhesion)
     for place, trips in (demonstrated or {}).items():
@@ -420,9 +391,8 @@ def made(
     nothing = np.zeros(FEW_BINS)
     known = DailyEvidence.of_bins(0, nothing, nothing, nothing, censored)
     layer = ConditionLayer(mean, np.full(FEW_BINS, 0.1), observed, evidence=known)
-    return TrackConditionMap(
-        "line", 25.0 * FEW_BINS, 25.0, FEW_LEVELS, {"wet": layer}, settings=dict(SETTINGS)
-    )
+    about = "line", 25.0 * FEW_BINS, 25.0, FEW_LEVELS
+    return TrackConditionMap(*about, {"wet": layer}, settings=dict(SETTINGS))
 
 
 def test_each_bin_is_seen_demonstrated_or_assumed():
@@ -480,8 +450,6 @@ def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place():
 
 def test_a_risk_is_read_for_the_time_of_the_run():
     class Fading(ConditionLayer):
-        """Expects half of the adhesion until a time."""
-
         def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:
             worse = time is None or time < Timestamp("2026-11-22", tz="UTC")
             mean = self.log_mean - (np.log(2.0) if worse else 0.0)
@@ -493,10 +461,8 @@ def test_a_risk_is_read_for_the_time_of_the_run():
     track = replace(known, layers={"wet": fading})
     early, late = Timestamp("2026-11-21T06:00Z"), Timestamp("2026-11-23T06:00Z")
     for options in ({"risk": 0.05}, {"sigmas": 1.0}):
-        now, then = (
-            usable_adhesion(track, "wet", time=time, **options).values[3] for time in (early, late)
-        )
-        assert then == pytest.approx(2.0 * now)
+        found = [usable_adhesion(track, "wet", time=each, **options) for each in (early, late)]
+        assert found[1].values[3] == pytest.approx(2.0 * found[0].values[3])
     # Without a time a risk is that right after the last evidence; deviations are of what lasts.
     assert usable_adhesion(track, "wet", risk=0.05).values[3] < 0.04
     assert usable_adhesion(track, "wet", sigmas=1.0).values[3] > 0.06

@@ -1,7 +1,5 @@
 """Logs as folders of Parquet files and back, whole and in part."""
 
-from __future__ import annotations
-
 import csv
 import json
 import warnings
@@ -260,7 +258,6 @@ def test_stretches_are_kilometres():
 
 @pytest.mark.parametrize("suffix", [".mcap", pytest.param(".parquet", marks=pytest.mark.long)])
 def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(suffix, log, tmp_path):
-    """Also where it shows only on the way: the last chunk of several fails its checksum."""
     trip = read_log(log)
     minutes = {}
     for name, frame in trip.topics.items():
@@ -285,9 +282,6 @@ def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(suffix, log, tmp_
     assert step["account"]["messages_lost"] == whole - rows > 0
 
 
-# ------------ Logs of one trip as one log: nothing is lost, and nothing contradictory becomes one
-
-
 STATE = TRAIN_STATE.name
 
 
@@ -303,7 +297,6 @@ def written(trip: Trip, path: Path) -> Path:
 
 @pytest.mark.parametrize(("cuts", "backwards"), [((0.5,), False), ((0.2, 0.21, 0.9), True)])
 def test_parts_in_any_order_are_the_whole(cuts, backwards, whole, tmp_path):
-    """Each instant of a cut is in both parts, and once in the whole."""
     length = whole.end - whole.start
     edges = [None, *(whole.start + share * length for share in cuts), None]
     parts = [
@@ -348,9 +341,8 @@ def test_different_samples_of_a_topic_are_refused_or_one_log_is_preferred(whole,
     assert not (tmp_path / "both.mcap").exists()
     for path, trip in zip(paths, (whole, other), strict=True):
         done = merge(paths, tmp_path / "both.mcap", prefer=path)
-        assert_same(
-            Trip({STATE: read_log(tmp_path / "both.mcap")[STATE]}), Trip({STATE: trip[STATE]})
-        )
+        found = read_log(tmp_path / "both.mcap")[STATE]
+        assert_same(Trip({STATE: found}), Trip({STATE: trip[STATE]}))
         assert done.left_out[STATE] + done.repeated[STATE] == 200
         assert done.left_out[STATE] > 100
 
@@ -398,11 +390,8 @@ STATE_COLUMNS = frame_of(TRAIN_STATE, START + np.arange(3), {"speed": [1.0, 2.0,
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def write_pieces(pieces: Iterator[Trip], folder: Path) -> None:
@@ -493,10 +482,7 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path):
         (Trip({TRAIN_STATE.name: STATE_COLUMNS.reset_index(drop=True)}), "not indexed by time"),
         (Trip({TRAIN_STATE.name: STATE_COLUMNS.iloc[::-1]}), "runs backwards"),
         (Trip({TRAIN_STATE.name: STATE_COLUMNS.assign(speed=[1.0, "two", 3.0])}), "cannot hold"),
-        (
-            Trip({TRAIN_STATE.name: pd.concat([STATE_COLUMNS, STATE_COLUMNS], axis=1)}),
-            "cannot hold",
-        ),
+        (Trip({STATE: pd.concat([STATE_COLUMNS, STATE_COLUMNS], axis=1)}), "cannot hold"),
         (Trip({}, provenance=({"step": float("nan")},)), "cannot be written"),
         (Trip({}, {"trip": "\ud800"}), "cannot be written"),
     ],
@@ -530,12 +516,7 @@ def test_a_failed_write_leaves_the_older_folder(tmp_path):
     before = contents(folder)
     no_time = Trip({TRAIN_STATE.name: STATE_COLUMNS.reset_index(drop=True)})
     refused(LogError, "not indexed by time", write_parquet, no_time, folder)
-    other = iter(
-        [
-            Trip({TRAIN_STATE.name: STATE_COLUMNS}),
-            Trip({TRAIN_STATE.name: STATE_COLUMNS[["speed"]]}),
-        ]
-    )
+    other = [Trip({STATE: each}) for each in (STATE_COLUMNS, STATE_COLUMNS[["speed"]])]
     refused(LogError, "/train/state changes its columns", write_pieces, other, folder)
     with pytest.raises(KeyboardInterrupt):
         write_pieces(interrupted(), folder)

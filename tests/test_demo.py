@@ -1,7 +1,5 @@
 """The demo, from end to end: every command runs, and the results keep their promises."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable
@@ -10,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from painting import without_painting
 from rich.console import Console
 from test_cli_help import commands as every_command, context_of
@@ -26,16 +23,11 @@ from trainlog.formats.railway import line_of
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
-NONSTOP = "trip-01"
-"""Configuration of a trip without a stop, to which the driven one is compared."""
+NONSTOP = "trip-01"  # configuration of a trip without a stop, to which the driven one is compared
 
 
 @pytest.fixture(scope="module", params=[3, pytest.param(12, marks=pytest.mark.long)])
 def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> Path:
-    """Results of the demo's commands; of three trips, which one configuration drives, unless long.
-
-    Unless long, its pictures are not painted, as they are in the tests of pictures.
-    """
     changed = {} if request.param == 12 else {"12": str(request.param), "all": NONSTOP}
     coarse = {"plan": ("--set", "cells=40")} if changed else {}
 
@@ -59,33 +51,21 @@ def count_of(results: Path, folder: str = "trips") -> int:
     return len(list((results / folder).glob("*.mcap")))
 
 
-def logs(results: Path) -> list[Path]:
-    return sorted(results.glob("*/*.mcap"))
-
-
 def test_every_result_is_there_and_says_what_it_was_made_from(results):
     assert {p.stem for p in (results / "recorded").glob("*.mcap")} == {"recorder", "gnss"}
     assert count_of(results, "driven") == (12 if count_of(results) == 12 else 1)
     for name in ("parameters.json", "trajectory.json"):
         assert json.loads((results / name).read_text("utf-8"))["provenance"]
     assert len(read_map(results / "wil.map").trips) == count_of(results)
-    for log in logs(results):
+    for log in results.glob("*/*.mcap"):
         assert describe(log).provenance
+    trajectory = read_trajectory(results / "trajectory.json")
+    observed = read_parameters(results / "parameters.json").configurations
+    assert len(trajectory.configurations) == len(observed)
+    assert 0.0 <= trajectory.certificate["gap"] <= 0.002
     for name in ("parameters.png", "wil.png", "trajectory.png"):
         assert (results / name).read_bytes().startswith(b"\x89PNG")
     assert (results / "replay.rrd").read_bytes()[:4] == b"RRF2"
-
-
-def test_every_log_opens_in_the_official_reader(results):
-    """Of the smallest all messages are read."""
-    smallest, *_ = every = sorted(logs(results), key=lambda log: log.stat().st_size)
-    for log in every:
-        with log.open("rb") as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            count = sum(topic.count for topic in describe(log).topics)
-            assert reader.get_summary().statistics.message_count == count
-            if log == smallest:
-                assert sum(1 for _ in reader.iter_messages()) == count
 
 
 def test_the_observed_set_holds_the_truth(results):
@@ -114,19 +94,6 @@ def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results):
         assert (~layer.observed).any()
 
 
-def test_the_trajectory_keeps_its_certificate(results):
-    trajectory = read_trajectory(results / "trajectory.json")
-    observed = read_parameters(results / "parameters.json")
-    assert len(trajectory.configurations) == len(observed.configurations)
-    certificate = trajectory.certificate
-    assert 0.0 <= certificate["gap"] <= 0.002
-    audit = certificate["audit"]
-    assert audit["lateness"] <= 0.01
-    assert audit["overspeed"] <= 1e-3
-    assert audit["power"] <= 1.0 + 1e-4
-    assert audit["adhesion"] <= 1.0 + 1e-4
-
-
 def test_driving_it_saves_energy_against_the_drivers(results):
     trips, driven = (
         [trainlog.read(log) for log in sorted((results / folder).glob("*.mcap"))]
@@ -145,7 +112,6 @@ def test_driving_it_saves_energy_against_the_drivers(results):
 @pytest.mark.long
 @pytest.mark.parametrize("results", [12], indirect=True)
 def test_readme_states_what_the_demo_shows(results):
-    """Its gap, its savings and how often wheels slipped."""
     certificate = read_trajectory(results / "trajectory.json").certificate
     gap = f"{at_most(certificate['gap'])} above the theoretical minimum"
     root = Path(demo.__file__).parents[2]

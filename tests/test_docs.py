@@ -1,7 +1,5 @@
 """The documentation: its code runs as it stands, its links lead somewhere, nothing is missing."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys
@@ -32,15 +30,13 @@ PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
 LONG = (
     *("catalogue.md", "comparison.md", "engineer.md", "gallery.md", "how-to.md", "network.md"),
     *("planner.md", "sfera.md", "simulation.md", "track-condition-map.md", "trajectories.md"),
-)
-"""Pages whose code takes more than a second and a half, but the developer's tutorial."""
+)  # pages whose code takes more than a second and a half, but the developer's tutorial
 TUTORIAL = DOCS / "tutorials" / "developer.md"
 PAINTED = Figure.savefig
 LINK = re.compile(r"\]\(([^)#\s]+)")
 
 
 def with_code() -> list[object]:
-    """Pages with Python or commands."""
     found = [page for page in PAGES if pages.blocks_of(page.read_text("utf-8"))]
     return [
         pytest.param(page, marks=[pytest.mark.long] if page.name in LONG else [], id=page.name)
@@ -51,7 +47,6 @@ def with_code() -> list[object]:
 @pytest.mark.usefixtures("unpainted_page")
 @pytest.mark.parametrize("page", with_code())
 def test_code_runs(page, tmp_path, monkeypatch):
-    """Of the pictures that a page writes, those that it shows are painted, too."""
     shown, unpainted = LINK.findall(page.read_text("utf-8")), Figure.savefig
 
     def written(figure: Figure, path: str | Path, **given: Any) -> None:
@@ -116,7 +111,6 @@ def test_every_page_is_in_the_navigation():
 
 
 def test_validation_states_what_the_studies_reach():
-    """The figures of the papers' systems are those of the page whose tables are tested."""
     studies = (DOCS / "studies.md").read_text("utf-8")
     validation = (DOCS / "validation.md").read_text("utf-8")
     section = validation.partition("## The published systems")[2].partition("\n## ")[0]
@@ -136,7 +130,6 @@ def test_validation_names_benchmarks_that_there_are():
 
 
 def anchors_of(page: Path) -> set[str]:
-    """Places in a page as the site names them."""
     from pymdownx.slugs import slugify
 
     text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
@@ -158,7 +151,6 @@ def test_links_lead_to_files_and_places_that_there_are(page):
 
 
 def resolved(dotted: str) -> object:
-    """The module, class or function of a dotted name."""
     parts = dotted.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -195,16 +187,14 @@ def test_every_part_of_a_paper_names_code_that_is_there_and_a_result():
     assert len(parts) > 60
     for part, where, result, why in parts:
         first, _, rest = where.strip("`").partition(".")
-        resolved(
-            f"analysis.studies.{STUDIES[first]}.{rest}" if first in STUDIES else where.strip("`")
-        )
+        study = f"analysis.studies.{STUDIES.get(first)}.{rest}"
+        resolved(study if first in STUDIES else where.strip("`"))
         assert result in RESULTS, part
         assert why or result in ("as printed", "reached"), part
 
 
 @pytest.fixture(params=["site", "source"])
 def installed(request: pytest.FixtureRequest, tmp_path: Path) -> Documentation:
-    """Documentation as an installation has it: a built site, or Markdown."""
     built = request.param == "site"
     folder = tmp_path / request.param
     for name in ("index", "tutorials/planner", "reference/logs"):

@@ -1,7 +1,5 @@
 """Examples in docstrings run as they stand, from a folder with the samples."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import linecache
@@ -18,7 +16,6 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def modules() -> list[str]:
-    """Modules of the three packages with an example in a docstring."""
     paths = (path for package in PACKAGES for path in sorted((CHECKOUT / package).rglob("*.py")))
     with_examples = [path for path in paths if ">>> " in path.read_text("utf-8")]
     parts = [path.relative_to(CHECKOUT).with_suffix("").parts for path in with_examples]
@@ -34,8 +31,7 @@ LONG = (
     *("trainlog.catalogue.querying", "trainlog.condition", "trainlog.formats.mapfile"),
     *("trainlog.formats.railway", "trainlog.ingest.proposal.proposal", "trainlog.mcap.convert"),
     "trainlog.simulation.fleet",
-)
-"""Modules whose examples take more than half a second."""
+)  # modules whose examples take more than half a second
 
 
 @pytest.fixture(scope="module")

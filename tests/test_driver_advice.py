@@ -1,7 +1,5 @@
 """Advice to a driver: phases and energy, stations, times in the clock of the timetable, places."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence
@@ -15,25 +13,16 @@ from hypothesis import given, settings, strategies as st
 from refusals import refused
 from trajectory_cases import FLIRT, hilly_line, level_line, observed, optimised, slippery
 
+from analysis import OptimiserOptions, TrajectoryProblem, energy_against_time, journey_advice
 from analysis.reports.results import write_driver_advice
-from analysis.trajectory.advice import journey_advice, time_of_day, with_advice, with_times
+from analysis.trajectory.advice import time_of_day, with_advice, with_times
 from analysis.trajectory.instructions import LETTERS, Cap, Instruction, Phase, _Plan, instructions
-from analysis.trajectory.optimiser import energy_against_time, optimise
-from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from trainlog import frame_of, read_line, read_train, read_trajectory, sample, write_trajectory
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.railway import (
-    line_of_plan,
-    line_to_bytes,
-    read_line,
-    read_train,
-    read_trajectory,
-    write_trajectory,
-)
-from trainlog.formats.samples import sample
+from trainlog.formats.railway import line_of_plan, line_to_bytes
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, Line, StepProfile, Trajectory
 from trainlog.topics import ESTIMATED_STATE
-from trainlog.trip import frame_of
 from trainlog.units import KMH
 
 pytestmark = pytest.mark.usefixtures("unrenewed")
@@ -48,25 +37,10 @@ def line() -> Line:
 
 @pytest.fixture(scope="module")
 def sections(line: Line) -> tuple[Trajectory, ...]:
-    """Against the chainage, from Wil to Uzwil and past Flawil to Gossau; two configurations."""
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    back = line.reversed()
+    loads = [Configuration.of(FLIRT), replace(Configuration.of(FLIRT, 20e3), name="laden")]
+    back, asked = line.reversed(), {"reserve": 0.1, "direction": "reverse", "cells": 60}
     ends = [back.stations[number].position for number in (0, 1, 3)]
-    found = [
-        optimise(
-            TrajectoryProblem(
-                back,
-                train,
-                [Configuration.of(train), replace(Configuration.of(train, 20e3), name="laden")],
-                start=start,
-                end=end,
-                reserve=0.1,
-                direction="reverse",
-            ),
-            OptimiserOptions(cells=60),
-        )
-        for start, end in pairwise(ends)
-    ]
+    found = [optimised(back, FLIRT, loads, start=a, end=b, **asked) for a, b in pairwise(ends)]
     starts = [0.0, found[0].running_time + DWELL]
     return with_times(found, starts, "S1")
 
@@ -201,13 +175,10 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(sections, lin
 def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file(
     sections, line, tmp_path, shell
 ):
-    """Of a line that is not among the samples."""
     named = replace(line.reversed(), name="elsewhere")
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    problem = TrajectoryProblem(
-        named, train, [Configuration.of(train)], end=9_469.4, direction="reverse"
-    )
-    plan = optimise(problem, OptimiserOptions(cells=60))
+    asked = {"end": 9_469.4, "direction": "reverse", "cells": 60}
+    plan = optimised(named, train, [Configuration.of(train)], **asked)
     write_trajectory(plan, tmp_path / "plan.json")
     kept = line_of_plan(read_trajectory(tmp_path / "plan.json"))
     assert line_to_bytes(kept) == line_to_bytes(named)
@@ -281,8 +252,7 @@ def _with_phases(letters: str, speeds: Sequence[float]) -> Trajectory:
     )  # fmt: skip
 
 
-FREE = StepProfile(np.array([0.0]), np.array([200.0 / 3.6]))
-"""No limit that a train reaches [m/s]."""
+FREE = StepProfile(np.array([0.0]), np.array([200.0 / 3.6]))  # no limit that a train reaches [m/s]
 
 
 def words_of(trajectory: Trajectory) -> list[str]:
@@ -297,6 +267,10 @@ def test_at_one_speed_the_advice_is_to_hold_it():
         "coast to km 2.100: speed falls to 60 km/h",
         "brake to a stand",
     ]
+    # Coasting or braking for a moment while cruising is no advice.
+    for letter in "CH":
+        phases = "P" * 50 + letter + "P" * 49
+        assert words_of(_with_phases(phases, [72.0] * 101)) == ["hold 72 km/h"]
     # A dip between two equal speeds is coasting all the same.
     dip = instructions(_with_phases("TPCCPB", [0, 100, 100, 80, 100, 100, 0]), FREE)
     assert [LETTERS[each.phase] for each in dip] == list("TPCPB")
@@ -304,7 +278,6 @@ def test_at_one_speed_the_advice_is_to_hold_it():
 
 
 def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake():
-    """Braking downhill at one speed, then to a lower one: two speeds to hold, and a brake."""
     speeds = [0, 99, 100, 100, 100, 100, 85, 80, 80.5, 80, 60, 0]
     assert words_of(_with_phases("TPPPPHHPPCB", speeds)) == [
         "full traction to 100 km/h",
@@ -329,7 +302,6 @@ def test_a_short_full_brake_to_a_lower_speed_is_advice():
 
 
 def test_braking_is_advised_only_where_a_configuration_brakes():
-    """One coasts below a limit that the other has to brake for; further on both coast below one."""
     slow = np.array([0, 100, 92, 88, 80, 70, 0]) / 3.6
     fast = np.array([0, 100, 100, 90, 84, 75, 0]) / 3.6
     one = Configuration.of(FLIRT)
@@ -377,19 +349,12 @@ def test_a_speed_is_held_only_where_the_plan_drives_or_brakes():
 
 
 BRAKES = {"H": 30e3, "B": 60e3}
-STEPS = {
-    "T": (-9.0, 40.0),
-    "P": (-2.0, 4.0),
-    "C": (-9.0, 5.0),
-    "H": (-8.0, 1.0),
-    "B": (-40.0, -5.0),
-}
+STEPS = {"T": (-9, 40), "P": (-2, 4), "C": (-9, 5), "H": (-8, 1), "B": (-40, -5)}
 """By how much the speed changes in a cell of each phase [km/h]."""
 
 
 @st.composite
 def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
-    """A plan of two configurations, of which one may brake where the other coasts, and limits."""
     letters, speeds, more, others = "T", [0.0, draw(st.floats(40.0, 90.0))], [0.0, 0.0], "T"
     for letter in draw(st.lists(st.sampled_from("TPPCCCHB"), min_size=3, max_size=14)):
         after = speeds[-1] + draw(st.floats(*STEPS[letter]))
@@ -569,17 +534,3 @@ def test_against_the_chainage_the_map_is_read_backwards():
     # It starts where the rail is slippery.
     least = 0.08 * np.exp(-0.1) * FLIRT.adhesive_weight()
     assert found.tractive_effort[0] == pytest.approx(least, rel=1e-6)
-
-
-def test_coasting_for_a_moment_while_cruising_is_no_advice():
-    """Nor is a little braking at a speed that stays."""
-    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
-    count = found.positions.size - 1
-    times = np.linspace(0.0, 10.0 * count, count + 1)[None]
-    speeds = np.full((1, count + 1), 20.0)
-    for letter in "CH":
-        phases = "P" * 50 + letter + "P" * (count - 51)
-        given = replace(
-            found, speeds=speeds, times=times, certificate={**found.certificate, "phases": [phases]}
-        )
-        assert words_of(given) == ["hold 72 km/h"]

@@ -1,7 +1,5 @@
 """Estimators: what the recursive ones have in common, filters, smoothers and regressions."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,20 +10,12 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
+from estimators import RecursiveLeastSquares, edges_crossed, periods_elapsed, record_with_resets
 from estimators.adhesion import AdhesionObserver, SlipDetector
 from estimators.interface import Estimator
 from estimators.linear_gaussian import LinearGaussian, corrected, random_walk_slope
 from estimators.motion import LastingError, OdometryFilter, smooth_motion
-from estimators.regression import (
-    Cut,
-    Free,
-    RecursiveLeastSquares,
-    RlsResult,
-    edges_crossed,
-    periods_elapsed,
-    record_with_resets,
-    regress,
-)
+from estimators.regression import Cut, Free, regress
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
@@ -41,8 +31,6 @@ EFFORTS = 2e4 + 1e3 * RNG.standard_normal((COUNT, 2))
 
 @dataclass(frozen=True)
 class Case:
-    """How an estimator is made, and how it is fed the samples of a slice."""
-
     make: Callable[[], Estimator]
     feed: Callable[[Estimator, slice], object]
 
@@ -74,8 +62,7 @@ CASES = {
         lambda estimator, part: estimator.update(TIME[part], WHEELS[part], EFFORTS[part]),
     ),
     "odometry": Case(lambda: OdometryFilter(speed=20.0, speed_std=1.0), locate),
-}
-"""Every estimator stands here once."""
+}  # every estimator stands here once
 
 
 def same(one: FloatArray, other: FloatArray) -> None:
@@ -141,17 +128,11 @@ def davis_samples(count: int, seed: int, noise: float = 0.05) -> tuple[FloatArra
     return rows, rows @ TRUE + noise * rng.standard_normal(count)
 
 
-def assert_same(
-    result: RlsResult, estimate: FloatArray, covariance: FloatArray, rtol: float = 1e-6
-) -> None:
+def assert_same(result, estimate, covariance, rtol=1e-6):
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(result.estimate / scale, estimate / scale, rtol=rtol, atol=rtol)
-    np.testing.assert_allclose(
-        result.covariance / np.outer(scale, scale),
-        covariance / np.outer(scale, scale),
-        rtol=rtol,
-        atol=rtol,
-    )
+    found, expected = (each / np.outer(scale, scale) for each in (result.covariance, covariance))
+    np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.9])
@@ -163,9 +144,8 @@ def test_it_is_least_squares_whose_weights_forgetting_lowers(gamma):
     estimator = RecursiveLeastSquares(PRIOR, forgetting=gamma)
     estimator.update(rows, values, variance)
     weights = gamma ** np.arange(count - 1, -1, -1) / variance
-    covariance = np.linalg.inv(
-        gamma**count * np.diag(1.0 / PRIOR**2) + rows.T @ (rows * weights[:, None])
-    )
+    precision = gamma**count * np.diag(1.0 / PRIOR**2) + rows.T @ (rows * weights[:, None])
+    covariance = np.linalg.inv(precision)
     assert_same(estimator.result(), covariance @ (rows.T @ (weights * values)), covariance)
 
 
@@ -200,9 +180,8 @@ def test_never_loses_positive_definiteness(dtype, forgetting, walk, constant, sc
     count = 20_000
     speed = np.full(count, 30.0) if constant else rng.uniform(0.0, 80.0, count)
     rows = scale * np.column_stack([np.ones(count), speed, speed**2])
-    estimator = RecursiveLeastSquares(
-        PRIOR, forgetting=forgetting, random_walk_std=walk * PRIOR, dtype=dtype
-    )
+    options = {"forgetting": forgetting, "random_walk_std": walk * PRIOR, "dtype": dtype}
+    estimator = RecursiveLeastSquares(PRIOR, **options)
     for block in np.array_split(rows, 10):
         estimator.update(block, block @ TRUE + rng.standard_normal(len(block)))
         if resets is not None:
@@ -280,7 +259,6 @@ DAVIS = np.array([0.039, 0.000675])
 
 
 def trip(slopes: FloatArray, period: float = 0.5) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions, regressors and resistance plus slope of a train that speeds up and down."""
     time = np.arange(0.0, 120.0, period)
     speed = 20.0 + 15.0 * np.sin(time / 15.0)
     position = np.cumsum(np.concatenate(([0.0], period * 0.5 * (speed[1:] + speed[:-1])))) + 1.0
@@ -306,11 +284,9 @@ def test_time_resets_fall_on_multiples_of_the_period_despite_rounding():
 def test_blocks_do_not_matter(positions, cut):
     cut = min(cut, len(positions) - 1)
     whole = edges_crossed(EDGES, positions)
-    parts = (
-        edges_crossed(EDGES, positions[:cut]),
-        edges_crossed(EDGES, positions[cut:], positions[cut - 1]),
-    )
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    first = edges_crossed(EDGES, positions[:cut])
+    rest = edges_crossed(EDGES, positions[cut:], positions[cut - 1])
+    np.testing.assert_array_equal(np.concatenate((first, rest)), whole)
     # One by one, as in a closed loop, and by the definition.
     for now, before, found in zip(positions[1:], positions[:-1], whole[1:], strict=True):
         low, high = sorted((before, now))
@@ -323,9 +299,8 @@ def test_a_trip_at_once_equals_sample_by_sample(parameters):
     position, rows, values = trip(np.array([1.0, 5.0, -3.0, 2.0]))
     whole, single = RecursiveLeastSquares(PRIOR), RecursiveLeastSquares(PRIOR)
     due = edges_crossed(EDGES, position)
-    estimates, covariances = record_with_resets(
-        whole, due, rows, values, 0.01, parameters=parameters
-    )
+    reset = {"parameters": parameters}
+    estimates, covariances = record_with_resets(whole, due, rows, values, 0.01, **reset)
     for k in range(len(values)):
         if k and edges_crossed(EDGES, position[k], position[k - 1])[0]:
             single.reset(parameters)
@@ -340,8 +315,8 @@ def test_a_trip_at_once_equals_sample_by_sample(parameters):
 def test_what_cannot_be_is_refused():
     refused(InputError, "increase", edges_crossed, [10.0, 5.0], [1.0])
     refused(InputError, "period", periods_elapsed, 0.0, [1.0])
-    with pytest.raises(InputError, match="do not fit"):
-        record_with_resets(RecursiveLeastSquares(PRIOR), [True], np.ones((2, 3)), np.ones(2))
+    given = RecursiveLeastSquares(PRIOR), [True], np.ones((2, 3)), np.ones(2)
+    refused(InputError, "do not fit", record_with_resets, *given)
 
 
 CURVE = np.array([2.0, -0.5])
@@ -352,7 +327,6 @@ def free(columns: FloatArray, mean: float = 0.0) -> list[Free]:
 
 
 def rows(seed: int, count: int = 60) -> tuple[FloatArray, FloatArray]:
-    """Columns, and a left-hand side with noise of unit variance."""
     generator = np.random.default_rng(seed)
     columns = generator.standard_normal((count, 2)) * [1.0, 1e-3]
     return columns, columns @ CURVE + generator.standard_normal(count)
@@ -386,7 +360,6 @@ def test_rows_far_off_are_left_out_and_no_others():
 
 
 def test_rows_that_err_together_widen_what_is_known():
-    """Twenty clusters of thirty rows with an error in common: as much as estimates scatter."""
     errors, stated = [], []
     for seed in range(200):
         generator = np.random.default_rng(seed)
@@ -416,7 +389,6 @@ def test_a_ratio_has_the_spread_of_both():
 
 @pytest.mark.parametrize("rounds", [None, 1, 2, 3])
 def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds):
-    """Rows one by one, where only the worst of all is left out in a round."""
     values = np.zeros(20)
     values[[3, 8, 11, 17]] = 1e3, 2e3, 3e3, 4e3
     cut = Cut(5.0, apart=41) if rounds is None else Cut(5.0, apart=41, rounds=rounds)
@@ -426,7 +398,6 @@ def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds):
 
 
 def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple[FloatArray, ...]:
-    """A stable model with steps of its own, known inputs, measurements, some missing."""
     rng = np.random.default_rng(seed)
     transition = np.eye(rank) + 0.2 * rng.standard_normal((count, rank, rank))
     transition /= 1.0 + np.abs(np.linalg.eigvals(transition)).max()
@@ -440,10 +411,7 @@ def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple
     return transition, noise, observation, shift, measured, variances
 
 
-def by_filterpy(
-    drawn: tuple[FloatArray, ...], mean: FloatArray, covariance: FloatArray
-) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """Filtered and smoothed means and covariances of the same model."""
+def by_filterpy(drawn, mean, covariance):
     transition, noise, observation, shift, measured, variances = drawn
     peer = KalmanFilter(dim_x=mean.size, dim_z=1)
     peer.x, peer.P = mean.copy(), covariance.copy()
@@ -529,7 +497,6 @@ def test_a_gate_leaves_out_what_is_too_far_off(limit, deviations, kept):
 
 
 def test_bands_hold_errors_that_last_and_only_with_them():
-    """Errors are drawn for each trip: no averaging removes them."""
     time = np.arange(0.0, 200.0)
     truth, speed = 10.0 * time - 100.0 * np.sin(time / 20.0), 10.0 - 5.0 * np.cos(time / 20.0)
     held: dict[bool, list[float]] = {True: [], False: []}

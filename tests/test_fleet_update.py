@@ -1,7 +1,5 @@
 """Bringing a fleet up to date: what is new, once, whatever goes wrong meanwhile."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -40,7 +38,6 @@ HERE = UpdateOptions(workers=0)
 
 @pytest.fixture
 def place(tmp_path: Path, fleet_logs: Path) -> Path:
-    """A catalogue of the trips, whose logs may be changed."""
     shutil.copytree(fleet_logs, tmp_path / "logs")
     with open_catalogue(tmp_path / "catalogue") as catalogue:
         catalogue.add(tmp_path / "logs")
@@ -49,7 +46,6 @@ def place(tmp_path: Path, fleet_logs: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory, fleet_logs: Path) -> dict[str, bytes]:
-    """The files of results of one update in one process."""
     folder = tmp_path_factory.mktemp("undisturbed")
     with open_catalogue(folder) as catalogue:
         catalogue.add(fleet_logs)
@@ -81,11 +77,8 @@ def test_threads_as_any_executor_give_the_same_bytes(place, undisturbed):
         analyses = ("adhesion", "checks")
         found = updated(place, *analyses, workers=None, executor=executor, batch=2)
     assert found.engine == "executor"
-    assert kept(place) == {
-        name: data
-        for name, data in undisturbed.items()
-        if name.endswith(".map") or name.startswith(analyses)
-    }
+    names = [name for name in undisturbed if name.endswith(".map") or name.startswith(analyses)]
+    assert kept(place) == {name: undisturbed[name] for name in names}
 
 
 def test_nothing_is_computed_twice(place, monkeypatch):
@@ -172,10 +165,8 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place):
     assert reason.startswith("ZeroDivisionError: no samples at all (failing_analyses.py, line")
     with open_catalogue(place) as catalogue:
         known = fleet_status(catalogue, [WRONG])
-        assert {each.name: each.state for each in known.problems} == {
-            "trip-001": "refused",
-            "trip-002": "failed",
-        }
+        states = {each.name: each.state for each in known.problems}
+    assert states == {"trip-001": "refused", "trip-002": "failed"}
     assert updated(place, WRONG).trips == 0
     assert updated(place, WRONG, retry=True).trips == 2
 
@@ -222,14 +213,10 @@ def test_trips_whose_logs_are_gone_are_counted_apart(place, tmp_path, works):
         assert json.loads(works(*words, *known))["gone"] == 1
 
 
-# ---------------------------------------------------------------------------------------- maps
-
-
 @pytest.mark.usefixtures("analysed_once")
 def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
     place, undisturbed, tmp_path, monkeypatch
 ):
-    """Also where its evidence was summed up."""
     monkeypatch.setattr(maps, "KEPT", 1)
     (name,) = (name for name in undisturbed if name.endswith(".map"))
     logs = sorted((tmp_path / "logs").glob("*.mcap"))
@@ -237,7 +224,6 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
     every = [each["trip"] for each in read_map(place / "maps" / name).trips]
 
     def again() -> list[str]:
-        """The trips in the map, after an update; it is that of a map made of the logs alone."""
         with open_catalogue(place) as catalogue:
             catalogue.add(tmp_path / "logs")
         updated(place, "adhesion")
@@ -267,7 +253,6 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
 def test_edges_are_brought_up_to_date_side_by_side_with_the_same_result(
     place, fleet_logs, monkeypatch
 ):
-    """Of three lines, by one process and by two, of which one is killed."""
     logs = [trainlog.read(log) for log in sorted(fleet_logs.glob("*.mcap"))]
     for number, name in enumerate(("second", "third"), 1):
         for trip in (later(each, pd.Timedelta(days=20 * number)) for each in logs):
@@ -305,14 +290,12 @@ def test_edges_are_brought_up_to_date_side_by_side_with_the_same_result(
 
 @dataclass(frozen=True)
 class Killing:
-    """Work that kills its worker."""
-
     jobs: tuple[int, ...] = ()
 
     def computed(self) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    def alone(self, job: int) -> Killing:
+    def alone(self, job):
         return self
 
     def died(self, job: int, reason: str) -> None: ...
@@ -327,14 +310,11 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
         before = maps_in(folder)
         other = replace(computation_of(adhesion), code="0123456789abcdef")
         monkeypatch.setattr("analysis.fleet.update.computation_of", lambda _: other)
-        part = update_fleet(
-            catalogue, ["adhesion"], UpdateOptions(workers=0, where="weather = 'wet'")
-        )
-        assert not part.maps.complete
+        wet = UpdateOptions(workers=0, where="weather = 'wet'")
+        assert not update_fleet(catalogue, ["adhesion"], wet).maps.complete
         assert maps_in(folder) == before
         assert "0123456789abcdef" not in (folder / "maps.json").read_text()
-        rest = update_fleet(catalogue, ["adhesion"], HERE)
-        assert rest.maps.complete
+        assert update_fleet(catalogue, ["adhesion"], HERE).maps.complete
         assert "0123456789abcdef" in (folder / "maps.json").read_text()
         assert maps_in(folder) == before
         assert not folder.with_name("maps.next").exists()
@@ -344,15 +324,10 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
         assert maps_in(folder) == before
 
 
-# ------------------------------------------------------------------------------- interruptions
-
-
 SERVERS = pytest.mark.parametrize("server", ["sqlite", "postgresql"])
 
 
-def places(
-    server: str, folder: Path, request: pytest.FixtureRequest, *names: str
-) -> dict[str, str]:
+def places(server, folder, request, *names):
     """Catalogues of their own on a database, that keep their results below a folder."""
     if server == "sqlite":
         return {name: str(folder / name) for name in names}

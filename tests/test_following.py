@@ -1,11 +1,8 @@
 """The driver that follows a trajectory: on time, within limits, at its stop, whatever the train."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,32 +12,15 @@ from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis import Follower, OptimiserOptions, TrajectoryProblem, following_scenarios, optimise
 from analysis.comparison.groups import trip_cost
-from analysis.control import prediction as prediction
+from analysis.control import prediction as prediction, route as bounds
 from analysis.control.follow import MARGIN, Observer, Odometry, effort_reversals, following_line
 from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
-from analysis.control.route import (
-    Margin,
-    RouteTables,
-    TrainLimits,
-    ceiling_square,
-    effort_limits,
-    route_tables,
-    train_limits,
-)
-from trainlog.errors import InputError, LogError
-from trainlog.railway import (
-    Brake,
-    Configuration,
-    EffortCurve,
-    StepProfile,
-    TrackConditionMap,
-    Train,
-    Trajectory,
-)  # fmt: skip
+from trainlog import Configuration, InputError, LogError
+from trainlog.railway import Brake, EffortCurve, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.simulation import Locator, Scenario, drive, simulate, trajectory_scenarios
+from trainlog.simulation import Locator, drive, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import DEPARTURE, Observation
 from trainlog.simulation.sensors import Instruments, Reading, Sensors
 
@@ -49,7 +29,6 @@ NEUTRAL = TrainEstimate(1.0, 0.0, 0.0)
 
 @cache
 def plan(name: str = "flirt") -> tuple[Train, Trajectory]:
-    """A train and its trajectory over the hilly line, for masses and resistances far apart."""
     only_friction = {"max_dynamic_braking_effort": 0.0, "brake": Brake(2.0, 1.5)}
     train = flirt(**({} if name == "flirt" else only_friction))
     configurations = [
@@ -69,15 +48,14 @@ LIGHT, HEAVY = "2 t, r0.9", "18 t, r1.1"
 
 
 @cache
-def known(name: str = "flirt") -> tuple[TrainLimits, RouteTables]:
+def known(name: str = "flirt") -> tuple[bounds.TrainLimits, bounds.RouteTables]:
     train, trajectory = plan(name)
     run = TrajectoryProblem(hilly_line(), train, trajectory.configurations)
-    can = train_limits(run)
-    return can, route_tables(run, trajectory, can)
+    can = bounds.train_limits(run)
+    return can, bounds.route_tables(run, trajectory, can)
 
 
 def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
-    """What a map that was learnt well says of a rail."""
     line = hilly_line()
     track = TrackConditionMap(line.name, line.length, 25.0, np.zeros(1), {})
     n = track.bins
@@ -89,21 +67,13 @@ def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
 
 
 def slippery() -> StepProfile:
-    """A wet rail with three slippery places: at the start, on a climb, before the stop."""
     return steps(
         (0.0, 0.15), (150.0, 0.09), (400.0, 0.17), (5_500.0, 0.08), (5_700.0, 0.17),
         (10_700.0, 0.1), (10_850.0, 0.15),
     )  # fmt: skip
 
 
-def driven(
-    name: str = "flirt",
-    rail: StepProfile | None = None,
-    locates: Any = None,
-    chosen: str = HEAVY,
-    **options: Any,
-) -> tuple[dict[str, np.ndarray], Scenario]:
-    """What a train of a configuration does that follows its plan, on dry rail or a known one."""
+def driven(name="flirt", rail=None, locates=None, chosen=HEAVY, **options):
     train, trajectory = plan(name)
     if rail is not None:
         options |= {"condition": map_of(rail), "layer": "wet"}
@@ -124,7 +94,6 @@ def driven(
 
 
 def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time():
-    """Friction brake alone, 2 s of dead time and 1.5 s of lag."""
     found, _ = driven("friction")
     assert abs(found["position"][-1] - hilly_line().length) < 0.3
     assert found["over"] <= 0.0
@@ -133,10 +102,8 @@ def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time():
 
 
 def test_efforts_do_not_alternate_where_a_late_train_pulls_at_its_ceiling():
-    """On little adhesion, by its own instruments: only places with a reason reverse the effort."""
-    found, _ = driven(
-        rail=steps((0.0, 0.07)), locates=Odometry, margin=MARGIN, departure=DEPARTURE + 60.0
-    )
+    late = {"margin": MARGIN, "departure": DEPARTURE + 60.0}
+    found, _ = driven(rail=steps((0.0, 0.07)), locates=Odometry, **late)
     assert effort_reversals(found["tractive_effort"], found["braking"]) <= 5
     assert found["over"] <= 0.0
     assert found["protected_axles"].max() == 0.0
@@ -152,9 +119,8 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path):
     reference, truth = trip["/reference"], trip["/truth"]
     assert reference.lateness.iloc[0] == 0.0
     assert abs(reference.lateness.iloc[-1]) < 1.0
-    np.testing.assert_allclose(
-        reference.speed, trajectory.speed_at(trajectory.latest, truth.position)
-    )
+    planned = trajectory.speed_at(trajectory.latest, truth.position)
+    np.testing.assert_allclose(reference.speed, planned)
     assert trip.metadata["configuration"] == LIGHT
     # The load is weighed: the log does not state it exactly.
     error = float(trip.metadata["load"]) - 2_000.0
@@ -163,8 +129,8 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path):
     assert [len(panel.curves) for panel in chart.panels] == [4, 1, 1, 1]
     (back,) = following_charts([replace(trip, metadata=trip.metadata | {"direction": "reverse"})])
     assert back.line.stations[0].name == chart.line.stations[-1].name
-    with pytest.raises(LogError, match=r"'driven-.*' followed no trajectory"):
-        following_charts([replace(trip, topics={"/events": trip["/events"]})])
+    bare = replace(trip, topics={"/events": trip["/events"]})
+    refused(LogError, r"'driven-.*' followed no trajectory", following_charts, [bare])
     refused(LogError, "no trip to draw", following_charts, [])
 
 
@@ -179,9 +145,6 @@ def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival():
     assert driver.demand(short).tractive_effort > 0.0  # it moves up
     assert driver.demand(short._replace(position=10_999.9)).braking_effort > 0.0
     assert driver.finished
-
-
-# ---- by its own instruments -----------------------------------------------------------------
 
 
 def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure():
@@ -236,9 +199,6 @@ def test_a_wrong_wheel_is_found_out_by_satellites_and_balises():
     assert late[:, 1].max() < 0.06
 
 
-# ---- the prediction -------------------------------------------------------------------------
-
-
 @settings(max_examples=25)
 @given(
     name=st.sampled_from(["flirt", "friction"]),
@@ -270,31 +230,26 @@ def test_a_level_prediction_is_known_in_closed_form():
     can, road = known("friction")
     still = can._replace(constant=0.0, linear=0.0, quadratic=0.0, mass=0.0)
     past, brake = np.zeros(20), 0.5
-    states, *_ = prediction.linearised(
-        1_000.0, 20.0, 0.0, past, np.full(6, -brake), 10, NEUTRAL, road, still
-    )
+    given = past, np.full(6, -brake), 10, NEUTRAL, road, still
+    states, *_ = prediction.linearised(1_000.0, 20.0, 0.0, *given)
     for k in range(7):
         lasting, lag = max(k - 20 * TICK, 0.0), can.lag
         lost = brake * (lasting - lag * (1.0 - np.exp(-lasting / lag)))
         assert states[k, 1] == pytest.approx(20.0 - lost, abs=2e-3)
 
 
-# ---- ceiling, pace, guard -------------------------------------------------------------------
-
-
 def test_every_train_of_the_set_can_brake_below_the_ceiling():
-    """Run backwards from any place: full braking never fails to keep what lies ahead."""
     can, road = known()
     for start in (900.0, 2_600.0, 4_900.0, 9_600.0, 10_700.0):
         for row in can.corners:
-            p, v = float(start), float(np.sqrt(ceiling_square(start, road)))
+            p, v = float(start), float(np.sqrt(bounds.ceiling_square(start, road)))
             while p < road.end - 0.5 and v > 0.1:
-                brake = effort_limits(p, v, road, can)[1]
+                brake = bounds.effort_limits(p, v, road, can)[1]
                 a = -brake / row[1] - prediction.free_deceleration(p, v, row, road)
-                if v < np.sqrt(ceiling_square(p, road)) - 0.05:
+                if v < np.sqrt(bounds.ceiling_square(p, road)) - 0.05:
                     a = max(a, -0.02)  # no more than is needed
                 p, v = p + 0.1 * v, v + 0.1 * a
-                assert v <= np.sqrt(ceiling_square(p, road)) + 0.15
+                assert v <= np.sqrt(bounds.ceiling_square(p, road)) + 0.15
 
 
 @settings(max_examples=40)
@@ -306,7 +261,7 @@ def test_every_train_of_the_set_can_brake_below_the_ceiling():
 )
 def test_the_guard_keeps_every_train_of_the_set_within_bounds(position, share, effort, name):
     can, road = known(name)
-    speed = share * float(np.sqrt(ceiling_square(position, road)))
+    speed = share * float(np.sqrt(bounds.ceiling_square(position, road)))
     past = np.zeros(20 if name == "friction" else 6)
     found = prediction.guarded(position, speed, 0.0, past, 0.0, effort, 5, 12, road, can)
     low, high = prediction.effort_bounds(position, speed, position, road, can)
@@ -334,11 +289,10 @@ def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time():
     # The reference is a motion: positions are the integral of the speeds.
     mean = 0.5 * (states[1:, 1] + states[:-1, 1])
     np.testing.assert_allclose(np.diff(states[:, 0]), mean, atol=0.1)
-    assert np.all(states[:, 1] ** 2 <= [ceiling_square(p, road) + 0.05 for p in states[:, 0]])
+    assert np.all(
+        states[:, 1] ** 2 <= [bounds.ceiling_square(p, road) + 0.05 for p in states[:, 0]]
+    )
     assert np.all(efforts * can.inertia <= can.traction)
-
-
-# ---- what the train is ----------------------------------------------------------------------
 
 
 def test_the_train_is_found_while_it_runs():
@@ -353,11 +307,7 @@ def test_the_train_is_found_while_it_runs():
     assert observer.estimate.drag == pytest.approx(0.07, abs=0.05)
 
 
-# ---- bad input ------------------------------------------------------------------------------
-
-
 def test_a_train_with_curves_follows_within_them():
-    """In traction; its dynamic brake fades at both ends, and the friction brake takes over."""
     pull = EffortCurve(np.array([0.0, 12.0, 20.0, 45.0]), np.array([200e3, 185e3, 105e3, 35e3]))
     fading = EffortCurve(np.array([0.0, 3.0, 15.0, 45.0]), np.array([0.0, 60e3, 120e3, 40e3]))
     train = flirt(traction_curve=pull, dynamic_braking_curve=fading)
@@ -367,10 +317,10 @@ def test_a_train_with_curves_follows_within_them():
     ]
     run = TrajectoryProblem(hilly_line(), train, configurations, reserve=0.12)
     trajectory = optimise(run, OptimiserOptions(cells=200))
-    limits = train_limits(run)
-    route = route_tables(run, trajectory, limits)
+    limits = bounds.train_limits(run)
+    route = bounds.route_tables(run, trajectory, limits)
     for v in (0.0, 2.0, 11.0, 18.0, 30.0):
-        most, _ = effort_limits(3_000.0, v, route, limits)
+        most, _ = bounds.effort_limits(3_000.0, v, route, limits)
         assert most <= float(pull(v * 2.6 / 2.3)) * (1.0 + 1e-12)
     weak = following_scenarios(trajectory, hilly_line(), train, seed=4, configurations="weak")
     for trip in map(simulate, weak):
@@ -427,5 +377,5 @@ def test_what_cannot_be_followed_is_refused(changes, words):
         Follower(
             passing, changes.get("line", hilly_line()), changes.get("train", train),
             condition=known, layer=changes.get("layer", "wet"),
-            margin=Margin(speed=changes.get("margin", 0.0)),
+            margin=bounds.Margin(speed=changes.get("margin", 0.0)),
         )  # fmt: skip

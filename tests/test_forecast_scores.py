@@ -1,7 +1,5 @@
 """Adhesion forecasts: their files, known scores, propriety, reliability on drawn rails."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,27 +14,8 @@ from scipy import stats
 from simulated_line import level_line
 
 from analysis.adhesion.condition_map import LEVELS, empty_map
+from analysis.verification import scores, verify as verification
 from analysis.verification.forecasts import forecast_of, stated_forecast
-from analysis.verification.scores import (
-    brier_score,
-    brier_sums,
-    climatology,
-    crps,
-    observed_shares,
-    onset_score,
-    pit_sums,
-    used_score,
-)
-from analysis.verification.verify import (
-    Demand,
-    Forecaster,
-    Passages,
-    Verification,
-    asked_adhesion,
-    passages_of,
-    slip_probability,
-    verify,
-)
 from trainlog import InputError, TrackConditionMap, read_forecast, read_map, sample, write_forecast
 from trainlog.arrays import FloatArray
 from trainlog.railway.condition import AdhesionEstimate
@@ -50,11 +29,8 @@ FIRST = 20_000
 
 
 def normal(mean: FloatArray | float, std: FloatArray | float, bins: int = BINS) -> AdhesionEstimate:
-    return AdhesionEstimate(
-        np.broadcast_to(np.asarray(mean, dtype=np.float64), (bins,)),
-        np.broadcast_to(np.asarray(std, dtype=np.float64), (bins,)),
-        np.ones(bins, dtype=np.bool_),
-    )
+    values = (np.broadcast_to(np.asarray(x, dtype=np.float64), (bins,)) for x in (mean, std))
+    return AdhesionEstimate(*values, np.ones(bins, dtype=np.bool_))
 
 
 @settings(max_examples=40)
@@ -63,13 +39,11 @@ def test_scores_of_a_normal_forecast_are_those_of_the_textbook(median, std, met)
     forecast, z = normal(np.log(median), std, 1), (np.log(met) - np.log(median)) / std
     if abs(z) < 2.5:
         known = stats.norm.logpdf(np.log(met), np.log(median), std)
-        assert onset_score(forecast, [met])[0] == pytest.approx(known, abs=0.03)
-        assert used_score(forecast, [met])[0] == pytest.approx(stats.norm.logsf(z), abs=0.03)
+        assert scores.onset_score(forecast, [met])[0] == pytest.approx(known, abs=0.03)
+        assert scores.used_score(forecast, [met])[0] == pytest.approx(stats.norm.logsf(z), abs=0.03)
     # Gneiting and Raftery (2007), eq. (21) and below.
-    textbook = std * (
-        z * (2.0 * stats.norm.cdf(z) - 1.0) + 2.0 * stats.norm.pdf(z) - 1.0 / np.sqrt(np.pi)
-    )
-    assert crps(forecast, [met])[0] == pytest.approx(textbook, abs=2e-3)
+    textbook = z * (2.0 * stats.norm.cdf(z) - 1.0) + 2.0 * stats.norm.pdf(z) - 1.0 / np.sqrt(np.pi)
+    assert scores.crps(forecast, [met])[0] == pytest.approx(std * textbook, abs=2e-3)
 
 
 @settings(max_examples=40)
@@ -83,7 +57,7 @@ def test_scores_of_a_normal_forecast_are_those_of_the_textbook(median, std, met)
 def test_the_brier_score_is_its_parts_together(rows):
     chance = np.array([row[0] for row in rows])
     slips, others = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2))
-    found = brier_score(brier_sums(chance, slips + others, slips))
+    found = scores.brier_score(scores.brier_sums(chance, slips + others, slips))
     direct = np.sum(slips * (1.0 - chance) ** 2 + others * chance**2) / np.sum(slips + others)
     assert found.score == pytest.approx(direct, abs=1e-12)
     parts = found.reliability - found.resolution + found.uncertainty + found.within
@@ -94,9 +68,9 @@ def test_censored_values_do_not_bend_the_observed_shares():
     generator = np.random.default_rng(3)
     value, limit = generator.uniform(size=40_000), generator.beta(1.0, 2.0, 40_000)
     shown = value < limit
-    sums = pit_sums(value[shown], np.ones(shown.sum()), True)
-    sums += pit_sums(limit[~shown], np.ones((~shown).sum()), False)
-    share, trips = observed_shares(sums)
+    sums = scores.pit_sums(value[shown], np.ones(shown.sum()), True)
+    sums += scores.pit_sums(limit[~shown], np.ones((~shown).sum()), False)
+    share, trips = scores.observed_shares(sums)
     np.testing.assert_allclose(share[[20, 100, 160]], [0.1, 0.5, 0.8], atol=0.02)
     # The share of those measured alone is far off: slip shows low maxima only.
     assert np.mean(value[shown] < 0.5) > 0.75
@@ -119,14 +93,14 @@ def test_demand_leaves_out_the_day_and_spreads_what_slipped_over_higher_demands(
         evidence(2, {}, {0: 6, 1: 10}),
         evidence(3, {0: 0.075}, {1: 4}),  # slips at level 5: it asked for more
     ]
-    demand = Demand(days, LEVELS)
+    demand = verification.Demand(days, LEVELS)
     shares = demand.without(1, np.array([0, 1, 2]))
     assert shares[0, 6] == pytest.approx(0.5 + 0.5 * 0.5)
     assert shares[0, 10] == pytest.approx(0.5 * 0.5)
     assert shares[1, [4, 10]].tolist() == [0.5, 0.5]
     assert np.all(np.isnan(shares[2]))
     # Whether a trip slips on a day does not change the demand by which it is scored.
-    changed = Demand([evidence(1, {0: 0.05, 1: 0.05}, {}), *days[1:]], LEVELS)
+    changed = verification.Demand([evidence(1, {0: 0.05, 1: 0.05}, {}), *days[1:]], LEVELS)
     np.testing.assert_array_equal(shares, changed.without(1, np.array([0, 1, 2])))
 
 
@@ -134,9 +108,9 @@ def test_demand_leaves_out_the_day_and_spreads_what_slipped_over_higher_demands(
 class Drawn:
     """Days on a rail that is drawn anew each day about a level that only one forecaster knows."""
 
-    days: list[Passages]
-    demand: Demand
-    knows: Forecaster
+    days: list[verification.Passages]
+    demand: verification.Demand
+    knows: verification.Forecaster
     level: FloatArray
 
 
@@ -161,33 +135,26 @@ def drawn(seed: int, days: int = 30) -> Drawn:
         asked = asks * generator.uniform(0.6, 1.4, BINS)
         slipped, held = np.flatnonzero(met < asked), np.flatnonzero(met >= asked)
         used = np.searchsorted(LEVELS, asked[held], side="right") - 1
-        found.append(
-            evidence(
-                day,
-                dict(zip(slipped.tolist(), met[slipped].tolist(), strict=True)),
-                {int(i): int(k) for i, k in zip(held, used, strict=True) if k >= 0},
-            )
-        )
+        low = dict(zip(slipped.tolist(), met[slipped].tolist(), strict=True))
+        borne = {int(i): int(k) for i, k in zip(held, used, strict=True) if k >= 0}
+        found.append(evidence(day, low, borne))
     log_levels = np.linspace(-4.5, 0.0, 451)
     table = np.array([np.interp(log_levels - each, grid, probability) for each in level])
     table /= table.sum(axis=1, keepdims=True)
     mean = table @ log_levels
     std = np.sqrt(table @ log_levels**2 - mean**2)
     true = AdhesionEstimate(mean, std, np.ones(BINS, dtype=np.bool_), log_levels, table)
-    passages = [day for each in found for day in passages_of("wet", each)]
-    return Drawn(passages, Demand(found, LEVELS), lambda layer, time: true, level)
+    passages = [day for each in found for day in verification.passages_of("wet", each)]
+    return Drawn(passages, verification.Demand(found, LEVELS), lambda layer, time: true, level)
 
 
 @cache
-def scored(rail: Drawn, forecaster: Forecaster) -> Verification:
-    nothing = DailyEvidence.none(BINS, LEVELS.size)
-    return verify("drawn", TRACK, rail.days, forecaster, lambda layer, day: nothing, rail.demand)[
-        "wet"
-    ]
+def scored(rail: Drawn, forecaster: verification.Forecaster) -> verification.Verification:
+    given = forecaster, lambda layer, day: DailyEvidence.none(BINS, LEVELS.size), rail.demand
+    return verification.verify("drawn", TRACK, rail.days, *given)["wet"]
 
 
-def others(rail: Drawn) -> dict[str, Forecaster]:
-    """Forecasters that do not know the rail: too high, too low, too sure, too wide, ignorant."""
+def others(rail: Drawn) -> dict[str, verification.Forecaster]:
     true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
     made = {
         "too high": normal(true.log_mean + 0.15, true.log_std),
@@ -236,10 +203,12 @@ def test_the_probability_of_slip_is_that_of_asking_for_more_than_there_is():
     forecast = normal(np.log(0.1), 0.2, 1)
     share = np.zeros((1, LEVELS.size))
     share[0, [6, 10]] = 0.5
-    asked = asked_adhesion(LEVELS)
+    asked = verification.asked_adhesion(LEVELS)
     met = np.exp(np.log(0.1) + 0.2 * generator.standard_normal(200_000))
     counted = np.mean(met < generator.choice(asked[[6, 10]], met.size))
-    assert slip_probability(forecast, share, asked)[0] == pytest.approx(counted, abs=0.005)
+    assert verification.slip_probability(forecast, share, asked)[0] == pytest.approx(
+        counted, abs=0.005
+    )
 
 
 def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored():
@@ -291,7 +260,7 @@ def test_a_row_is_a_distribution_through_its_points(tmp_path, track):
     assert here.below(0.08)[0] == pytest.approx(0.05, abs=0.01)
     assert here.below(0.12)[0] == pytest.approx(0.5, abs=0.03)
     # Beyond its points it is shaped as the climatology is.
-    usual = climatology(track, "wet").at_bins([50])
+    usual = scores.climatology(track, "wet").at_bins([50])
     upper = (here.below(0.2)[0] - 0.5) / 0.5
     expected = (usual.below(0.2)[0] - usual.below(0.12)[0]) / (1.0 - usual.below(0.12)[0])
     assert upper == pytest.approx(expected, abs=0.05)
@@ -355,30 +324,22 @@ def test_all_that_is_wrong_is_listed_at_once(tmp_path):
         "line 3",
         "line 4",
     ]
-    for (_, words), expected in zip(
-        listed,
-        ("did you mean 'wet'", "must end behind", "not in per cent", "'low' is not a number",
-         "is for line 'Foo'", r"reaches km 99.000"),
-        strict=True,
-    ):  # fmt: skip
-        assert expected in words
-    with pytest.raises(InputError, match=r"5 problems: .*is for 2 lines: CH_StGallen_Wil, Foo"):
-        read_forecast(path)
+    said = ("did you mean 'wet'", "must end behind", "not in per cent", "'low' is not a number")
+    said += ("is for line 'Foo'", "reaches km 99.000")
+    assert all(each in words for each, (_, words) in zip(said, listed, strict=True))
+    refused(InputError, r"5 problems: .*is for 2 lines: CH_StGallen_Wil, Foo", read_forecast, path)
 
 
-def test_two_forecasts_of_one_place_and_time_are_refused(tmp_path, track):
+def test_a_forecast_for_another_line_and_two_of_one_place_and_time_are_refused(tmp_path, track):
     both = read_forecast(written(tmp_path, ROW, ROW.replace(",1,2,", ",1.5,3,")))
-    with pytest.raises(InputError, match=r"line 3 and forecast.csv, line 2 both hold .* km 1\.500"):
-        stated_forecast(both, track)("wet", NOON)
-
-
-def test_a_forecast_for_another_line_is_refused(tmp_path, track):
+    said = r"line 3 and forecast.csv, line 2 both hold .* km 1\.500"
+    refused(InputError, said, stated_forecast(both, track), "wet", NOON)
     other = read_forecast(written(tmp_path, ROW.replace("CH_StGallen_Wil", "A-B")))
-    with pytest.raises(InputError, match="is for line 'A-B', the trips ran on 'CH_StGallen_Wil'"):
-        stated_forecast(other, track)
+    said = "is for line 'A-B', the trips ran on 'CH_StGallen_Wil'"
+    refused(InputError, said, stated_forecast, other, track)
     beyond = read_forecast(written(tmp_path, ROW.replace(",1,2,", ",1,99,")))
-    with pytest.raises(InputError, match=r"reaches km 99\.000, the line ends at km 29"):
-        stated_forecast(beyond, track)
+    said = r"reaches km 99\.000, the line ends at km 29"
+    refused(InputError, said, stated_forecast, beyond, track)
 
 
 def test_what_a_map_expects_survives_the_file(tmp_path, track):

@@ -4,12 +4,10 @@ A replay takes a trip and gives its figures by name. A new analysis adds one ent
 ``pytest tests/test_golden.py --renew-golden`` stores its reference, reviewed like code.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
@@ -23,29 +21,13 @@ from analysis import coast_down, fit_trip, slip, with_estimates
 from analysis.adhesion.condition_map import empty_map, update
 from analysis.adhesion.evidence import evidence_of
 from analysis.comparison.groups import trip_cost
-from trainlog.errors import TrainlogError
+from trainlog import TrainlogError, Trip
 from trainlog.formats.railway import line_of
 from trainlog.formats.samples import folder
-from trainlog.trip import Trip
 
 Figures = Mapping[str, ArrayLike]
 
 LOGS = ("nonstop", "stopping")
-
-
-@dataclass(frozen=True)
-class Replay:
-    """What is run over a trip, and how far its figures may differ from the reference.
-
-    Attributes
-    ----------
-    run : function
-    tolerance : float
-        Share of the largest value in a column of a figure.
-    """
-
-    run: Callable[[Trip], Figures]
-    tolerance: float = 1e-6
 
 
 @cache
@@ -54,7 +36,6 @@ def trip_of(name: str) -> Trip:
 
 
 def estimates(trip: Trip) -> Figures:
-    """Smoothed motion, running resistance in its course, adhesion and slip as topics."""
     result, refusals = with_estimates(trip)
     topics = [topic for topic in result.topics if topic.startswith("/estimates/")]
     columns = {
@@ -118,34 +99,32 @@ def coasting(trip: Trip) -> Figures:
     }
 
 
-REPLAYS: dict[str, Replay] = {
-    "estimates": Replay(estimates, 1e-4),
-    "fit": Replay(fit, 1e-3),
-    "coast-down": Replay(coasting, 1e-3),
-    "slip events": Replay(slip_events, 1e-4),
-    "map update": Replay(map_update, 1e-4),
-    "cost": Replay(cost),
+REPLAYS: dict[str, tuple[Callable[[Trip], Figures], float]] = {
+    "estimates": (estimates, 1e-4),
+    "fit": (fit, 1e-3),
+    "coast-down": (coasting, 1e-3),
+    "slip events": (slip_events, 1e-4),
+    "map update": (map_update, 1e-4),
+    "cost": (cost, 1e-6),
 }
-"""By name; fits choose among samples, which a rounding may decide otherwise elsewhere."""
+"""By name, with the share of the largest value in a column by which a figure may differ; fits
+choose among samples, which a rounding may decide otherwise elsewhere."""
 
 
 GOLDEN = Path(__file__).parent / "data" / "golden"
 
-SAMPLES = 9
-"""Rows of a long figure that are kept, from the first to the last."""
+SAMPLES = 9  # rows of a long figure that are kept, from the first to the last
 
-ZERO = 1e-9
-"""Share of the largest value of a figure that counts as nothing in any of its columns."""
+ZERO = 1e-9  # share of the largest value of a figure that counts as nothing in any of its columns
 
 
 def path_of(name: str, log: str) -> Path:
     return GOLDEN / f"{name.replace(' ', '_')}.{log}.json"
 
 
-def replayed(replay: Replay, log: str) -> dict[str, object]:
-    """A digest of each figure, or why it is refused."""
+def replayed(run: Callable[[Trip], Figures], log: str) -> dict[str, object]:
     try:
-        figures = replay.run(trip_of(log))
+        figures = run(trip_of(log))
     except TrainlogError as error:
         return {"refused": re.sub(r"[0-9.]+", "#", str(error))}
     return {name: digest(values) for name, values in figures.items()}
@@ -175,10 +154,11 @@ def digest(values: ArrayLike) -> dict[str, object]:
 def test_replay_gives_what_it_gave(name, log, request, tmp_path):
     renew, path = request.config.getoption("--renew-golden"), path_of(name, log)
     made = path if renew else tmp_path / path.name
-    found = replayed(REPLAYS[name], log)
+    run, tolerance = REPLAYS[name]
+    found = replayed(run, log)
     made.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
     assert path.exists(), f"no reference: pytest {Path(__file__).name} --renew-golden"
-    changed = first_difference(made, path, REPLAYS[name].tolerance)
+    changed = first_difference(made, path, tolerance)
     assert not changed, f"{changed}; if it is meant: --renew-golden"
 
 

@@ -3,36 +3,22 @@
 The VIRM6 and the level line restate facts of TTOBench v1.5 (BSD-2-Clause).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from simulated_line import steps
+from simulated_line import level_line as level, steps
 
+from analysis import OptimiserOptions, TrajectoryProblem, optimise, optimise_journey
 from analysis.studies.cunillera_2022 import TRAIN
-from analysis.trajectory.journey import JourneyPlan, optimise_journey
-from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.problem import DEFAULT_OPTIONS
 from trainlog.formats.railway import read_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.railway import (
-    Axles,
-    Configuration,
-    CurvatureProfile,
-    Journey,
-    Line,
-    RunningResistance,
-    Station,
-    TrackConditionMap,
-    Train,
-    Trajectory,
-    Tunnel,
-)
-from trainlog.railway.condition import BIN_LENGTH, ConditionLayer
+from trainlog.railway import CurvatureProfile, Line, RunningResistance, Station, Trajectory, Tunnel
+from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.train import Axles, Configuration, Train
 from trainlog.units import KMH
 
 VIRM6 = replace(TRAIN, efficiency_traction=0.875, efficiency_regeneration=0.7)
@@ -57,23 +43,6 @@ FREIGHT = replace(
 )
 
 
-_BENDS = np.array(
-    [
-        (0.0, 0.0, 0.0),
-        (700.0, 0.0, 1 / 400),
-        (800.0, 1 / 400, 1 / 400),
-        (1_500.0, 1 / 400, -1 / 350),
-        (1_640.0, -1 / 350, -1 / 350),
-        (2_500.0, -1 / 350, 0.0),
-        (2_600.0, 0.0, 0.0),
-        (5_100.0, 0.0, 1 / 500),
-        (5_200.0, 1 / 500, 1 / 500),
-        (5_900.0, 1 / 500, 0.0),
-    ]
-)
-"""Position, curvature at the start and at the end of each element [m], [1/m]."""
-
-
 def optimised(
     line: Line,
     train: Train,
@@ -84,40 +53,28 @@ def optimised(
     time_limit: float | None = None,
     **question: Any,
 ) -> Trajectory:
-    """The optimum of a problem that is given by its attributes."""
     problem = TrajectoryProblem(line, train, configurations, **question)
     return optimise(problem, OptimiserOptions(cells, tolerance, time_limit))
 
 
-def optimised_journey(
-    line: Line,
-    train: Train,
-    configurations: Sequence[Configuration],
-    journey: Journey,
-    *,
-    dwell: float = 0.0,
-    cells: int = 500,
-    **question: Any,
-) -> JourneyPlan:
-    """The optimum of a journey on a line."""
+def optimised_journey(line, train, configurations, journey, *, dwell=0.0, cells=500, **question):
     problem = TrajectoryProblem(line, train, configurations, **question)
     return optimise_journey(problem, journey, OptimiserOptions(cells), dwell=dwell)
 
 
 def level_line(length: float = 48_531.0, *limits: tuple[float, float]) -> Line:
     """TTOBench's reference: level, 140 km/h unless stated otherwise [m, km/h]."""
-    return Line(
-        name="level",
-        length=length,
-        stations=(Station("A", 0.0), Station("B", length)),
-        speed_limits=steps(*((s, v / KMH) for s, v in limits or ((0.0, 140.0),))),
-        gradients=steps((0.0, 0.0)),
-    )
+    return level(length, speed_limits=steps(*((s, v / KMH) for s, v in limits or ((0.0, 140.0),))))
 
 
 def hilly_line() -> Line:
     """Eight kilometres with all that a line can have, bends of opposite hand included."""
-    length = 8_000.0
+    length, left, right, last = 8_000.0, 1 / 400, -1 / 350, 1 / 500
+    bends = CurvatureProfile(
+        np.array([0.0, 700.0, 800.0, 1.5e3, 1.64e3, 2.5e3, 2.6e3, 5.1e3, 5.2e3, 5.9e3]),
+        np.array([0.0, 0.0, left, left, right, right, 0.0, 0.0, last, last]),
+        np.array([0.0, left, left, right, right, 0.0, 0.0, last, last, 0.0]),
+    )
     return Line(
         name="hilly",
         length=length,
@@ -128,7 +85,7 @@ def hilly_line() -> Line:
         gradients=steps(
             (0.0, 0.0), (900.0, 0.012), (2_000.0, -0.018), (3_600.0, -0.002), (6_000.0, 0.007)
         ),
-        curvatures=CurvatureProfile(*_BENDS.T.copy()),
+        curvatures=bends,
         tunnels=(Tunnel(6_200.0, 900.0, 24.0),),
     )
 
@@ -143,7 +100,6 @@ def observed(train: Train, *factors: float, load: float = 0.0) -> list[Configura
 
 
 def drawn(train: Train, count: int, seed: int = 0, spread: float = 0.1) -> list[Configuration]:
-    """Configurations drawn at random: resistance, load and power vary."""
     random = np.random.default_rng(seed)
     return [
         Configuration(

@@ -1,7 +1,5 @@
 """Parts of trips: as if some of it had not been recorded."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from trainlog.trip import Trip

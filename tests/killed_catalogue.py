@@ -1,27 +1,30 @@
-"""Adders of one catalogue that are killed, forked from a process that has imported everything.
+"""Processes on one catalogue that are killed, forked from one that has imported everything.
 
-Each adds the logs in an order of its own and records a result of each trip. One after the other is
-killed, at a named point and a moment after it passed some points in turn, and replaced; then one
-more does the rest.
+Adders add logs, each in its own order, and record a result of each trip; they are killed one after
+the other and replaced, then one does the rest. Of openers the first is killed migrating the tables.
 """
 
-from __future__ import annotations
-
+import json
 import random
 import signal
 import tempfile
+import time
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from killed import Passed, Watched
+import sqlalchemy as sa
+from killed import PATIENCE, Passed, Piped, Watched
 
-from trainlog.catalogue import Computation, ResultOutcome, open_catalogue, registration, results
+from trainlog.catalogue import database as migration, open_catalogue, registration, results
 from trainlog.catalogue.database import Database
+from trainlog.catalogue.results import Computation, ResultOutcome
 
 LENGTH = Computation("length", "1")
 
@@ -38,21 +41,17 @@ registration.BATCH = 3
 
 
 def work(where: str, kept: str | None, logs: list[str], seed: int) -> None:
-    """Add the logs in an order of its own, and record a result of each trip."""
     random.Random(seed).shuffle(logs)
     with open_catalogue(where, results=kept) as catalogue:
         for at in range(0, len(logs), 4):
             catalogue.add(logs[at : at + 4])
             todo = catalogue.pending(LENGTH)
-            table = pa.table(
-                {"key": todo["key"].tolist(), "length": [len(p) for p in todo["sha256"]]}
-            )
+            table = pa.table({"key": list(todo["key"]), "length": [*map(len, todo["sha256"])]})
             done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
             catalogue.record(LENGTH, done, table)
 
 
 def watch(passed: Passed) -> None:
-    """Let this process note what it passes."""
     recording = [False]
 
     inner_record, inner_writing = results.Computed.record, Database.writing
@@ -115,3 +114,37 @@ def run(where: str, kept: str | None, folder: str, adders: int, kills: int) -> d
             failed += each.wait() > 0
     work(where, kept, logs, 1000)
     return {"killed": sum(fell.values()), "failed": failed, "fell": fell}
+
+
+def migrated(where: str) -> int | None:
+    warnings.simplefilter("ignore")
+    with open_catalogue(where) as catalogue:
+        return catalogue.migrated_from
+
+
+def paused(where: str) -> None:
+    last = migration.STEPS[-1]
+
+    def change(connection: sa.Connection) -> None:
+        last.change(connection)
+        print("changed", flush=True)
+        time.sleep(PATIENCE)
+
+    migration.STEPS = (*migration.STEPS[:-1], replace(last, change=change))
+    migrated(where)
+
+
+def opened(where: str, openers: int) -> dict[str, object]:
+    """Whether one that migrates was killed, and the version that each other found to migrate."""
+    victim = Piped(lambda: paused(where))
+    assert victim.read(), "the first failed"
+    # Another waits meanwhile, and does it once the first is dead.
+    running = [Piped(lambda: print(json.dumps(migrated(where)))) for _ in range(openers)]
+    time.sleep(0.2)
+    victim.send_signal(signal.SIGKILL)
+    killed = victim.end() == -signal.SIGKILL
+    found = []
+    for each in running:
+        each.end()
+        found.append(json.loads(each.lines[-1] if each.lines else '"failed"'))
+    return {"killed": killed, "migrated": found}
