@@ -15,8 +15,15 @@ import pytest
 from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
 from fleet_trips import TRIPS, later, short_trips
 from killed import in_own_process
-from killed_fleet import grow_old, kept, kill_at_random, maps_in, rows_by_trip
-from killed_points import ANALYSES as TWO, POINTS
+from killed_updates import (
+    ANALYSES as TWO,
+    POINTS,
+    grow_old,
+    kept,
+    kill_at_random,
+    maps_in,
+    rows_by_trip,
+)
 from refusals import refused
 
 import trainlog
@@ -383,7 +390,7 @@ def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_giv
         known.add(tmp_path / "logs")
     assert updated(place["one"], *TWO).trips == 6
     given = place["many"], tmp_path / "many" / "results", tmp_path / "logs"
-    fell, said = in_own_process("killed_points.run", *given, each, at_random, together)
+    fell, said = in_own_process("killed_updates.run", *given, each, at_random, together)
     assert not said, "an update complained"
     print(json.dumps(fell, indent=1))
     assert {point: fell["named"].get(point, 0) for point in POINTS} == dict.fromkeys(POINTS, each)

@@ -25,7 +25,7 @@ import pytest
 from failing_analyses import DEADLY
 from fleet_trips import TRIPS
 from killed import PATIENCE
-from killed_fleet import kept, recorded
+from killed_updates import kept, recorded
 from refusals import refused
 
 import trainlog

@@ -1,33 +1,40 @@
-"""Updates of a fleet that are killed at named points.
+"""Updates of a fleet that are killed: the parent or a worker at random moments, or at named points.
 
-They are forked from a process that has imported everything and computed each trip once: each begins
-within milliseconds. What they pass is patched here, in the process that is killed, and noted in a
-file that outlasts it. Between them some results are forgotten, and the code is another in turn, so
-that there is always something to compute, to merge and to map. At last two updates end.
+Those of named points are forked from a process that has imported everything and computed each trip
+once. What they pass is patched here, in the process that is killed, and noted in a file that
+outlasts it. Between them some results are forgotten, and the code is another in turn, so that there
+is always something to compute, to merge and to map. At last two updates end.
 """
 
 import json
+import os
 import pathlib
 import random
 import shutil
 import signal
+import subprocess
+import sys
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import psutil
 import sqlalchemy as sa
-from killed import Passed, Watched
+from killed import PATIENCE, Passed, Watched
 
 from analysis.fleet import maps, update, work
 from analysis.fleet.analyses import FleetAnalysis, analyses_named, computation_of
+from analysis.fleet.update import fleet_status
 from trainlog.catalogue import Catalogue, open_catalogue, results
-from trainlog.catalogue.database import Database, result_files, results as table
+from trainlog.catalogue.database import Database, result_files, results as table, trips
 from trainlog.formats import mapfile
 from trainlog.formats.files import atomic_write
+from trainlog.formats.mapfile import merge_files
 
 POINTS = (
     "asking what is pending",
@@ -243,3 +250,84 @@ def run(where, kept, logs, each, at_random, together):
         if forked(partial(updated, where, code)).wait():
             raise AssertionError("the last update failed")
     return {"runs": {"all": runs}, **fell}
+
+
+def workers(process: psutil.Process) -> list[psutil.Process]:
+    """Processes that compute: those of the fork server, or the server itself before the first."""
+    servers = [each for each in process.children() if "forkserver" in " ".join(each.cmdline())]
+    return [each for server in servers for each in server.children()] or servers
+
+
+def kill_at_random(catalogue, kills, seed, analyses):
+    """Update until nothing is pending, killing at random moments; what was done.
+
+    Each moment is that at which some results more are recorded, and up to half a second later:
+    however slow the computer is, what is killed has begun. Of eight kills four are of a worker,
+    three of the parent, one Ctrl-C. The number asked for is that of SIGKILL.
+    """
+    chance = random.Random(seed)
+    done = {"parent": 0, "worker": 0, "interrupt": 0, "orphans": 0}
+    command = [sys.executable, "-m", "trainlog", "fleet", "update", "--catalogue", catalogue]
+    command += ["--workers", "2", "--batch", "1", *(f"--analysis={each}" for each in analyses)]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    while done["parent"] + done["worker"] < kills:
+        process = psutil.Popen(command, **quiet)
+        while process.poll() is None:
+            wanted = recorded(catalogue) + chance.randint(0, 4)
+            with suppress(psutil.Error):
+                while process.poll() is None:
+                    if recorded(catalogue) >= wanted and workers(process):
+                        break
+                    time.sleep(0.1)
+                time.sleep(chance.uniform(0.0, 0.5))
+                every = process.children(recursive=True)
+                kind = chance.choice([*["worker"] * 4, *["parent"] * 3, "interrupt"])
+                if kind == "worker":
+                    chance.choice(workers(process)).kill()
+                    done[kind] += 1
+                    continue
+                process.send_signal(signal.SIGKILL if kind == "parent" else signal.SIGINT)
+                status = process.wait(PATIENCE)
+                done[kind] += kind == "interrupt" or status == -signal.SIGKILL
+                done["orphans"] += len(psutil.wait_procs(every, PATIENCE)[1])
+        with open_catalogue(catalogue) as opened:
+            if not fleet_status(opened, analyses).pending:
+                break
+    return done
+
+
+def recorded(catalogue: str) -> int:
+    return sum(count for _, count in rows_by_trip(catalogue))
+
+
+def rows_by_trip(catalogue: str) -> list[tuple[str, int]]:
+    with open_catalogue(catalogue) as opened, opened.reading() as connection:
+        asked = sa.select(trips.c.key, sa.func.count(table.c.computation)).join(
+            table, table.c.trip == trips.c.id
+        )
+        rows = connection.execute(asked.group_by(trips.c.key).order_by(trips.c.key)).all()
+    return [(str(row[0]), int(row[1])) for row in rows]
+
+
+def kept(folder: Path) -> dict[str, bytes]:
+    """Files of results, and maps in the form in which the same recordings give the same bytes."""
+    found = {
+        str(path.relative_to(folder / "results")): path.read_bytes()
+        for path in sorted(folder.rglob("results/**/*.parquet"))
+    }
+    return found | maps_in(folder / "maps")
+
+
+def maps_in(folder: Path) -> dict[str, bytes]:
+    found = {}
+    for path in sorted(folder.glob("*.map")):
+        whole = path.with_suffix(".whole")
+        merge_files([path], whole)
+        found[path.name] = whole.read_bytes()
+        whole.unlink()
+    return found
+
+
+def grow_old(results_folder: Path) -> None:
+    for path in results_folder.rglob("*.parquet"):
+        os.utime(path, (0, 0))
