@@ -1,7 +1,6 @@
 """Trips whose motion is known in closed form, for the tests of the identification."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -48,9 +47,6 @@ def constant_speed(time: FloatArray) -> FloatArray:
     return np.full(time.size, 30.0)
 
 
-SpeedOf = Callable[[FloatArray], FloatArray]
-
-
 def driven(speed_of, mass, resistance, duration, train):
     """Times every tenth of a second, speeds, and the efforts that they need."""
     time = np.arange(0.0, duration, 0.1)
@@ -64,46 +60,28 @@ def measured(speed: FloatArray, noise: float, seed: int) -> FloatArray:
 
 
 def recording(
-    speed_of: SpeedOf = varied_speed,
-    *,
-    mass: float = 130e3,
-    resistance: RunningResistance = RESISTANCE,
-    duration: float = 1200.0,
-    noise: float = 0.0,
-    seed: int = 0,
-) -> Recording:
+    speed_of=varied_speed, *, mass=130e3, resistance=RESISTANCE, duration=1200.0, noise=0.0, seed=0
+):
     time, speed, effort = driven(speed_of, mass, resistance, duration, TRAIN)
     nothing, shown = np.zeros(time.size), measured(speed, noise, seed)
     groups = (np.cumsum(speed) * 0.1 // 500.0).astype(np.int64)
+    none = dict.fromkeys(("braking", "slip_momentum", "tunnel", "track", "track_slope"), nothing)
     return Recording(
         time=time,
         speed=shown,
         curve=basis(shown),
         effort=effort,
-        braking=nothing,
         rotating_momentum=TRAIN.rotating_mass * speed,
-        slip_momentum=nothing,
-        tunnel=nothing,
-        track=nothing,
-        track_slope=nothing,
         section=groups,
         nearest_edge=groups,
         usable=speed > 2.0,
+        **none,
     )
 
 
-def trip(
-    speed_of: SpeedOf = varied_speed,
-    *,
-    name: str = "made",
-    mass: float = 130e3,
-    resistance: RunningResistance = RESISTANCE,
-    duration: float = 1200.0,
-    noise: float = 0.02,
-    seed: int = 0,
-    train: Train = TRAIN,
-) -> Trip:
-    time, speed, effort = driven(speed_of, mass, resistance, duration, train)
+def trip(speed_of=varied_speed, name="made", train=TRAIN, noise=0.02, seed=0, **motion):
+    moved = {"mass": 130e3, "resistance": RESISTANCE, "duration": 1200.0, **motion}
+    time, speed, effort = driven(speed_of, train=train, **moved)
     position = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
     stamps = np.int64(1_700_000_000_000_000_000) + np.round(time * 1e9).astype(np.int64)
     shown = np.abs(measured(speed, noise, seed))

@@ -200,9 +200,7 @@ def _held(catalogue: Catalogue) -> dict[str, list[tuple[object, ...]]]:
     ],
     indirect=["place"],
 )
-def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
-    where, place, many_logs, tmp_path, adders, kills
-):
+def test_killed_adders_leave_the_same_catalogue(where, place, many_logs, tmp_path, adders, kills):
     with open_catalogue(tmp_path / "alone") as alone:
         added = alone.add(many_logs)
         assert len(added.of("refused")) == 2
@@ -283,9 +281,7 @@ def test_trips_of_unknown_train_and_weather_are_summed_under_a_dash(where, logs)
         assert "-" in cells
 
 
-def test_many_files_are_read_by_several_processes_with_the_same_result(
-    many_logs, tmp_path, monkeypatch
-):
+def test_files_are_read_by_several_processes_with_the_same_result(many_logs, tmp_path, monkeypatch):
     monkeypatch.setattr("trainlog.catalogue.registration._WORTH_PROCESSES", 2)
     held = []
     for jobs in (1, 2):
@@ -557,9 +553,7 @@ def test_an_earlier_version_is_brought_to_the_latest_with_all_it_holds(first_ver
     assert _structure(first_version) == _structure(new)
 
 
-def test_of_processes_that_open_an_earlier_version_at_once_one_migrates_even_if_one_is_killed(
-    first_version,
-):
+def test_of_several_openers_of_an_earlier_version_one_migrates_even_if_one_is_killed(first_version):
     found, said = in_own_process("killed_catalogue.opened", first_version, 3)
     assert found["killed"]
     assert sorted(found["migrated"], key=str) == [1, None, None], said

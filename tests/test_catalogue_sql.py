@@ -206,9 +206,7 @@ def as_found(statement: str, frame: pd.DataFrame) -> list[str]:
     return rows if "order by" in statement else sorted(rows)
 
 
-def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
-    tmp_path, monkeypatch
-):
+def test_a_statement_finds_the_same_where_only_columns_it_names_are_read(tmp_path, monkeypatch):
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register(ENTRIES[:20])
         part = catalogue.pending(FIRST).iloc[:15]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from ingest_logs import HEAD
 from refusals import refused
 from satellite_trips import Receiver, curve_of, drive, errors, winding
@@ -357,7 +357,6 @@ def line(curvatures: CurvatureProfile | None, length: float) -> Line:
     return replace(level_line(length, limit=20.0), curvatures=curvatures)
 
 
-@settings(max_examples=30)
 @given(
     st.lists(
         st.tuples(st.floats(5.0, 300.0), st.floats(-0.006, 0.006), st.floats(-0.006, 0.006)),

@@ -174,9 +174,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-def test_every_command_prints_one_object_of_its_documented_form(
-    folder, monkeypatch, request, shell
-):
+def test_each_command_prints_one_object_of_its_documented_form(folder, monkeypatch, request, shell):
     found: dict[str, Schema] = {}
     renew = request.config.getoption("--renew-golden")
     known = {} if renew else json.loads(SCHEMAS.read_text("utf-8"))

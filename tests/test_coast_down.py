@@ -83,30 +83,16 @@ def driven(line, curve, efforts, *, start=0.0, speed=10.0):
     return time, position, reported, effort
 
 
-def recorded(
-    time: FloatArray,
-    position: FloatArray,
-    speed: FloatArray,
-    *,
-    line: Line | None = None,
-    every: int = 2,
-    noise: float = 0.05,
-    seed: int = 1,
-    name: str = "made",
-    direction: str = "forward",
-) -> Trip:
+def recorded(time, position, speed, line=None, every=2, noise=0.05, seed=1, name="made", **about):
     """What a satellite receiver and the chainage made of it would have recorded."""
     generator = np.random.default_rng(seed)
     t, s, v = (array[::every] for array in (time, position, speed))
     stamps = np.int64(1_700_000_000_000_000_000) + np.round(t * 1e9).astype(np.int64)
     measured = np.abs(v + noise * generator.standard_normal(v.size))
-    frames = [
-        frame_of(GNSS_MOTION, stamps, {"speed": measured}),
-        frame_of(ESTIMATED_STATE, stamps, {"position": s}),
-    ]
+    known = {GNSS_MOTION: {"speed": measured}, ESTIMATED_STATE: {"position": s}}
     return Trip(
-        topics={frame.attrs["topic"]: frame for frame in frames},
-        metadata={"trip": name, "direction": direction},
+        {topic.name: frame_of(topic, stamps, columns) for topic, columns in known.items()},
+        {"trip": name, "direction": "forward", **about},
         attachments={} if line is None else {LINE_ATTACHMENT: line_to_bytes(line)},
     )
 

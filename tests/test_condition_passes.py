@@ -407,9 +407,7 @@ def test_each_bin_is_seen_demonstrated_or_assumed():
 
 
 @given(st.lists(st.integers(0, 5), min_size=4, max_size=4), st.floats(0.0, 3.0), st.integers(0, 3))
-def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_nothing_away(
-    trips, sigmas, further
-):
+def test_no_more_than_demonstrated_counts_and_trips_take_nothing_away(trips, sigmas, further):
     demonstrated = {(5, k): float(count) for k, count in enumerate(trips)}
     before = demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5]
     highest = max((FEW_LEVELS[k] for k, count in enumerate(trips) if count), default=0.0)

@@ -172,9 +172,7 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(sections, lin
     assert kept == pytest.approx(sections[0].running_time + DWELL)
 
 
-def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file(
-    sections, line, tmp_path, shell
-):
+def test_a_plan_has_its_stations_and_limits_without_the_lines_file(sections, line, tmp_path, shell):
     named = replace(line.reversed(), name="elsewhere")
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     asked = {"end": 9_469.4, "direction": "reverse", "cells": 60}

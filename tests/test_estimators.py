@@ -165,7 +165,6 @@ def test_random_walk_equals_the_kalman_recursion():
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@settings(max_examples=30)
 @given(
     forgetting=st.one_of(st.sampled_from([0.9, 0.95, 0.99, 0.999, 1.0]), st.floats(0.9, 1.0)),
     walk=st.sampled_from([0.0, 1e-6, 1e-3, 10.0]),

@@ -167,9 +167,7 @@ def test_a_fleet_of_healthy_trains_raises_no_alarm():
         (Fault("sensor delay", 0.9, 1, 0), 6, 9, 30, "kind"),
     ],
 )
-def test_a_train_is_compared_with_its_own_past_and_with_its_kind(
-    fault, seed, trains, trips, against
-):
+def test_a_train_is_compared_with_its_past_and_with_its_kind(fault, seed, trains, trips, against):
     rows = drawn_fleet(pool("flirt"), seed, trains=trains, trips=trips, faults=(fault,))
     found = fleet_trains(rows)
     (finding,) = found.unlike.findings
@@ -206,9 +204,7 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
         ("virm", "wheel diameter", 0.03, 7, 4),
     ],
 )
-def test_a_gross_fault_of_one_of_two_trains_does_not_hide_itself_in_the_noise(
-    kind, what, size, trips, since
-):
+def test_a_gross_fault_of_one_of_two_trains_is_not_hidden_in_noise(kind, what, size, trips, since):
     fault = Fault(what, size, 1, since)
     found = fleet_trains(drawn_fleet(pool(kind), 37, trains=2, trips=trips, faults=(fault,)))
     (finding,) = found.unlike.findings

@@ -221,9 +221,7 @@ def test_trips_whose_logs_are_gone_are_counted_apart(place, tmp_path, works):
 
 
 @pytest.mark.usefixtures("analysed_once")
-def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
-    place, undisturbed, tmp_path, monkeypatch
-):
+def test_a_log_overwritten_or_removed_leaves_the_maps(place, undisturbed, tmp_path, monkeypatch):
     monkeypatch.setattr(maps, "KEPT", 1)
     (name,) = (name for name in undisturbed if name.endswith(".map"))
     logs = sorted((tmp_path / "logs").glob("*.mcap"))
@@ -257,9 +255,7 @@ def test_a_log_that_was_overwritten_or_removed_leaves_the_maps(
     assert gone["name"] not in [each["trip"] for each in read_map(place / "maps" / name).trips]
 
 
-def test_edges_are_brought_up_to_date_side_by_side_with_the_same_result(
-    place, fleet_logs, monkeypatch
-):
+def test_edges_are_updated_side_by_side_with_the_same_result(place, fleet_logs, monkeypatch):
     logs = [trainlog.read(log) for log in sorted(fleet_logs.glob("*.mcap"))]
     for number, name in enumerate(("second", "third"), 1):
         for trip in (later(each, pd.Timedelta(days=20 * number)) for each in logs):
@@ -308,9 +304,7 @@ class Killing:
     def died(self, job: int, reason: str) -> None: ...
 
 
-def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
-    place, undisturbed, monkeypatch
-):
+def test_maps_of_other_code_stand_until_all_is_computed_anew(place, undisturbed, monkeypatch):
     assert updated(place, "adhesion").maps is not None
     with open_catalogue(place) as catalogue:
         adhesion, folder = ANALYSES["adhesion"], maps_folder(catalogue)
@@ -352,9 +346,7 @@ def places(server, folder, request, *names):
         *(pytest.param(each, 100, 12, marks=pytest.mark.long) for each in ("sqlite", "postgresql")),
     ],
 )
-def test_an_update_killed_at_random_moments_counts_each_trip_once(
-    server, kills, trips, tmp_path, request
-):
+def test_an_update_killed_at_random_counts_each_trip_once(server, kills, trips, tmp_path, request):
     short_trips(tmp_path / "logs", trips)
     place = places(server, tmp_path, request, "one", "many")
     for at in place.values():
@@ -381,9 +373,7 @@ def test_an_update_killed_at_random_moments_counts_each_trip_once(
 @pytest.mark.long
 @SERVERS
 @pytest.mark.parametrize(("each", "at_random", "together"), [(10, 20, 1), (3, 20, 2)])
-def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_gives(
-    server, each, at_random, together, tmp_path, request
-):
+def test_kills_at_each_point_leave_the_same(server, each, at_random, together, tmp_path, request):
     short_trips(tmp_path / "logs", 6)
     place = places(server, tmp_path, request, "one", "many")
     with open_catalogue(place["one"]) as known:

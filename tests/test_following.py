@@ -207,9 +207,7 @@ def test_a_wrong_wheel_is_found_out_by_satellites_and_balises():
     column=st.integers(0, 7),
     braking=st.booleans(),
 )
-def test_the_linearisation_is_the_derivative_of_the_prediction(
-    name, position, speed, column, braking
-):
+def test_the_linearisation_is_the_predictions_derivative(name, position, speed, column, braking):
     can, road = known(name)
     past = np.full(20 if name == "friction" else 6, 0.1)
     efforts = np.full(8, -0.3 if braking else 0.2)

@@ -3,19 +3,16 @@
 The VIRM6 and the level line restate facts of TTOBench v1.5 (BSD-2-Clause).
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from simulated_line import level_line as level, steps
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise, optimise_journey
 from analysis.studies.cunillera_2022 import TRAIN
-from analysis.trajectory.problem import DEFAULT_OPTIONS
 from trainlog.formats.railway import read_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.railway import CurvatureProfile, Line, RunningResistance, Station, Trajectory, Tunnel
+from trainlog.railway import CurvatureProfile, Line, RunningResistance, Station, Tunnel
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.train import Axles, Configuration, Train
@@ -43,18 +40,10 @@ FREIGHT = replace(
 )
 
 
-def optimised(
-    line: Line,
-    train: Train,
-    configurations: Sequence[Configuration],
-    *,
-    cells: int = 500,
-    tolerance: float = DEFAULT_OPTIONS.tolerance,
-    time_limit: float | None = None,
-    **question: Any,
-) -> Trajectory:
+def optimised(line, train, configurations, *, cells=500, **question):
+    options = {n: question.pop(n) for n in ("tolerance", "time_limit") if n in question}
     problem = TrajectoryProblem(line, train, configurations, **question)
-    return optimise(problem, OptimiserOptions(cells, tolerance, time_limit))
+    return optimise(problem, OptimiserOptions(cells, **options))
 
 
 def optimised_journey(line, train, configurations, journey, *, dwell=0.0, cells=500, **question):
