@@ -83,17 +83,10 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--renew-golden",
-        action="store_true",
-        help="write what the golden replays give now as their references; review the difference",
-    )
-    parser.addoption(
-        "--shuffle",
-        type=int,
-        metavar="SEED",
-        help="run the modules, and the tests of each module, in the random order of a seed",
-    )
+    renew = "write what the golden replays give now as their references; review the difference"
+    parser.addoption("--renew-golden", action="store_true", help=renew)
+    order = "run the modules, and the tests of each module, in the random order of a seed"
+    parser.addoption("--shuffle", type=int, metavar="SEED", help=order)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -58,24 +58,13 @@ def schema_text(main: str, **others: str) -> str:
 
 COVARIANCE = [4.0, 0.5, 0.0, 0.5, 9.0, 0.0, 0.0, 0.0, 25.0]
 
-FIX_1 = schema_text(
-    NAV_SAT_FIX.format(header="Header", status="NavSatStatus"),
-    std_msgs__Header=HEADER_1,
-    sensor_msgs__NavSatStatus=STATUS,
-)
-FIX_2 = schema_text(
-    NAV_SAT_FIX.format(header="std_msgs/Header", status="sensor_msgs/NavSatStatus"),
-    std_msgs__Header=HEADER_2,
-    builtin_interfaces__Time=TIME_2,
-    sensor_msgs__NavSatStatus=STATUS,
-)
-_QUATERNION = VECTOR + "float64 w\n"
-IMU_2 = schema_text(
-    IMU.format(header="std_msgs/Header"),
-    std_msgs__Header=HEADER_2,
-    geometry_msgs__Quaternion=_QUATERNION,
-    geometry_msgs__Vector3=VECTOR,
-)
+MAIN_1 = NAV_SAT_FIX.format(header="Header", status="NavSatStatus")
+FIX_1 = schema_text(MAIN_1, std_msgs__Header=HEADER_1, sensor_msgs__NavSatStatus=STATUS)
+MAIN_2 = NAV_SAT_FIX.format(header="std_msgs/Header", status="sensor_msgs/NavSatStatus")
+STAMPED = {"std_msgs__Header": HEADER_2, "builtin_interfaces__Time": TIME_2}
+FIX_2 = schema_text(MAIN_2, **STAMPED, sensor_msgs__NavSatStatus=STATUS)
+TURNED = {"geometry_msgs__Quaternion": f"{VECTOR}float64 w\n", "geometry_msgs__Vector3": VECTOR}
+IMU_2 = schema_text(IMU.format(header="std_msgs/Header"), std_msgs__Header=HEADER_2, **TURNED)
 
 
 class ForeignLog:

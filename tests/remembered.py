@@ -67,9 +67,6 @@ def _digest(module: Any, given: tuple[Any, ...]) -> str:
     if isinstance(first, TrackConditionMap):  # of the evidence of the layer that is named
         evidence = first.layers[others[0]].evidence
         first, others = replace(first, layers={}, trips=()), [*others, evidence]
-    numbers = {
-        name: value
-        for name, value in vars(module).items()
-        if name.isupper() and isinstance(value, int | float)
-    }
+    known = vars(module).items()
+    numbers = {n: x for n, x in known if n.isupper() and isinstance(x, int | float)}
     return hashlib.sha256(pickle.dumps((first, others, numbers, ROUNDS))).hexdigest()

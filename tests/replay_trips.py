@@ -23,9 +23,7 @@ LINE = Line(
     stations=(Station("A", 0.0), Station("B town", LENGTH)),
     speed_limits=StepProfile(np.array([0.0, 1000.0]), np.array([40.0, 30.0])),
     gradients=StepProfile(np.array([0.0, 500.0]), np.array([0.005, -0.01])),
-    geometry=Geometry(
-        np.array([0.0, LENGTH]), np.array([47.0, 47.0]), np.array([9.0, 9.02637]), "made up"
-    ),
+    geometry=Geometry(*np.array([[0.0, LENGTH], [47.0, 47.0], [9.0, 9.02637]]), "made up"),
 )
 
 
@@ -37,11 +35,9 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
     speed = np.interp(seconds, knots, [0.0, 0.0, top, top, 0.0, 0.0])
     position = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
     position *= LENGTH / position[-1]
-    lever = np.select(
-        [(seconds >= 5.0) & (seconds < knots[2]), (seconds >= knots[3]) & (seconds < knots[4])],
-        [0.8, -0.5],
-        0.0,
-    )
+    pulls = (seconds >= 5.0) & (seconds < knots[2])
+    brakes = (seconds >= knots[3]) & (seconds < knots[4])
+    lever = np.select([pulls, brakes], [0.8, -0.5], 0.0)
     line = LINE if direction == "forward" else LINE.reversed()
     time = START + np.round(seconds * 1e9).astype(np.int64)
     latitude, longitude = line.geometry.at(position)
@@ -63,11 +59,8 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
         topics.GNSS_FIX: {"latitude": latitude * known, "longitude": longitude * known},
         topics.GNSS_MOTION: {"speed": speed},
         topics.ENVIRONMENT: {n: getattr(line, n)(position) for n in ("speed_limit", "gradient")},
-        topics.EVENTS: {
-            "level": [2, 3],
-            "message": ["departure from A", "slip protection"],
-            "name": ["train", ""],
-        },
+        topics.EVENTS: {"level": [2, 3], "message": ["departure from A", "slip protection"],
+                        "name": ["train", ""]},
         topics.ESTIMATED_STATE: {**state, "speed_std": 0.1 + 0.01 * speed},
         topics.ESTIMATED_ADHESION: {
             "slip_speed": wheels - speed[:, None],

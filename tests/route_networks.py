@@ -210,13 +210,8 @@ def wye() -> Network:
 
 def balloon() -> Network:
     """A line from A to a loop on which trains turn."""
-    return network_of(
-        [
-            ("stem", "A", "L", straight(-6000, 0)),
-            ("loop", "L", "L", bezier(0, 3500 + 3500j, 3500 - 3500j, 0)),
-        ],
-        "A",
-    )
+    loop = bezier(0, 3500 + 3500j, 3500 - 3500j, 0)
+    return network_of([("stem", "A", "L", straight(-6000, 0)), ("loop", "L", "L", loop)], "A")
 
 
 def drive(route, receiver, rng, stops=(), tunnels=()):

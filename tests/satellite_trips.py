@@ -92,9 +92,8 @@ def drive(geometry, receiver, seed=1, *, reverse=False):
         stated = np.where(speed > 0.0, stated, 0.0)
         topics["/train/state"] = frame_of(TRAIN_STATE, index, {"speed": stated})
     name = f"trip-{seed:02d}"
-    return Trip(topics, {"trip": name}), pd.DataFrame(
-        {"position": position, "speed": speed}, index=index
-    )
+    truth = pd.DataFrame({"position": position, "speed": speed}, index=index)
+    return Trip(topics, {"trip": name}), truth
 
 
 def errors(estimate: pd.DataFrame, truth: pd.DataFrame, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -373,6 +372,5 @@ def receive(geometry, run, field, seed):
             columns["speed_accuracy"] = np.full(seen.sum(), 0.2 * field.speed_stated)
         topics["/gnss/motion"] = frame_of(GNSS_MOTION, stamps, columns)
     index = pd.DatetimeIndex(START + (time * 1e9).astype(np.int64), tz="UTC")
-    return Trip(topics, {"trip": f"field-{seed:02d}"}), pd.DataFrame(
-        {"position": position, "speed": speed}, index=index
-    )
+    truth = pd.DataFrame({"position": position, "speed": speed}, index=index)
+    return Trip(topics, {"trip": f"field-{seed:02d}"}), truth

@@ -24,19 +24,14 @@ def hilly_line() -> Line:
     """Eleven kilometres with all that a line can have."""
     length = 11_000.0
     nodes = np.linspace(0.0, length, 200)
+    limits = (0.0, 80), (400.0, 120), (3_200.0, 90), (5_000.0, 125), (9_800.0, 70)
     return Line(
         name="hilly",
         length=length,
         stations=tuple(
             map(Station, ("Aach", "Berg", "Chur", "Dorf"), (0.0, 3_900.0, 7_050.0, length))
         ),
-        speed_limits=steps(
-            (0.0, 80 / KMH),
-            (400.0, 120 / KMH),
-            (3_200.0, 90 / KMH),
-            (5_000.0, 125 / KMH),
-            (9_800.0, 70 / KMH),
-        ),
+        speed_limits=steps(*((at, v / KMH) for at, v in limits)),
         gradients=steps(
             (0.0, 0.003), (900.0, -0.012), (2_500.0, 0.0), (4_300.0, 0.016), (7_800.0, -0.008)
         ),

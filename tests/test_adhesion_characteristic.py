@@ -151,9 +151,7 @@ def test_what_is_no_characteristic_is_refused(make, message):
 
 @pytest.mark.parametrize("curve", [None, polach_curve("wet"), FAMILIES["table over creepage"]])
 @settings(max_examples=5)
-@given(
-    efforts=st.lists(st.floats(-250e3, 250e3), min_size=3, max_size=6), peak=st.floats(0.05, 0.4)
-)
+@given(st.lists(st.floats(-250e3, 250e3), min_size=3, max_size=6), st.floats(0.05, 0.4))
 def test_energy_and_momentum_are_conserved_on_any_characteristic(curve, efforts, peak):
     rail = steps((0.0, 0.3), (300.0, peak), (900.0, 0.25), (2_000.0, 0.8 * peak), (3_000.0, 0.3))
     plant = Plant.of(hilly_line(), flirt(), mass=130e3, maximum_adhesion=rail, characteristic=curve)
@@ -191,12 +189,8 @@ def test_the_plant_agrees_with_an_adaptive_solver(curve):
         _, speed, wheel, lagged = y
         contact = float(curve(wheel - speed, speed) / curve.maximum(speed)) * peak * p.axle_weight
         drag = float(train.resistance(speed))
-        return [
-            speed,
-            (4.0 * contact - drag) / p.body_inertia,
-            (lagged - contact) / p.axle_inertia,
-            (effort - lagged) / 0.1,
-        ]
+        turning = (lagged - contact) / p.axle_inertia
+        return [speed, (4.0 * contact - drag) / p.body_inertia, turning, (effort - lagged) / 0.1]
 
     peer = solve_ivp(slope, (0.0, 10.0), [0.0, 8.0, 8.0, 0.0], method="LSODA", rtol=1e-8, atol=1e-8)
     state = plant.at(0.0, 8.0)
@@ -563,9 +557,8 @@ def test_the_maximum_of_polachs_curves_is_found(friction, floor, decay):
     slip_speed = wheel[:, 0] - 10.0
     peak = int(np.argmax(slip_speed))
     part = slice(max(peak - 20, 0), peak + 5)
-    found = estimate_creep_curve(
-        time[part], slip_speed[part], force.force[part, 0] / AXLE_LOAD, 0.005, 0.04
-    )
+    used = force.force[part, 0] / AXLE_LOAD
+    found = estimate_creep_curve(time[part], slip_speed[part], used, 0.005, 0.04)
     middle = int(np.argmin(np.abs(slip_speed[part] - slip[np.argmax(curve)])))
     error = found.maximum[middle] - curve.max()
     assert abs(error) < 0.12 * curve.max()

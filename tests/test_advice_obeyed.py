@@ -38,10 +38,8 @@ TRAINS = {"flirt": FLIRT, "virm": VIRM6, "freight": FREIGHT}
 
 
 def test_speeds_are_whole_rounded_down_and_below_each_limit_of_the_row():
-    line = replace(
-        level_line(12_000.0, (0.0, 120.0), (5_000.0, 57 * 1.609344), (8_000.0, 130.0)),
-        name="miles",
-    )
+    limits = (0.0, 120.0), (5_000.0, 57 * 1.609344), (8_000.0, 130.0)
+    line = replace(level_line(12_000.0, *limits), name="miles")
     plan = optimised(line, FLIRT, observed(FLIRT, 1.0, 1.1), reserve=0.03, cells=100)
     found = journey_advice([plan], line)
     for row in found.rows:
@@ -121,9 +119,8 @@ def test_who_coasts_over_hills_and_dips_does_not_drive_for_a_speed_of_the_next_o
     row = next(each for each in instructions(plan, limits_of(plan, line)) if len(each.course) > 6)
     assert row.phase is Phase.COASTING
     assert row.end - row.position > 15e3
-    np.testing.assert_allclose(
-        np.interp(row.turns, plan.positions, plan.speeds[0]), row.course, atol=1e-6
-    )
+    speeds = np.interp(row.turns, plan.positions, plan.speeds[0])
+    np.testing.assert_allclose(speeds, row.course, atol=1e-6)
     follows = partial(AdvisedDriver, plan, line, train)
     (scenario,) = trajectory_scenarios(plan, line, train, plan.chosen("all"), follows)
     late, energy = outcome(scenario, drive(scenario))[:2]
@@ -167,9 +164,8 @@ def test_a_trip_is_compared_with_its_advice():
 
 
 def test_a_trip_is_compared_with_the_plan_of_its_whole_journey():
-    stops = [
-        TimingPoint(each.position, lowest_speed=0.0, highest_speed=0.0) for each in LINE.stations
-    ]
+    still = {"lowest_speed": 0.0, "highest_speed": 0.0}
+    stops = [TimingPoint(each.position, **still) for each in LINE.stations]
     stops[0] = replace(stops[0], earliest=0.0, latest=0.0)
     journey = Journey("stopping", LINE.name, tuple(stops))
     loads = observed(FLIRT, 1.0, 1.1)

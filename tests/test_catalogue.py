@@ -424,10 +424,8 @@ def test_what_counts_is_what_one_look_at_all_recordings_says(data):
         first, minutes = data.draw(st.integers(0, 300)), data.draw(st.integers(1, 70))
         source = data.draw(st.sampled_from(("", "", "a", "b")))
         moved = data.draw(st.sampled_from((0, 0, 1000))) if source else 0
-        quality, line = (
-            data.draw(st.sampled_from(qualities)),
-            data.draw(st.sampled_from(("X", None))),
-        )
+        quality = data.draw(st.sampled_from(qualities))
+        line = data.draw(st.sampled_from(("X", None)))
         about = {"quality": quality, "messages": data.draw(st.integers(1000, 1001)), "line": line}
         recordings.append(_file(number, first, minutes, source=source, moved=moved, **about))
         entry, worse = recordings[-1].entry, qualities.index(quality)

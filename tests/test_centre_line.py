@@ -39,12 +39,8 @@ def trips(count: int, track: Geometry | None = None, **options: object) -> list[
     found = []
     for seed in range(count):
         begin = 100.0 + 47.0 * seed
-        receiver = Receiver(
-            rate=(1.0, 5.0)[seed % 2],
-            outages=((begin, begin + 40.0),),
-            bursts=((320.0, 335.0, 30.0 - 20.0j),),
-            **options,
-        )
+        lost, off = ((begin, begin + 40.0),), ((320.0, 335.0, 30.0 - 20.0j),)
+        receiver = Receiver((1.0, 5.0)[seed % 2], outages=lost, bursts=off, **options)
         found.append(drive(track or winding(), receiver, seed, reverse=seed % 3 == 1)[0])
     return found
 
@@ -118,11 +114,8 @@ def test_stretches_without_fixes_are_reported():
     found = []
     for seed in range(3):
         trip, truth = drive(winding(), Receiver(), seed)
-        at = np.interp(
-            trip["/gnss/fix"].index.as_unit("ns").asi8,
-            truth.index.as_unit("ns").asi8,
-            truth["position"],
-        )
+        times = (each.index.as_unit("ns").asi8 for each in (trip["/gnss/fix"], truth))
+        at = np.interp(*times, truth["position"])
         seen = (at < 4_000.0) | (at > 5_000.0)
         found.append(of_rows(trip, seen))
     centre_line = geometry_of(found)
@@ -353,17 +346,14 @@ def profile(*elements: tuple[float, float, float]) -> CurvatureProfile:
     return CurvatureProfile(positions, start, end)
 
 
+BEND = st.floats(-0.006, 0.006)
+
+
 def line(curvatures: CurvatureProfile | None, length: float) -> Line:
     return replace(level_line(length, limit=20.0), curvatures=curvatures)
 
 
-@given(
-    st.lists(
-        st.tuples(st.floats(5.0, 300.0), st.floats(-0.006, 0.006), st.floats(-0.006, 0.006)),
-        min_size=1,
-        max_size=8,
-    )
-)
+@given(st.lists(st.tuples(st.floats(5.0, 300.0), BEND, BEND), min_size=1, max_size=8))
 def test_any_curve_is_exact_to_a_millimetre(elements):
     widths = np.array([element[0] for element in elements])
     starts = np.concatenate(([0.0], np.cumsum(widths)[:-1]))

@@ -173,6 +173,7 @@ def test_a_line_that_lies_right_is_rarely_called_misplaced():
     assert 15.0 < float(estimated(trip, moved).metadata["line.misfit"]) < 45.0
 
 
+PHONE = {"noise": 8.0, "speed": "replayed", "speed_stated": 0.0}
 FIELD = {
     "errors that last": Field(memory=60.0),
     "accuracies too small": Field(stated=0.2),
@@ -189,13 +190,9 @@ FIELD = {
     "replayed fixes, no speed": Field(places="replayed", speed="none"),
     "held fixes, no speed": Field(places="held", speed="none"),
     "jumping fixes": Field(places="jumping"),
-    "a phone that replays": Field(
-        noise=8.0, stated=0.5, speed="replayed", speed_stated=0.0, places="replayed"
-    ),
+    "a phone that replays": Field(**PHONE, stated=0.5, places="replayed"),
     "a cold start": Field(places="cold start"),
-    "a phone": Field(
-        noise=8.0, memory=60.0, stated=0.3, extrapolated=4.0, speed="replayed", speed_stated=0.0
-    ),
+    "a phone": Field(**PHONE, memory=60.0, stated=0.3, extrapolated=4.0),
 }  # receivers with heavy-tailed errors in series of two lags, reflections and outages of minutes
 
 
@@ -444,12 +441,9 @@ def test_a_minute_without_satellites_is_bridged_and_the_deviation_grows():
     for seed in range(2):
         trip = run(seed)
         lost = (trip.time > 130.0) & (trip.time < 190.0)
-        satellites = np.where(lost, np.nan, trip.measured["satellite_speed"])
-        found = trip.located(
-            OdometryFilter(),
-            satellite_speed=satellites,
-            balise=np.where(lost, np.nan, trip.measured["balise"]),
-        )
+        names = ("satellite_speed", "balise")
+        fewer = {name: np.where(lost, np.nan, trip.measured[name]) for name in names}
+        found = trip.located(OdometryFilter(), **fewer)
         first, last = np.flatnonzero(lost)[[0, -1]]
         assert found[last].position_std > found[first - 1].position_std
         assert abs(found[last].position - trip.position[last]) < 4.0 * found[last].position_std

@@ -142,9 +142,9 @@ def merged(one: Schema, other: Schema) -> Schema:
     if "properties" in one or "properties" in other:
         parts = one.get("properties", {}), other.get("properties", {})
         names = sorted({*parts[0], *parts[1]})
-        found["properties"] = {
-            name: merged(parts[0].get(name, {}), parts[1].get(name, {})) for name in names
-        }
+        one_of, other_of = parts
+        both = {name: (one_of.get(name, {}), other_of.get(name, {})) for name in names}
+        found["properties"] = {name: merged(*pair) for name, pair in both.items()}
         known = [set(each["required"]) for each in (one, other) if "required" in each]
         found["required"] = sorted(set.intersection(*known))
         found["additionalProperties"] = False

@@ -447,18 +447,12 @@ def test_slip_protection_that_is_not_recorded_is_not_zero():
 
 
 def followed(*messages: str, late: float) -> Trip:
-    time = np.arange(len(messages)) * 1_000_000_000
-    events = {
-        "level": np.full(time.size, 3),
-        "message": np.array(messages, dtype=object),
-        "name": np.full(time.size, "drive", dtype=object),
-    }
+    seconds, name = np.arange(6) * 1_000_000_000, np.full(len(messages), "drive", dtype=object)
+    words = {"message": np.array(messages, dtype=object), "name": name}
+    events = {"level": np.full(len(messages), 3), **words}
+    stated = frame_of(schema.EVENTS, seconds[: len(messages)], events)
     lateness = {"lateness": np.linspace(0.0, late, 6)}
-    return (
-        trip()
-        .with_topic(frame_of(schema.EVENTS, time, events))
-        .with_topic(frame_of(schema.REFERENCE, np.arange(6) * 1_000_000_000, lateness))
-    )
+    return trip().with_topic(stated).with_topic(frame_of(schema.REFERENCE, seconds, lateness))
 
 
 def test_nothing_comparable_is_reported():

@@ -122,12 +122,8 @@ CELLS = st.fixed_dictionaries(
 def test_whatever_a_cell_holds_comes_back_from_csv(rows, start):
     time = start + np.arange(len(rows))
     words = {name: [row[name] for row in rows] for name in ("level", "message")}
-    trip = Trip(
-        {
-            TRAIN_STATE.name: frame_of(TRAIN_STATE, time, {"speed": [r["speed"] for r in rows]}),
-            EVENTS.name: frame_of(EVENTS, time, words),
-        }
-    )
+    state = frame_of(TRAIN_STATE, time, {"speed": [row["speed"] for row in rows]})
+    trip = Trip({TRAIN_STATE.name: state, EVENTS.name: frame_of(EVENTS, time, words)})
     with TemporaryDirectory() as parent:
         with folder_writer(Path(parent) / "trip.csv", CsvTripIndex) as writer:
             writer.add(trip)
@@ -258,8 +254,7 @@ def test_stretches_are_kilometres():
 
 @pytest.mark.parametrize("suffix", [".mcap", pytest.param(".parquet", marks=pytest.mark.long)])
 def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(suffix, log, tmp_path):
-    trip = read_log(log)
-    minutes = {}
+    trip, minutes = read_log(log), {}
     for name, frame in trip.topics.items():
         parts = [frame.set_axis(frame.index + pd.Timedelta(minutes=2 * k)) for k in range(4)]
         minutes[name] = pd.concat(parts)
@@ -270,9 +265,7 @@ def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(suffix, log, tmp_
     with pytest.warns(DamageWarning) as caught:
         convert(long, tmp_path / f"made{suffix}")
     account = caught[0].message.account
-    made = read_log(tmp_path / "made.mcap") if suffix == ".mcap" else read_parquet(
-        tmp_path / "made.parquet"
-    )  # fmt: skip
+    made = (read_log if suffix == ".mcap" else read_parquet)(tmp_path / f"made{suffix}")
     step = made.provenance[-1]
     assert step["step"] == "read damaged log"
     assert step["account"] == account.details()
@@ -295,24 +288,20 @@ def written(trip: Trip, path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("cuts", "backwards"), [((0.5,), False), ((0.2, 0.21, 0.9), True)])
-def test_parts_in_any_order_are_the_whole(cuts, backwards, whole, tmp_path):
+@pytest.mark.parametrize(("cuts", "order"), [((0.5,), 1), ((0.2, 0.21, 0.9), -1)])
+def test_parts_in_any_order_are_the_whole(cuts, order, whole, tmp_path):
     length = whole.end - whole.start
     edges = [None, *(whole.start + share * length for share in cuts), None]
-    parts = [
-        written(whole.between(*ends), tmp_path / f"{number}.mcap")
-        for number, ends in enumerate(pairwise(edges))
-    ]
-    done = merge(parts[::-1] if backwards else parts, tmp_path / "whole.mcap")
+    pieces = [whole.between(*ends) for ends in pairwise(edges)]
+    parts = [written(each, tmp_path / f"{n}.mcap") for n, each in enumerate(pieces)][::order]
+    done = merge(parts, tmp_path / "whole.mcap")
     found = read_log(tmp_path / "whole.mcap")
     assert found == whole
     assert done.rows == {name: len(frame) for name, frame in whole.topics.items()}
     step = found.provenance[-1]
     assert step["step"] == "merge"
     assert len(step["inputs"]) == len(parts)
-    assert [each["file"] for each in step["others"]] == [
-        path.name for path in (parts[::-1] if backwards else parts)[1:]
-    ]
+    assert [each["file"] for each in step["others"]] == [path.name for path in parts[1:]]
 
 
 def test_topics_of_several_recorders_come_together(whole, tmp_path):
@@ -466,9 +455,8 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path):
         other.write_bytes(b"")  # what is not asked for is not opened
     back = read_parquet(tmp_path / "trip.parquet", [EVENTS.name, TRAIN_STATE.name, "/unheard"])
     assert list(back.topics) == [TRAIN_STATE.name, EVENTS.name]
-    some = read_parquet(
-        tmp_path / "trip.parquet", {TRAIN_STATE.name: ["speed", "unheard"], TRAIN_AXLES.name: None}
-    )
+    asked = {STATE: ["speed", "unheard"], TRAIN_AXLES.name: None}
+    some = read_parquet(tmp_path / "trip.parquet", asked)
     pd.testing.assert_frame_equal(some[TRAIN_STATE.name], trip[TRAIN_STATE.name][["speed"]])
     assert some[TRAIN_STATE.name].attrs["units"] == {"speed": "m/s"}
     assert len(some[TRAIN_AXLES.name].columns) == 8

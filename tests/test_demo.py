@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from painting import without_painting
 from rich.console import Console
-from test_cli_help import commands as every_command, context_of
+from test_cli import commands as every_command, context_of
 
 import trainlog
 from analysis.comparison.groups import compare_groups, punctuality
@@ -29,7 +29,7 @@ NONSTOP = "trip-01"  # configuration of a trip without a stop, to which the driv
 @pytest.fixture(scope="module", params=[3, pytest.param(12, marks=pytest.mark.long)])
 def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> Path:
     changed = {} if request.param == 12 else {"12": str(request.param), "all": NONSTOP}
-    coarse = {"plan": ("--set", "cells=40")} if changed else {}
+    coarse = {"plan": ["--set", "cells=40"]} if changed else {}
 
     def make(folder: Path) -> None:
         with (
@@ -39,9 +39,7 @@ def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> P
             demo.run_demo(
                 folder / "results",
                 Console(file=reported, width=110),
-                lambda step: cli.run(
-                    [*(changed.get(word, word) for word in step), *coarse.get(step[0], ())]
-                ),
+                lambda step: cli.run([changed.get(w, w) for w in step] + coarse.get(step[0], [])),
             )
 
     return made_once(f"demo-{request.param}", make) / "results"

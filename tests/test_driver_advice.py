@@ -515,18 +515,13 @@ def test_against_the_chainage_the_map_is_read_backwards():
     line = hilly_line()
     condition = slippery(line, (7_000.0, 8_000.0, 0.08))
     configurations = tuple(observed(FLIRT, 1.0))
-    run = TrajectoryProblem(
-        line.reversed(), FLIRT, configurations,
-        condition_map=condition, direction="reverse",
-    )  # fmt: skip
+    asked = {"condition_map": condition, "direction": "reverse"}
+    run = TrajectoryProblem(line.reversed(), FLIRT, configurations, **asked)
     forward = TrajectoryProblem(line, FLIRT, configurations, condition_map=condition)
     points = np.linspace(0.0, line.length, 401)
     assert run.adhesion_at(points) == pytest.approx(forward.adhesion_at(line.length - points))
     assert run.adhesion(points) == pytest.approx(forward.adhesion(line.length - points[::-1])[::-1])
-    found = optimised(
-        line.reversed(), FLIRT, configurations, reserve=0.15, condition_map=condition,
-        direction="reverse", cells=150,
-    )  # fmt: skip
+    found = optimised(line.reversed(), FLIRT, configurations, **asked, reserve=0.15, cells=150)
     assert found.direction == "reverse"
     assert found.certificate["audit"]["adhesion"] <= 1.0 + 1e-6
     # It starts where the rail is slippery.

@@ -42,15 +42,14 @@ def locate(estimator: Estimator, part: slice) -> None:
         estimator.update(*row)
 
 
+STD = [100.0, 1.0, 0.1]
 CASES = {
     "least squares": Case(
-        lambda: RecursiveLeastSquares(
-            [100.0, 1.0, 0.1], forgetting=0.99, random_walk_std=[1e-3, 1e-5, 1e-6]
-        ),
+        lambda: RecursiveLeastSquares(STD, forgetting=0.99, random_walk_std=[1e-3, 1e-5, 1e-6]),
         lambda estimator, part: estimator.update(ROWS[part], ROWS[part] @ [2.0, 0.04, 0.0007]),
     ),
     "least squares, single precision": Case(
-        lambda: RecursiveLeastSquares([100.0, 1.0, 0.1], forgetting=0.95, dtype=np.float32),
+        lambda: RecursiveLeastSquares(STD, forgetting=0.95, dtype=np.float32),
         lambda estimator, part: estimator.update(ROWS[part], ROWS[part] @ [2.0, 0.04, 0.0007]),
     ),
     "slip": Case(

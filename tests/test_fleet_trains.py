@@ -159,13 +159,12 @@ def test_a_fleet_of_healthy_trains_raises_no_alarm():
     assert healthy.unlike.train_months == pytest.approx(12.0, abs=1.0)
 
 
+DRAGGING, DELAYED = Fault("dragging brake", 3000.0, 0, SINCE), Fault("sensor delay", 0.9, 1, 0)
+
+
 @pytest.mark.parametrize(
     ("fault", "seed", "trains", "trips", "against"),
-    [
-        (Fault("dragging brake", 3000.0, 0, SINCE), 2, 1, 60, "own past"),
-        # One that was always unlike.
-        (Fault("sensor delay", 0.9, 1, 0), 6, 9, 30, "kind"),
-    ],
+    [(DRAGGING, 2, 1, 60, "own past"), (DELAYED, 6, 9, 30, "kind")],
 )
 def test_a_train_is_compared_with_its_past_and_with_its_kind(fault, seed, trains, trips, against):
     rows = drawn_fleet(pool("flirt"), seed, trains=trains, trips=trips, faults=(fault,))
@@ -268,9 +267,8 @@ def drift(found: FleetTrains, train: str, channel: str) -> Drift:
 
 @pytest.mark.parametrize("trips", [60, pytest.param(180, marks=pytest.mark.long)])
 def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(trips):
-    rows = drawn_fleet(
-        pool("flirt"), 11, trains=5, trips=trips, trips_a_day=trips / 360.0, wear=0.0, season=0.06
-    )
+    drawn = {"trips": trips, "trips_a_day": trips / 360.0, "wear": 0.0, "season": 0.06}
+    rows = drawn_fleet(pool("flirt"), 11, trains=5, **drawn)
     months = (rows["start"] - rows["start"].min()) / pd.Timedelta(days=30.4375)
     # Wear is a share of the scale, a month; the trend is that of its logarithm.
     rows.loc[rows["train"] == "flirt-02", "speed_scale"] *= np.exp(0.0005 * months)

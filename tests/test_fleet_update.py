@@ -178,11 +178,10 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place):
     assert updated(place, WRONG, retry=True).trips == 2
 
 
-@pytest.mark.parametrize(
-    "analysis",
-    [DEADLY, pytest.param(DEADLY_AFTER, marks=pytest.mark.long)],
-    ids=["deadly", "after"],
-)
+LATE = pytest.param(DEADLY_AFTER, marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize("analysis", [DEADLY, LATE], ids=["deadly", "after"])
 def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(place, analysis, monkeypatch):
     monkeypatch.setattr("analysis.fleet.engine.PATIENCE", 1.0)
     found = updated(place, analysis, workers=2, batch=3)

@@ -301,14 +301,12 @@ def test_what_is_no_version_is_refused(place, side, message, shell):
 
 def test_texts_that_differ_are_listed_but_no_estimate_moved():
     table = made_up()
-    other = table.assign(
-        source=["assumed" if key == "00007" else "recorded" for key in table["key"]]
-    )
+    sources = ["assumed" if key == "00007" else "recorded" for key in table["key"]]
+    other = table.assign(source=sources)
     found = difference(table, other)
     assert not found.beyond
-    assert found.words[["trip", "estimate", "second"]].to_numpy().tolist() == [
-        ["trip-7", "source", "assumed"]
-    ]
+    words = found.words[["trip", "estimate", "second"]].to_numpy().tolist()
+    assert words == [["trip-7", "source", "assumed"]]
 
 
 TESTS = Path(__file__).parent

@@ -60,9 +60,8 @@ def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
     track = TrackConditionMap(line.name, line.length, 25.0, np.zeros(1), {})
     n = track.bins
     none = np.zeros(n)
-    layer = ConditionLayer(
-        np.log(rail(track.centres)), none + spread, none == 0.0, evidence=DailyEvidence.none(n, 1)
-    )
+    known = np.log(rail(track.centres)), none + spread, none == 0.0
+    layer = ConditionLayer(*known, evidence=DailyEvidence.none(n, 1))
     return replace(track, layers={"wet": layer})
 
 
@@ -287,9 +286,8 @@ def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time():
     # The reference is a motion: positions are the integral of the speeds.
     mean = 0.5 * (states[1:, 1] + states[:-1, 1])
     np.testing.assert_allclose(np.diff(states[:, 0]), mean, atol=0.1)
-    assert np.all(
-        states[:, 1] ** 2 <= [bounds.ceiling_square(p, road) + 0.05 for p in states[:, 0]]
-    )
+    most = [bounds.ceiling_square(p, road) + 0.05 for p in states[:, 0]]
+    assert np.all(states[:, 1] ** 2 <= most)
     assert np.all(efforts * can.inertia <= can.traction)
 
 

@@ -172,9 +172,8 @@ def test_a_trip_gives_its_line_in_the_direction_of_travel_and_its_train_unjudged
     refused(LogError, said, railway.line_of, Trip({}, {"trip": "t1"}))
     refused(LogError, "direction is 'backwards'", railway.line_of, trip(direction="backwards"))
     damaged = Trip({}, {"trip": "t1"}, attachments={"train.json": b'{"format": '})
-    refused(
-        InputError, r"^train\.json of trip 't1', line 1, column 12: ", railway.train_of, damaged
-    )
+    said = r"^train\.json of trip 't1', line 1, column 12: "
+    refused(InputError, said, railway.train_of, damaged)
 
 
 def test_limits_of_two_directions_raise_the_version_of_lines_and_networks(tmp_path):
@@ -187,19 +186,16 @@ def test_limits_of_two_directions_raise_the_version_of_lines_and_networks(tmp_pa
             railway.write_line(one, tmp_path / name)
             assert railway.read_line(tmp_path / name) == one
         railway.write_network(Network("n", nodes, (Edge("e", one, "A", "B"),)), tmp_path / "n.json")
-        assert (
-            railway.read_network(tmp_path / "n.json").edges[0].line.limits_against
-            == one.limits_against
-        )
+        (edge,) = railway.read_network(tmp_path / "n.json").edges
+        assert edge.line.limits_against == one.limits_against
         for name in ("one.line.json", "n.json"):
             assert read_json(tmp_path / name)["version"] == version
         assert f"version = {version}" in (tmp_path / "one.line.toml").read_text()
     # As in a program that only knows version 1.
     path = tmp_path / "one.line.json"
     path.write_text(path.read_text().replace('"version": 2', '"version": 3'))
-    refused(
-        InputError, r"version 3 is newer than this trainlog knows \(2\)", railway.read_line, path
-    )
+    said = r"version 3 is newer than this trainlog knows \(2\)"
+    refused(InputError, said, railway.read_line, path)
     path.write_text(path.read_text().replace('"version": 3', '"version": 0'))
     refused(InputError, "expected 1 or 2", railway.read_line, path)
 
@@ -289,6 +285,10 @@ def test_no_wrong_value_anywhere_makes_a_traceback(kind):
             assert "\n" not in message
 
 
+RADII = {"position": "m", "radius_at_start": "m", "radius_at_end": "m"}
+BENDS = {"units": RADII, "values": [[0, "infinity", 500], [9, 500, 0]]}
+DEGREES = {"position": "m", "latitude": "deg", "longitude": "deg"}
+TRACK = {"quality": "q", "track": {"units": DEGREES, "values": [[0, 9, 47], [9, 95, 47]]}}
 LINE_CASES = [
     ("length.unit", "kg", "f.json, length.unit: unit 'kg' cannot be read as m; declare a unit of"),
     ("length.value", -1, "f.json, length: -1 m is not positive; give more than 0"),
@@ -298,25 +298,8 @@ LINE_CASES = [
     ("speed_limits.values.0.0", 5, "f.json, speed_limits.values: the first row is not at position"),
     ("stations.values.1.1", 2000, "f.json: line 'L': station at km 2.000 lies before the line's"),
     ("stations.values.0.0", 7, "f.json, stations.values[0][0]: must be a valid string"),
-    (
-        "curvatures",
-        {
-            "units": {"position": "m", "radius_at_start": "m", "radius_at_end": "m"},
-            "values": [[0, "infinity", 500], [9, 500, 0]],
-        },
-        "f.json, curvatures.values[1]: the radius is 0 m; straight track has the radius 'infinity'",
-    ),
-    (
-        "geometry",
-        {
-            "quality": "q",
-            "track": {
-                "units": {"position": "m", "latitude": "deg", "longitude": "deg"},
-                "values": [[0, 9, 47], [9, 95, 47]],
-            },
-        },
-        "f.json, geometry: a coordinate is beyond 90° of latitude or 180° of longitude; give degr",
-    ),
+    ("curvatures", BENDS, "f.json, curvatures.values[1]: the radius is 0 m; straight track has"),
+    ("geometry", TRACK, "f.json, geometry: a coordinate is beyond 90° of latitude or 180° of lon"),
     ("survey", {"gradient_std": {"value": -0.1, "unit": "permil"}}, "f.json, survey.gradient_std"),
 ]
 TRAIN_CASES = [
@@ -372,9 +355,8 @@ def test_numbers_that_json_has_not_are_refused():
         (b"NaN", r"^f\.json, line 6, column 21: NaN is not"),
         (b"1e999", r"^f\.json, mass\.value: is not a finite number"),
     ):
-        refused(
-            InputError, said, railway.train_from_bytes, data.replace(b"122", number), file="f.json"
-        )
+        given = data.replace(b"122", number)
+        refused(InputError, said, railway.train_from_bytes, given, file="f.json")
 
 
 def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path):
@@ -386,17 +368,15 @@ def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path):
     content["stations"]["values"][0][0] = 7
     path = put(tmp_path / "l.json", json.dumps(content))
     caught = refused(InputError, "", railway.read_line, path)
-    assert [problem.place for problem in caught.each] == [
-        "colour",
-        "length",
-        "altitude.unit",
-        "stations.values[0][0]",
-        "speed_limits.values[0][1]",
-    ]
+    places = ["colour", "length", "altitude.unit", "stations.values[0][0]"]
+    places += ["speed_limits.values[0][1]"]
+    assert [problem.place for problem in caught.each] == places
     assert all(problem.remedy or "must be" in problem.problem for problem in caught.each)
     assert str(caught).startswith(f"{path}: 5 problems: (1) colour: unknown key 'colour'; ")
 
 
+FAST = {"speed_limits.units.speed": "m/s", "speed_limits.values": [[0, 90], [500, 200]]}
+STEEP = {"gradients.units.gradient": "%", "gradients.values": [[0, 12]]}
 SAMPLES = {"train": "CH_Stadler_FLIRT_TPF.train.json", "line": "CH_StGallen_Wil.line.json"}
 
 
@@ -431,17 +411,9 @@ def whole(kind: str) -> Any:
         ("line", {"gradients.units.gradient": "1"}, "steeper than 200 per mille"),
         ("line", {"length.unit": "km"}, "a line of 2.95561e+07 m: not plausible; were km"),
         ("line", {"altitude.value": 68_000}, "68000 m is not plausible: railways lie between"),
-        (
-            "line",
-            {"speed_limits.units.speed": "m/s", "speed_limits.values": [[0, 90], [500, 200]]},
-            "720 km/h is not plausible",
-        ),
+        ("line", FAST, "720 km/h is not plausible"),
         # Rise over the whole line of St.Gallen-Wil stays small: a long ramp does not.
-        (
-            "line",
-            {"gradients.units.gradient": "%", "gradients.values": [[0, 12]]},
-            "were per mille meant where the unit states '%'",
-        ),
+        ("line", STEEP, "were per mille meant where the unit states '%'"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(kind, changes, message, tmp_path):

@@ -38,12 +38,10 @@ def trip_of(name: str) -> Trip:
 def estimates(trip: Trip) -> Figures:
     result, refusals = with_estimates(trip)
     topics = [topic for topic in result.topics if topic.startswith("/estimates/")]
-    columns = {
-        f"{topic}.{name}": values.to_numpy(np.float64)
-        for topic in topics
-        for name, values in result[topic].items()
-    }
-    return {"refusals": len(refusals)} | columns
+    found: Figures = {"refusals": len(refusals)}
+    for topic in topics:
+        found |= {f"{topic}.{name}": x.to_numpy(np.float64) for name, x in result[topic].items()}
+    return found
 
 
 def fit(trip: Trip) -> Figures:
@@ -74,12 +72,8 @@ def map_update(trip: Trip) -> Figures:
     empty = empty_map(line_of(trip))
     track, _ = update(empty, [evidence_of(slip(trip), empty, "dry")])
     layer = track.layers["dry"]
-    return {
-        "maximum_adhesion": np.exp(layer.log_mean),
-        "log_std": layer.log_std,
-        "observed": layer.observed,
-        "events": layer.events,
-    }
+    known = {name: getattr(layer, name) for name in ("log_std", "observed", "events")}
+    return {"maximum_adhesion": np.exp(layer.log_mean), **known}
 
 
 def cost(trip: Trip) -> Figures:

@@ -55,7 +55,7 @@ NEAREST = {
 
 WIDER = {
     "estimators/regression.py": "coast_down study_rls_sliding_mode resistance_fit golden",
-    "analysis/resistance/regression.py": "coast_down resistance_fit resistance_together calculated"
+    "analysis/resistance/regression.py": "coast_down resistance_fit resistance_together comparison"
     " golden tunnels",
     "estimators/condition_passes.py": "map_export map_difference golden",
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
