@@ -426,7 +426,7 @@ def test_what_an_export_leaves_out_is_listed(tmp_path):
 DATA = Path(__file__).parents[2] / "shared" / "data"
 SHARED = pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
 
-CASES = product(("local", "freight", "longdistance"), ("const", "slope", "speed"))
+CASES = [*product(("local", "freight", "longdistance"), ("const", "slope", "speed"))]
 
 CURVE = EffortCurve(np.array([0.0, 10.0, 30.0]), np.array([100e3, 80e3, 20e3]))
 UNIT = railtoolkit.RollingVehicle(
