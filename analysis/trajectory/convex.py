@@ -79,7 +79,7 @@ _FEW_NEAR = 4
 """Configurations up to which bounds are left out: of more so little can be left out that one whole
 program takes less time than several that follow one another."""
 
-_ROUNDS, _EXCEEDED, _LOST, _PART_LOST, _MOST_LOST = 3, 1e-7, 1e-6, 0.03, 1e-3
+_ROUNDS, _EXCEEDED, _LOST, _PART_LOST, _MOST_LOST = 3, 1e-7, 3e-7, 0.03, 1e-3
 """How often what was fixed or left out wrongly is added; by how much bounds and rows may be
 exceeded; what fixed efforts may cost, relative, of what the last program changed, and at most."""
 
