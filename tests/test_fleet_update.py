@@ -28,7 +28,7 @@ from refusals import refused
 
 import trainlog
 from analysis.adhesion.condition_map import update_map
-from analysis.fleet import maps
+from analysis.fleet import maps, update
 from analysis.fleet.analyses import ANALYSES, computation_of
 from analysis.fleet.engine import Processes
 from analysis.fleet.maps import maps_folder, update_maps
@@ -149,6 +149,20 @@ def test_trips_that_another_update_computes_are_left_to_it_as_long_as_it_runs(
     assert found.counts["checks"].pending == 0
     assert found.counts["checks"].known == (0 if killed else 2)
     assert sorted(results(place, "checks")["key"]) == keys
+
+
+def test_what_another_update_records_before_the_first_trip_is_known(place, monkeypatch):
+    jobs = update._Update._jobs
+
+    def after_other(self):
+        monkeypatch.setattr(update._Update, "_jobs", jobs)
+        assert updated(place, "checks", where="weather = 'wet'").trips == TRIPS // 2
+        return jobs(self)
+
+    monkeypatch.setattr(update._Update, "_jobs", after_other)
+    found = updated(place, "checks")
+    counts = found.counts["checks"]
+    assert (found.trips, counts.known, counts.pending) == (TRIPS // 2, TRIPS // 2, 0)
 
 
 def test_other_code_and_other_parameters_are_computed_anew(place, monkeypatch):

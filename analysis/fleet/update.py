@@ -460,6 +460,12 @@ class _Update:
                 step(self._done, note=f"waiting for {others} of another update")
                 time.sleep(WAIT)
                 jobs, self._elsewhere = iter(self._elsewhere), []
+        for each in self.computations:
+            # Others may have recorded some from when they were counted on.
+            counts = self.found.counts[each.analysis]
+            left = self.catalogue.standing(each, where=self.options.where)["pending"]
+            counts.known += max(0, counts.pending - left)
+            counts.pending = left
         if self._busy:
             self.found.computing_seconds = self._last - self._first
             whole = self.found.workers * self.found.computing_seconds
@@ -500,9 +506,6 @@ class _Update:
         left = []
         for job in jobs:
             wanted = tuple(number for number in job.analyses if job.key in pending[number])
-            for number in set(job.analyses) - set(wanted):
-                counts = self.found.counts[self.analyses[number].name]
-                counts.pending, counts.known = counts.pending - 1, counts.known + 1
             if wanted:
                 left.append(job._replace(analyses=wanted))
             else:
