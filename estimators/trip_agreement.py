@@ -37,6 +37,9 @@ ALIKE = 0.5
 GRID = np.arange(-1.2, 1.201, 0.03)
 """Logarithms of factors that are tried."""
 
+UNCHANGED = [GRID.size // 2]
+"""Of them, the one of no change."""
+
 PRIOR = 0.5
 """Standard deviation of the logarithm of a factor before any evidence."""
 
@@ -161,7 +164,9 @@ def median_by(group: IntArray, values: FloatArray, size: int) -> FloatArray:
     return np.asarray(found.reindex(np.arange(size)), dtype=np.float64)
 
 
-def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray, error: float) -> FloatArray:
+def likelihoods(
+    rows: TripRows, level: FloatArray, own: BoolArray, error: float, plain: float = 0.0
+) -> FloatArray:
     """Log likelihood of each trip by its factor, (trips, grid).
 
     Rows count by how far they are off, in steps of the grid: a map has millions of them.
@@ -175,6 +180,8 @@ def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray, error: float)
         Rows with onsets that count.
     error : float
         Standard deviation of a trip's log adhesion about level and factor, beside its own.
+    plain : float
+        Share of the places at which a trip finds the level itself, as where part of a line changed.
     """
     step, most = float(GRID[1] - GRID[0]), GRID.size
     off = step * np.arange(-most, most + 1)
@@ -191,16 +198,17 @@ def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray, error: float)
     found = np.zeros((rows.trips, GRID.size))
     for number, counted in enumerate(count.reshape(rows.trips, SIZES, off.size).swapaxes(0, 1)):
         width = error * np.exp(0.2 * (number + 0.5 * (number > 0)))
-        away, value = off[:, None] - GRID, ASTRAY
+        away, value = off[:, None] - GRID, np.full((off.size, GRID.size), ASTRAY)
         for share, wide in ((1.0 - OFTEN, width), (OFTEN, WIDE * width)):
             height = share / (np.sqrt(2.0 * np.pi) * wide)
             value = value + height * np.exp(-0.5 * (away / wide) ** 2)
-        found += ALIKE * counted @ np.log(value)
+        found += ALIKE * counted @ np.log((1.0 - plain) * value + plain * value[:, UNCHANGED])
     known = np.isfinite(level[rows.used_bin])
     cell = cells((level[rows.used_bin] - rows.used_log)[known])
     place = rows.used_trip[known] * off.size + cell
     count = np.bincount(place, minlength=rows.trips * off.size).reshape(rows.trips, off.size)
-    borne = ndtr((off[:, None] + GRID) / error)
+    borne = np.asarray(ndtr((off[:, None] + GRID) / error))
+    borne = (1.0 - plain) * borne + plain * borne[:, UNCHANGED]
     return np.asarray(found + ALIKE * count @ np.log(ASTRAY + (1.0 - ASTRAY) * borne))
 
 
@@ -249,7 +257,9 @@ def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Facto
         asked = (strange > 1.0) & (strange >= least)
     std = np.where(met >= SURE, error / np.sqrt(ALIKE * np.maximum(met, 1)), PRIOR)
     some = rows.of(asked)
-    likelihood = likelihoods(some, level, several[asked[rows.trip]], error)
+    likelihood, partly = (
+        likelihoods(some, level, several[asked[rows.trip]], error, plain) for plain in (0.0, 0.5)
+    )
     posterior = likelihood - 0.5 * (GRID / PRIOR) ** 2
     weight = np.exp(posterior - posterior.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
@@ -260,6 +270,8 @@ def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Facto
     log = np.where(std < 0.5 * PRIOR, np.where(asked, mean, log) - middle, 0.0)
     near = np.abs(GRID) <= max(LEAST - 0.05, 0.15)
     doubt = likelihood.max(axis=1) - likelihood[:, near].max(axis=1)
+    # Where it differs at some places only, these changed or had a spot.
+    doubt[likelihood.max(axis=1) < partly.max(axis=1) - DOUBT] = 0.0
     places = met + used
     return Factors(log, std, doubt, places.astype(np.float64)), level
 
@@ -416,18 +428,17 @@ def agreement_of(rows: TripRows, second: BoolArray, order: IntArray, day: IntArr
     time = np.argsort(order, kind="stable")
     for group in groups:
         own = rows.of(group)
-        found, _ = factors_of(own)
-        lag[group] = lags_of(own, found.log)[group]
-        own = own.moved(-lag)
-        found, level = factors_of(own)
-        periods = _periods(found, time[group[time]], day)
+        lag[group] = lags_of(own, factors_of(own)[0].log)[group]
+        periods = _periods(factors_of(own.moved(-lag))[0], time[group[time]], day)
         for period in periods:
             part = np.isin(np.arange(rows.trips), period)
-            several = own if len(periods) == 1 else own.of(part)
+            several = own.of(part)
             if len(periods) > 1:
-                found, level = factors_of(several)
+                lag[part] = lags_of(several, factors_of(several)[0].log)[part]
+            several = several.moved(-lag)
             # Factors of some trips, which are of another condition, and the others' levels.
             others = np.zeros(own.trips, dtype=np.bool_)
+            found, level = factors_of(several)
             for _ in range(ROUNDS):
                 # Where several are of another condition, one more is no surprise.
                 least = DOUBT if others.sum() < 2 else DOUBT / 2.0
@@ -438,6 +449,7 @@ def agreement_of(rows: TripRows, second: BoolArray, order: IntArray, day: IntArr
                 found, level = factors_of(several, ~others)
             aside |= others
             columns[:, part] = np.array(astuple(found))[:, part]
+        own = own.moved(-lag)
         within = [bool((group & ~second).any()), bool((group & second).any())]
         placing[within] = _placing_variance(own, level, lag[group & ~aside])
     factors = Factors(*columns)

@@ -258,7 +258,11 @@ class Rail:
             self.log[start : start + 6] = np.log(self.generator.uniform(0.08, 0.12))
 
     def trip(
-        self, number: int, factor: float = 1.0, direction: str = "forward", lag: int = 0
+        self,
+        number: int,
+        factor: float | FloatArray = 1.0,
+        direction: str = "forward",
+        lag: int = 0,
     ) -> Evidence:
         """A trip that finds the rail `factor` times as good, placed so many bins too far."""
         met = self.log + np.log(factor) + 0.05 * self.generator.standard_normal(WAY_BINS)
@@ -347,6 +351,15 @@ class TestTripsThatDisagree:
         said = [note for notes in notes_of(track).values() for note in notes]
         assert len(said) == aside
         assert all(note.startswith("set aside") for note in said)
+
+    @pytest.mark.usefixtures("unestimated")
+    @pytest.mark.parametrize("changed", [(3,), (2, 6), (3, 4, 5, 6)])
+    def test_a_change_of_part_of_the_line_sets_no_trip_aside(self, changed):
+        rail = Rail(9)
+        part = np.where(np.arange(WAY_BINS) < WAY_BINS // 2, 0.45, 1.0)
+        trips = [rail.trip(number, part if number in changed else 1.0) for number in range(10)]
+        track, _ = update(empty_map(WAY), trips)
+        assert not any(notes_of(track).values())
 
     def test_the_other_track_has_a_layer_of_its_own(self, tmp_path):
         rail = Rail(3)
