@@ -163,6 +163,16 @@ def test_the_friction_brake_uses_no_more_than_the_adhesion_of_the_trailing_axles
     np.testing.assert_allclose(slowed, -0.05 * trailing / inertia, rtol=1e-3)
 
 
+@pytest.mark.parametrize("efforts", [None, np.full(4, -20e3)])
+def test_the_friction_brake_gives_what_is_not_asked_of_the_motors(efforts):
+    train = flirt(resistance=NO_DRAG, brake=Brake(dead_time=0.0, lag=0.1))
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 20.0)
+    rows = columns(plant, plant.advance(state, 0.0, 90e3, 1_000, 1, efforts, most_dynamic=30e3))
+    for name, share in (("dynamic", 30e3), ("pneumatic", 60e3)):
+        np.testing.assert_allclose(rows[f"{name}_braking_effort"][500:], share, rtol=1e-3)
+
+
 def test_effort_comes_back_once_the_wheel_has_come_back():
     """A wheel whose effort was cut has none while its slip is above the release."""
     plant = Plant.of(level_line(), flirt())

@@ -25,7 +25,9 @@ from analysis.control.route import (
     Margin,
     TrainLimits,
     dynamic_braking,
+    effort_limits,
     free_deceleration,
+    powered_adhesion,
     route_tables,
     train_limits,
     value,
@@ -190,13 +192,15 @@ class Follower:
             observation.position, observation.speed, observation.position, self._route, self._limits
         )
         effort = min(max(self._effort, low), high)
-        self._passes(observation.speed, effort)
+        place, speed = observation.position, observation.speed
+        self._passes(place, speed, effort)
         force = effort * self._limits.inertia
-        return Demand(max(force, 0.0), max(-force, 0.0))
+        most = powered_adhesion(place, speed, self._route, self._limits)
+        return Demand(max(force, 0.0), max(-force, 0.0), most)
 
-    def _passes(self, speed: float, effort: float) -> None:
+    def _passes(self, position: float, speed: float, effort: float) -> None:
         """Keep account of what the brake will do of its own for the next tick."""
-        quick, asked = prediction.split(effort, speed, self._limits)
+        quick, asked = prediction.split(effort, position, speed, self._route, self._limits)
         waiting = np.append(self._past, asked)
         late, self._past = float(waiting[0]), waiting[1:]
         after = late + (self._friction - late) * math.exp(-PERIOD / self._limits.lag)
@@ -272,7 +276,8 @@ class Follower:
         limits = self._limits
         held = max(round(min(EVERY, self._ticks * TICK) / TICK), 1)
         lead = 2
-        if dynamic_braking(seen.speed, limits) < limits.braking:
+        here = seen.position, seen.speed, self._route, limits
+        if dynamic_braking(*here) < effort_limits(*here)[1]:
             lead += len(self._past) + round(2.0 * limits.lag / TICK)
         beyond = max(GUARD_SIGMAS * seen.position_std - self._margin.position, 0.0)
         speed = seen.speed + max(GUARD_SIGMAS * seen.speed_std - self._margin.speed, 0.0)

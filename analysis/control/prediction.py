@@ -25,6 +25,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.control.route import (
+    AHEAD,
     GRID,
     MARGIN,
     SHARE,
@@ -238,9 +239,6 @@ def speed_rows(
 TICK = 0.1
 """Step of the prediction [s]; dead times are whole numbers of it."""
 
-AHEAD = 0.5
-"""Adhesion is looked up this much further on [s]: efforts follow their demand with a lag."""
-
 NEAR = 1_000.0
 """As far ahead [m] the run is kept in steps of `GRID`; beyond in coarser ones."""
 
@@ -288,9 +286,11 @@ def expected_deceleration(
 
 
 @compiled
-def split(u: float, v: float, limits: TrainLimits) -> tuple[float, float]:
+def split(
+    u: float, p: float, v: float, route: RouteTables, limits: TrainLimits
+) -> tuple[float, float]:
     """What acts at once of a specific effort, and what the friction brake is asked for."""
-    quick = dynamic_braking(v, limits) / limits.inertia
+    quick = dynamic_braking(p, v, route, limits) / limits.inertia
     if u >= -quick:
         return u, 0.0
     return -quick, -u - quick
@@ -345,10 +345,10 @@ def linearised(
     for k in range(n):
         low[k], high[k] = effort_bounds(p, v, p + v * ticks * TICK, route, limits)
         kept[k] = min(max(plan[k], low[k]), high[k])
-        braking = kept[k] <= 0.0 and dynamic_braking(v, limits) <= 0.0
+        braking = kept[k] <= 0.0 and dynamic_braking(p, v, route, limits) <= 0.0
         for j in range(ticks):
             i = k * ticks + j
-            quick, asked[i] = split(kept[k], v, limits)
+            quick, asked[i] = split(kept[k], p, v, route, limits)
             slow[i] = asked[i] > 0.0 or braking
             late = past[i] if i < dead else asked[i - dead]
             before = f
@@ -473,14 +473,14 @@ def excess_over_ceiling(
                 speed += later / row[1]
             if i >= held:
                 wanted = min(u, -effort_limits(place, speed, route, limits)[1] / limits.inertia)
-            quick, asked = split(wanted, speed, limits)
+            quick, asked = split(wanted, place, speed, route, limits)
             if i == 0:
                 quick = max(quick, before)
             late = asked
             if i < dead:
                 late = past[i]
             elif i - dead < held:
-                late = split(u, speed, limits)[1]
+                late = split(u, place, speed, route, limits)[1]
             earlier = friction
             friction = late + (friction - late) * fade
             a = gain * (quick - 0.5 * (earlier + friction)) - free_deceleration(

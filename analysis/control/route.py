@@ -63,6 +63,9 @@ CREEP = 3.0
 SLOWEST_SHARE = 0.95
 """Of the ceiling that is cruised at, however much the wheels hold."""
 
+AHEAD = 0.5
+"""Adhesion is looked up this much further on [s]: efforts follow their demand with a lag."""
+
 PARTS = 5
 """Of a cell, at which limits and adhesion are looked up."""
 
@@ -113,8 +116,8 @@ class TrainLimits(NamedTuple):
         Weight on the powered axles, and on all of them.
     mass, inertia, constant, linear, quadratic : float
         Of the middle of the set.
-    lag : float [s]
-        Of the friction brake.
+    lag, release : float [s]
+        Of the friction brake: its lag, and how long it acts on after it is released.
     spinning : float [kg]
         Rotating mass of the powered axles.
     corners : (4, 5) array
@@ -141,6 +144,7 @@ class TrainLimits(NamedTuple):
     linear: float
     quadratic: float
     lag: float
+    release: float
     spinning: float
     corners: FloatArray
     net_pull: float = np.inf
@@ -234,6 +238,7 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
         linear=linear,
         quadratic=quadratic,
         lag=max(train.brake.lag, 1e-3),
+        release=train.brake.dead_time + train.brake.lag,
         spinning=train.axles.count * train.axles.rotating_mass,
         corners=np.array(corners, dtype=np.float64),
         net_pull=most[0] if net else np.inf,
@@ -340,7 +345,6 @@ def effort_limits(
 ) -> tuple[float, float]:
     """Largest tractive and braking effort [N] that machine, comfort and adhesion allow."""
     grip = value(route.adhesion, route.origin, p)
-    powered = grip * limits.on_powered
     pulling = value(route.pulling, route.origin, p) * limits.on_powered
     pull = min(limits.traction, pulling, limits.power / max(v, 0.1))
     if limits.pull_curve.shape[1] > 1:
@@ -351,22 +355,24 @@ def effort_limits(
         along = mass * value(route.track, route.origin, p)
         pull = min(pull, max(limits.net_pull + along + limits.corners[0, 2], 0.0))
         brake = min(brake, max(limits.net_brake - along - still - (linear + square * v) * v, 0.0))
-    # The dynamic brake is used first, and it acts on the powered axles alone.
-    quick = dynamic_braking(v, limits)
-    if limits.brake_curve.shape[1] > 1:
-        brake = min(brake, BLENDING * (limits.friction + quick))
-    if quick > powered:
-        brake = min(brake, powered)
-    return pull, brake
+    quick = dynamic_braking(p, v, route, limits)
+    return pull, min(brake, BLENDING * (limits.friction + quick))
 
 
 @compiled
-def dynamic_braking(v: float, limits: TrainLimits) -> float:
-    """Braking effort [N] that needs no friction brake."""
+def powered_adhesion(p: float, v: float, route: RouteTables, limits: TrainLimits) -> float:
+    """Braking effort [N] that the rail is counted on to bear under the powered axles."""
+    ahead = value(route.adhesion, route.origin, p + AHEAD * v)
+    return min(value(route.adhesion, route.origin, p), ahead) * limits.on_powered
+
+
+@compiled
+def dynamic_braking(p: float, v: float, route: RouteTables, limits: TrainLimits) -> float:
+    """Braking effort [N] that needs no friction brake: it acts on the powered axles alone."""
     most = min(limits.dynamic, limits.dynamic_power / max(v, 0.1))
     if limits.brake_curve.shape[1] > 1:
         most = min(most, effort_at(v, limits.brake_curve[0], limits.brake_curve[1]))
-    return most
+    return min(most, powered_adhesion(p, v, route, limits))
 
 
 @compiled
@@ -378,7 +384,11 @@ def free_deceleration(p: float, v: float, row: FloatArray, route: RouteTables) -
 
 @compiled
 def brake_ahead(squares: FloatArray, route: RouteTables, limits: TrainLimits) -> None:
-    """Lower `squares` to those from which all ahead can be kept by the train that brakes worst."""
+    """Lower `squares` to those from which all ahead can be kept by the train that brakes worst.
+
+    The friction brake is released before a lower limit begins, so that it does not act beyond.
+    """
+    left = np.inf
     for i in range(squares.size - 2, -1, -1):
         place = route.origin + GRID * i
         ahead, best = squares[i + 1], squares[i + 1]
@@ -389,12 +399,16 @@ def brake_ahead(squares: FloatArray, route: RouteTables, limits: TrainLimits) ->
                 effort_limits(place, v, route, limits)[1],
                 effort_limits(place + GRID, v, route, limits)[1],
             )
+            quick = dynamic_braking(place, v, route, limits)
+            if left < limits.release and quick > 0.0:
+                brake = min(brake, share * quick)
             worst = 1e9
             for row in limits.corners:
                 worst = min(
                     worst, brake / row[1] + free_deceleration(place + 0.5 * GRID, v, row, route)
                 )
             best = ahead + 2.0 * GRID * max(worst, 0.0)
+        left = left + GRID / max(v, 0.1) if best < squares[i] else 0.0
         squares[i] = min(squares[i], best)
 
 

@@ -153,10 +153,15 @@ class Observation(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """Tractive and braking effort of the whole train [N], both not negative."""
+    """Tractive and braking effort of the whole train [N], both not negative.
+
+    Of the braking effort the dynamic brake gives as much as it can up to `most_dynamic` [N], the
+    friction brake the rest.
+    """
 
     tractive_effort: float = 0.0
     braking_effort: float = 0.0
+    most_dynamic: float = math.inf
 
 
 class Driver(Protocol):

@@ -495,6 +495,7 @@ def advance(
     y: FloatArray,
     tractive_effort: float,
     braking_effort: float,
+    most_dynamic: float,
     efforts: FloatArray,
     steps: int,
     every: int,
@@ -520,6 +521,8 @@ def advance(
         State, changed in place.
     tractive_effort, braking_effort : float [N]
         Demanded of the whole train.
+    most_dynamic : float [N]
+        The part of the braking effort that the motors give at most.
     efforts : (n,) or (0,) array [N]
         Of each axle, negative in braking, from a traction control; empty: the train's own slip
         protection shares the demand evenly.
@@ -558,6 +561,7 @@ def advance(
     parts, part = 1, p.step
     traction = min(max(tractive_effort, 0.0) / n, p.axle_effort)
     braking = max(braking_effort, 0.0)
+    dynamic = min(braking, most_dynamic) / n
     dead_time = p.friction_dead_time + p.friction_lag
     for k in range(steps):
         places[0] = locate(track_table, y[0], places[0])
@@ -573,7 +577,7 @@ def advance(
         wanted = traction
         friction_demand = 0.0
         if braking > 0.0:
-            wanted = -min(braking / n, dynamic_limit(y[1], braking_curve, p))
+            wanted = -min(dynamic, dynamic_limit(y[1], braking_curve, p))
         if efforts.size == 0:
             protect(y, wanted, places[3:], memory, command, pieces, p)
         else:
@@ -583,7 +587,7 @@ def advance(
         if braking > 0.0:
             # The friction brake is asked in time for what the dynamic brake will have lost.
             ahead = max(y[1] - braking / p.body_inertia * dead_time, 0.0)
-            soon = min(braking / n, dynamic_limit(ahead, braking_curve, p))
+            soon = min(dynamic, dynamic_limit(ahead, braking_curve, p))
             friction_demand = braking
             for i in range(n):
                 if efforts.size > 0:

@@ -315,6 +315,7 @@ class Plant:
         steps: int,
         every: int = 1,
         efforts: FloatArray | None = None,
+        most_dynamic: float = np.inf,
     ) -> FloatArray:
         """Let `steps` integration steps pass under one demand; `state` is changed in place.
 
@@ -330,6 +331,8 @@ class Plant:
             Of each axle, negative in braking, by a `TractionControl`; default: an even share of the
             demand, under the plant's own slip protection. They are kept within what one motor
             gives and, together, within the demand.
+        most_dynamic : float [N]
+            The part of the braking effort that the motors give at most; see `Demand`.
 
         Raises
         ------
@@ -343,12 +346,13 @@ class Plant:
         """
         given = NO_EFFORTS
         if efforts is not None:
-            given = self._within(efforts, tractive_effort, braking_effort)
+            given = self._within(efforts, tractive_effort, braking_effort, most_dynamic)
         out = np.empty((-(-steps // every), len(SAMPLE) + 2 * self.weights.size))
         dynamics.advance(
             state.values,
             float(tractive_effort),
             float(braking_effort),
+            float(most_dynamic),
             given,
             steps,
             every,
@@ -368,7 +372,9 @@ class Plant:
         )
         return out
 
-    def _within(self, efforts: FloatArray, traction: float, braking: float) -> FloatArray:
+    def _within(
+        self, efforts: FloatArray, traction: float, braking: float, most_dynamic: float
+    ) -> FloatArray:
         """Efforts of a traction control [N], within what a motor gives and what is demanded."""
         given = np.asarray(efforts, dtype=np.float64)
         if given.shape != self.weights.shape or not np.all(np.isfinite(given)):
@@ -378,7 +384,8 @@ class Plant:
             )
         p = self.parameters
         if braking > 0.0:
-            kept, demand = np.clip(given, -p.axle_braking_effort, 0.0), braking
+            kept = np.clip(given, -p.axle_braking_effort, 0.0)
+            demand = min(braking, most_dynamic)
         else:
             kept, demand = np.clip(given, 0.0, p.axle_effort), max(traction, 0.0)
         total = abs(float(kept.sum()))

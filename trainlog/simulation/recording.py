@@ -98,10 +98,13 @@ def drive(scenario: Scenario) -> Run:
                 f"trip '{scenario.name}': the train does not arrive; at {at} after {time:.0f} s",
                 remedy="check adhesion, gradients and tractive effort there",
             )
+        most = wanted.most_dynamic
         if loop is None:
-            blocks.append(plant.advance(state, *demands[-1], steps, steps // rate))
+            blocks.append(
+                plant.advance(state, *demands[-1], steps, steps // rate, most_dynamic=most)
+            )
         else:
-            blocks.append(loop.advance(state, demands[-1], steps, steps // rate))
+            blocks.append(loop.advance(state, demands[-1], steps, steps // rate, most))
         position, before, speed = state.position, speed, state.speed
         acceleration = (speed - before) / PERIOD
     samples = np.concatenate(blocks)

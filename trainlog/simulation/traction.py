@@ -150,7 +150,12 @@ class TractionLoop:
         self._done, self._given = 0, np.zeros(n)
 
     def advance(
-        self, state: PlantState, demand: tuple[float, float], steps: int, every: int
+        self,
+        state: PlantState,
+        demand: tuple[float, float],
+        steps: int,
+        every: int,
+        most_dynamic: float = np.inf,
     ) -> FloatArray:
         """As `Plant.advance`, with the efforts of the control.
 
@@ -160,6 +165,7 @@ class TractionLoop:
         demand : tuple of float [N]
             Tractive and braking effort of the whole train.
         steps, every : int
+        most_dynamic : float [N]
         """
         blocks, left = [], steps
         while left:
@@ -169,7 +175,7 @@ class TractionLoop:
             now = min(self._hold - into, left)
             # Only samples on the common grid are kept: not all blocks are as long as `every`.
             each = int(np.gcd(now, every))
-            block = self.plant.advance(state, *demand, now, each, self._given)
+            block = self.plant.advance(state, *demand, now, each, self._given, most_dynamic)
             first = steps - left
             blocks.append(block[(first + each * np.arange(len(block))) % every == 0])
             self._done += now

@@ -24,13 +24,13 @@ from scipy.linalg import expm
 from analysis.control.cooperative import adhesion_at, peak_slips
 from analysis.control.follow import Follower
 from analysis.control.prediction import (
-    AHEAD,
     QPSubproblem,
     solve,
     speed_rows,
     terminal_weight,
     tracking_cost,
 )
+from analysis.control.route import AHEAD
 from analysis.studies.hauck_2023.model import (
     NOMINAL_MASS,
     TOP_SPEED,
