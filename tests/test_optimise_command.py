@@ -20,7 +20,7 @@ from trainlog.formats.railway import read_line, read_train, read_trajectory
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Trajectory
-from trainlog.units import KMH
+from trainlog.units import GRAVITY, KMH
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted", "unrenewed")
 
@@ -105,6 +105,28 @@ def test_the_risk_of_a_run_is_that_of_what_it_asks_for():
             "somewhere, as expected right after the last evidence: 5 % to"
             in (adhesion_words(run, drive)[2])
         )
+
+
+def test_the_dynamic_brake_asks_its_adhesion_of_the_powered_axles():
+    """Up to its effort and to what a map leaves it; friction gives the rest on all axles."""
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    track, alone = read_map(sample("CH_StGallen_Wil.map")), (Configuration.of(train),)
+    places = np.array([0.0, 500.0, 1_000.0])
+    for brake in (90e3, 300e3):
+        run = TrajectoryProblem(line, train, alone, end=1_000.0)
+        drive = Trajectory(
+            line.name, train.name, places, alone, np.array([[10.0, 10.0, 0.0]]), np.zeros((1, 3)),
+            np.zeros(2), np.array([[0.0, brake]]), 100.0,
+        )  # fmt: skip
+        powered = min(brake, train.max_dynamic_braking_effort) / train.adhesive_weight()
+        assert f"0.000 in traction, {powered:.3f} in braking" in adhesion_words(run, drive)[0]
+        mapped = TrajectoryProblem(
+            line, train, alone, end=1_000.0, condition_map=track, assumed_adhesion=0.1
+        )
+        asked_for = adhesion_demand(mapped, drive)[track.bin_of(np.array([750.0]))[0]]
+        left = min(powered, float(mapped.adhesion(places)[1]))
+        whole = brake / (GRAVITY * train.mass)
+        assert asked_for == pytest.approx(max(left, whole))
 
 
 def test_a_train_file_alone_is_planned_for_and_the_result_states_it(tmp_path, works):

@@ -576,7 +576,7 @@ DEFAULT_OPTIONS = OptimiserOptions()
 def adhesion_demand(run: TrajectoryProblem, trajectory: Trajectory) -> FloatArray:
     """Most adhesion that any configuration asks for in each bin of the run's map; (n,) array.
 
-    Traction of the powered axles, braking of all; 0 beyond the trajectory.
+    Traction and dynamic brake of the powered axles, braking of all; 0 beyond the trajectory.
     """
     track = run.condition_map
     assert track is not None
@@ -594,12 +594,18 @@ def adhesion_demand(run: TrajectoryProblem, trajectory: Trajectory) -> FloatArra
 
 
 def _asked(run: TrajectoryProblem, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Most adhesion that any configuration asks for in traction and in braking; (n,) arrays."""
-    masses = np.array([each.mass for each in trajectory.configurations])
-    adhesive = min(run.train.adhesive_weight(mass - run.train.mass) for mass in masses.tolist())
+    """Most adhesion that any configuration asks for in traction and in braking; (n,) arrays.
+
+    The dynamic brake gives what it can, within what the map leaves it; friction gives the rest.
+    """
+    train, brake = run.train, trajectory.braking_effort
+    masses = np.array([[each.mass] for each in trajectory.configurations])
+    adhesive = np.array([train.adhesive_weight(mass - train.mass) for mass in masses])
     pull = trajectory.tractive_effort + 0.5 * np.abs(trajectory.tractive_effort_fall)
-    braking = (trajectory.braking_effort / (GRAVITY * masses[:, None])).max(axis=0)
-    return pull / adhesive, braking
+    fastest = np.maximum(trajectory.speeds[:, 1:], trajectory.speeds[:, :-1])
+    dynamic = np.minimum(brake, train.dynamic_braking_effort_limit(fastest)) / adhesive
+    dynamic = np.minimum(dynamic, run.adhesion(trajectory.positions))
+    return pull / adhesive.min(), np.maximum(brake / (GRAVITY * masses), dynamic).max(axis=0)
 
 
 def expected_when(time: Timestamp | None) -> str:
