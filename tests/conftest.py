@@ -106,6 +106,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session", autouse=True)
 def own_settings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """No test reads the settings of the user who runs it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TRAINLOG_SETTINGS", str(tmp_path_factory.mktemp("settings") / "none.toml"))
         yield
@@ -140,6 +141,7 @@ def made_once(of_all_workers: Path) -> Callable[[str, Callable[[Path], object]],
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
+    """Others who lock the path wait."""
     with path.open("wb") as lock:
         if fcntl is not None:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -201,6 +203,8 @@ def shell(monkeypatch, capsys):
 
 @pytest.fixture
 def works(shell):
+    """Runs the words of a command that ends with 0: its standard output."""
+
     def printed(*words: object) -> str:
         status, shown, complaint = shell(*words)
         assert status == 0, complaint
@@ -261,5 +265,6 @@ def postgresql_server() -> Iterator[str]:
 
 @pytest.fixture
 def postgresql_place(postgresql_server: str) -> str:
+    """URL of a catalogue of its own on the server."""
     sign = "&" if "?" in postgresql_server else "?"
     return f"{postgresql_server}{sign}schema=test_{secrets.token_hex(6)}"

@@ -25,17 +25,20 @@ def deadly(trip: TripView, name: str) -> pd.DataFrame:
 
 
 def deadly_after(trip: TripView, name: str) -> pd.DataFrame:
+    """Ends the worker when it has written half of the result."""
     if trip.name == name:
         Connection._send = half_sent
     return _counted(trip)
 
 
 def half_sent(self: Connection, data: bytes, *_: object) -> None:
+    """Write half of a message, and end."""
     os.write(self.fileno(), bytes(data)[: len(data) // 2])
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def wrong(trip: TripView, name: str) -> pd.DataFrame:
+    """Fails by a mistake in the analysis, or refuses."""
     if trip.name == name:
         raise ZeroDivisionError("no samples at all")
     if trip.name == "trip-001":

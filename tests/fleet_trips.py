@@ -30,5 +30,6 @@ def short_trips(folder: Path, count: int) -> list[Path]:
 
 
 def later(trip: Trip, by: pd.Timedelta) -> Trip:
+    """The trip as if it had been driven later."""
     topics = {name: frame.set_axis(frame.index + by) for name, frame in trip.topics.items()}
     return replace(trip, topics=topics, provenance=trip.provenance[:1])

@@ -77,21 +77,25 @@ class ForeignLog:
         self._writer.start(profile="", library="test")
 
     def channel(self, topic, message_encoding, schema=None):
+        """Declare a channel; `schema` is its name, encoding and data."""
         schema_id = 0 if schema is None else self._writer.register_schema(*schema)
         return self._writer.register_channel(topic, message_encoding, schema_id)
 
     def add(self, channel: int, messages: Iterable[bytes], step: int = 10**8) -> None:
+        """Add messages, the first at `START`."""
         for row, data in enumerate(messages):
             time = START + row * step
             self._writer.add_message(channel, time, data, time + 1000, row)
 
     def close(self) -> Path:
+        """Finish the file."""
         self._writer.finish()
         self._stream.close()
         return self.path
 
 
 def json_log(path: Path, topic: str, messages: list[Any], schema: str = "example.Thing") -> Path:
+    """A file with one topic of JSON messages."""
     log = ForeignLog(path)
     described = (schema, "jsonschema", b'{"type": "object"}')
     log.add(
@@ -102,8 +106,10 @@ def json_log(path: Path, topic: str, messages: list[Any], schema: str = "example
 
 
 def cdr(body: bytes) -> bytes:
+    """A little-endian CDR message of this content."""
     return b"\x00\x01\x00\x00" + body
 
 
 def cdr_numbers(*values: float) -> bytes:
+    """A CDR message of doubles."""
     return cdr(struct.pack(f"<{len(values)}d", *values))

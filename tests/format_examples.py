@@ -31,6 +31,7 @@ def arrays(size: int, low: float, high: float) -> st.SearchStrategy[Any]:
 
 @st.composite
 def positions(draw: Callable[..., Any], length: float) -> Any:
+    """Rising positions that begin at 0."""
     marks = draw(st.lists(st.integers(1, 999), max_size=6, unique=True))
     return np.array([0.0, *(length * mark / 1000.0 for mark in sorted(marks))])
 

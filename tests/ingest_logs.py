@@ -23,10 +23,12 @@ PLAIN = {
 
 
 def plain_profile(**sections: object) -> Profile:
+    """`PLAIN` with sections added or replaced."""
     return profile_of({**PLAIN, **sections})
 
 
 def profile(columns: object, **sections: object) -> Profile:
+    """A profile of these columns, by field, and other sections."""
     return profile_of({**HEAD, "columns": columns, **sections})
 
 
@@ -35,6 +37,7 @@ def plain_text(rows: list[str], header: str = "t,v,s") -> str:
 
 
 def plain_rows(count: int = 20, step: float = 1.0) -> list[str]:
+    """Rows of a train that gathers speed."""
     run = clean_run(count, step)
     return run.rows()
 
@@ -45,6 +48,7 @@ def write(path: Path, rows: list[str], header: str = "t,v,s") -> Path:
 
 
 def read_plain(folder: Path, rows: list[str], **sections: object) -> Trip:
+    """The trip of rows, by the plain profile with sections added or replaced."""
     return ingest(write(folder / "run.csv", rows), profile=plain_profile(**sections))
 
 

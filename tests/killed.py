@@ -56,12 +56,14 @@ class Forked:
             os._exit(status)
 
     def poll(self) -> int | None:
+        """Its exit status if it has ended, negative if it was killed."""
         if self.returncode is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             self.returncode = os.waitstatus_to_exitcode(status) if pid else None
         return self.returncode
 
     def send_signal(self, number: int) -> None:
+        """Send it a signal, if it has not ended."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
@@ -102,6 +104,7 @@ class Piped(Forked):
         return bool(data)
 
     def end(self) -> int:
+        """Read the rest; its exit status, negative if it was killed."""
         while self.read():
             pass
         os.close(self.pipe)
@@ -109,6 +112,7 @@ class Piped(Forked):
 
     @property
     def lines(self) -> list[str]:
+        """The lines that it printed whole."""
         return self.shown.decode().split("\n")[:-1]
 
 
@@ -124,6 +128,7 @@ class Passed:
         self.order: tuple[str, int] | None = None
 
     def at(self, point: str) -> None:
+        """Note a point, and end there if that was ordered."""
         number = self._points.index(point)
         self._view[number] += 1
         self._view[len(self._points)] = number
@@ -150,6 +155,7 @@ class Passed:
 
     @property
     def last(self) -> str:
+        """The last point; empty if it passed none."""
         return self._points[self._view[len(self._points)]] if self.total else ""
 
 
@@ -167,6 +173,7 @@ class Watched(Forked):
         super().__init__(watched)
 
     def kill_after(self, points: int, within: float) -> None:
+        """Kill it a moment after it passed so many points, or let it end."""
         while self.passed.total < points and self.poll() is None:
             time.sleep(0.001)
         time.sleep(within)

@@ -41,6 +41,7 @@ registration.BATCH = 3
 
 
 def work(where: str, kept: str | None, logs: list[str], seed: int) -> None:
+    """Add the logs in an order of its own, and record a result of each trip."""
     random.Random(seed).shuffle(logs)
     with open_catalogue(where, results=kept) as catalogue:
         for at in range(0, len(logs), 4):
@@ -117,12 +118,14 @@ def run(where: str, kept: str | None, folder: str, adders: int, kills: int) -> d
 
 
 def migrated(where: str) -> int | None:
+    """The version that was brought to the latest on opening."""
     warnings.simplefilter("ignore")
     with open_catalogue(where) as catalogue:
         return catalogue.migrated_from
 
 
 def paused(where: str) -> None:
+    """Open it; stop once the tables are changed, before that is kept."""
     last = migration.STEPS[-1]
 
     def change(connection: sa.Connection) -> None:

@@ -25,10 +25,12 @@ SHARED |= {990: piece(990, "wet")}
 
 
 def recording_of(seed: int) -> Recording:
+    """The recording whose trip is named after a seed."""
     return condition_map.recording_of(SHARED.get(seed) or piece(seed, ("dry", "wet")[seed % 2]))
 
 
 def wait_for(running: Sequence[Piped], lines: int) -> None:
+    """Until all updaters together have printed so many lines, or have ended."""
     with selectors.DefaultSelector() as selector:
         for each in running:
             selector.register(each.pipe, selectors.EVENT_READ, each)
@@ -47,6 +49,7 @@ def kill(running: Sequence[Piped], rng: np.random.Generator, within: float) -> i
 
 
 def append(path: Path, seeds: Sequence[int]) -> None:
+    """Add recordings to a map's file, and state each when it is on the disk."""
     with MapFile(path, EMPTY) as file:
         for seed in seeds:
             file.append(recording_of(seed))

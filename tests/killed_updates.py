@@ -301,6 +301,7 @@ def recorded(catalogue: str) -> int:
 
 
 def rows_by_trip(catalogue: str) -> list[tuple[str, int]]:
+    """How many rows of results each trip has, of all analyses."""
     with open_catalogue(catalogue) as opened, opened.reading() as connection:
         asked = sa.select(trips.c.key, sa.func.count(table.c.computation)).join(
             table, table.c.trip == trips.c.id
@@ -319,6 +320,7 @@ def kept(folder: Path) -> dict[str, bytes]:
 
 
 def maps_in(folder: Path) -> dict[str, bytes]:
+    """The maps of a folder, as their recordings give them."""
     found = {}
     for path in sorted(folder.glob("*.map")):
         whole = path.with_suffix(".whole")
@@ -329,5 +331,6 @@ def maps_in(folder: Path) -> dict[str, bytes]:
 
 
 def grow_old(results_folder: Path) -> None:
+    """Let files of results seem to be of yesterday."""
     for path in results_folder.rglob("*.parquet"):
         os.utime(path, (0, 0))

@@ -11,6 +11,7 @@ from trainlog.railway import TrackConditionMap
 
 @contextmanager
 def opened(data: bytes, name: str = "track.map") -> Iterator[MapFile]:
+    """The map file of these bytes, which is written for it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(data)

@@ -50,6 +50,7 @@ class Specimen:
 
 
 def specimen(name: str, data: bytes, trip: Trip | None = None) -> Specimen:
+    """The specimen that a whole file is, by what the official reader finds in it."""
     records = records_of(data)
     channels = {channel.id: channel.topic for channel in _summary(data).channels.values()}
     groups = []
@@ -144,6 +145,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def most_memory() -> int:
+    """The most memory that this process has had so far [bytes]."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else most * 1024
 
@@ -199,6 +201,7 @@ def _judged(data: bytes, whole: Specimen, path: Path, *, rebuild: bool) -> Itera
 
 
 def messages_in(source: Source, contents) -> Counter[Message]:
+    """Every message that the contents of a file lead to."""
     found: Counter[Message] = Counter()
     for place in contents.chunks:
         content = opened(fetched(source, place), place.offset)
@@ -263,6 +266,7 @@ def _messages(data, whole, found, account):
 
 
 def _nameless(messages: Counter[Message]) -> Counter[tuple[int, bytes]]:
+    """The messages without their topics."""
     found: Counter[tuple[int, bytes]] = Counter()
     for (_, time, data), count in messages.items():
         found[time, data] += count
@@ -310,6 +314,7 @@ def _rows(frame: pd.DataFrame) -> Counter[tuple[int, tuple[object, ...]]]:
 
 
 def _reads(path: Path) -> bool:
+    """Whether a damaged log gives a trip."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DamageWarning)
         try:

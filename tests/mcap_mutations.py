@@ -27,6 +27,7 @@ class Record:
 
 
 def records_of(data: bytes) -> list[Record]:
+    """The records of a whole file, or those before its cut end."""
     found = []
     at = len(MAGIC)
     while at + HEAD <= len(data) and data[at : at + len(MAGIC)] != MAGIC:
@@ -59,6 +60,7 @@ def _pick(random: Random, data: bytes, *opcodes: int) -> Record:
 
 
 def _put(data: bytes, start: int, end: int, value: bytes = b"") -> bytes:
+    """The file with other bytes in the place of some."""
     return data[:start] + value + data[end:]
 
 
@@ -88,6 +90,7 @@ def _noise_page(random: Random, data: bytes) -> bytes:
 
 
 def _own_bytes(random: Random, data: bytes) -> bytes:
+    """A piece of the file again, somewhere else in it."""
     (start, end), at = _piece(random, data, 3000), random.randrange(len(data))
     return _put(data, at, at, data[start:end])
 

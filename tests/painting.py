@@ -9,6 +9,7 @@ import pytest
 
 @contextmanager
 def without_painting() -> Iterator[None]:
+    """Figures are written as the beginning of a file of their kind."""
     from matplotlib.figure import Figure
 
     def written(_: Figure, path: Path, format: str = "png", **__: object) -> None:

@@ -48,6 +48,8 @@ def drive(count: int, rate: float, seed: int = 0) -> Drive:
 
 @dataclass
 class Recorded:
+    """A file and what is wrong with it."""
+
     text: str
     truth: Drive  # the samples that the file still holds, in the order of time
     defects: dict[str, int] = field(default_factory=dict)
@@ -125,6 +127,7 @@ MTK_HEADER = "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt,Speed,HDOP"
 
 
 def mtk_rows(run: Drive, scaled: bool = False) -> list[str]:
+    """The rows of an MTK logger: whole seconds, however many rows there are in one."""
     rows = []
     for i, stamp in enumerate(pd.DatetimeIndex(run.time)):
         place = (run.longitude[i], run.latitude[i])
@@ -187,6 +190,7 @@ def mtk_at_rest(seed: int, *, moving: int = 60, resting: int = 400, again: float
 
 
 def checked(body: str) -> str:
+    """An NMEA sentence with its checksum."""
     total = 0
     for character in body.encode("ascii"):
         total ^= character
@@ -199,6 +203,7 @@ def _degrees(value: float, width: int) -> str:
 
 
 def nmea_lines(run, kinds=("RMC", "GGA", "GST", "VTG", "GSV")):
+    """The sentences of each fix, one fix after the other."""
     lines = []
     for i, stamp in enumerate(pd.DatetimeIndex(run.time)):
         of_day = stamp.strftime("%H%M%S.") + f"{stamp.microsecond // 10_000:02d}"
@@ -253,6 +258,7 @@ def nav_pvt(run: Drive, i: int, *, valid: bool = True, fixed: bool = True) -> by
 
 
 def since_start(nanoseconds: int) -> str:
+    """``HH:MM:SS.ffffff``."""
     seconds, micro = divmod(nanoseconds // 1_000, 1_000_000)
     return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}.{micro:06d}"
 

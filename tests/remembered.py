@@ -22,6 +22,7 @@ COSTLY = (
 
 
 def place_of(dotted: str) -> tuple[Any, str]:
+    """The module of a function, and its name there."""
     module, _, name = dotted.rpartition(".")
     return importlib.import_module(module), name
 

@@ -86,6 +86,7 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
 
 
 def condition_of() -> TrackConditionMap:
+    """Three bins of the line observed when dry, none when wet."""
     bins = 80
     observed = np.isin(np.arange(bins), (10, 11, 60))
 
@@ -104,6 +105,7 @@ def condition_of() -> TrackConditionMap:
 
 
 def trajectory_of() -> Trajectory:
+    """Two configurations in four cells."""
     configurations = tuple(
         Configuration(name, mass, 5e3, RunningResistance(2e3, 50.0, 5.0), 1e6)
         for name, mass in (("light", 1e5), ("heavy", 1.2e5))
@@ -122,6 +124,7 @@ def trajectory_of() -> Trajectory:
 
 
 def entities(path: Path) -> dict[str, set[str]]:
+    """Entities of a recording and the timelines that they are on; none if they always hold."""
     found: dict[str, set[str]] = {}
     for chunk in RrdReader(path).stream().to_chunks():
         if not chunk.entity_path.startswith("/__"):
@@ -144,6 +147,7 @@ def rows(path: Path, entity: str) -> dict[str, np.ndarray]:
 
 
 def static(path: Path, entity: str, component: str) -> list[Any]:
+    """A component that an entity always has."""
     for chunk in RrdReader(path).stream().to_chunks():
         batch = chunk.to_record_batch()
         if chunk.entity_path == entity and chunk.is_static and component in batch.schema.names:

@@ -18,6 +18,7 @@ SCRIPT = "<script>document.title='taken'</script>"  # what a name must not do
 
 
 def hostile_trip() -> Trip:
+    """The sample trip with stops, under names of trip and station that are code of a page."""
     trip = read_log(sample("stopping.mcap"))
     line = line_from_bytes(trip.attachments[LINE_ATTACHMENT])
     known = line.stations
@@ -28,6 +29,7 @@ def hostile_trip() -> Trip:
 
 
 def planned() -> Trajectory:
+    """From St.Gallen to Gossau, for the train as its file describes it."""
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     problem = TrajectoryProblem(line, train, [Configuration.of(train)], end=9_286.1)
@@ -35,6 +37,7 @@ def planned() -> Trajectory:
 
 
 def make_folder(folder: Path) -> Path:
+    """A fit with its log, a map, a trajectory, a study, and a log that is none."""
     (folder / "trips").mkdir(parents=True)
     write_log(hostile_trip(), folder / "trips" / "a<b>&.mcap")
     (folder / "trips" / "none.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(200))

@@ -44,6 +44,7 @@ def varied_speed(time: FloatArray) -> FloatArray:
 
 
 def constant_speed(time: FloatArray) -> FloatArray:
+    """Nothing but 30 m/s."""
     return np.full(time.size, 30.0)
 
 
@@ -62,6 +63,7 @@ def measured(speed: FloatArray, noise: float, seed: int) -> FloatArray:
 def recording(
     speed_of=varied_speed, *, mass=130e3, resistance=RESISTANCE, duration=1200.0, noise=0.0, seed=0
 ):
+    """An exact recording on a level line, with noise on the speed if wanted."""
     time, speed, effort = driven(speed_of, mass, resistance, duration, TRAIN)
     nothing, shown = np.zeros(time.size), measured(speed, noise, seed)
     groups = (np.cumsum(speed) * 0.1 // 500.0).astype(np.int64)
@@ -80,6 +82,7 @@ def recording(
 
 
 def trip(speed_of=varied_speed, name="made", train=TRAIN, noise=0.02, seed=0, **motion):
+    """A trip on a level line whose recorder shows speed, chainage and efforts."""
     moved = {"mass": 130e3, "resistance": RESISTANCE, "duration": 1200.0, **motion}
     time, speed, effort = driven(speed_of, train=train, **moved)
     position = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
@@ -95,4 +98,5 @@ def trip(speed_of=varied_speed, name="made", train=TRAIN, noise=0.02, seed=0, **
 
 
 def changed(original: Trip, topic: str, **columns: object) -> Trip:
+    """The trip with columns of one topic replaced."""
     return original.with_topic(original[topic].assign(**columns))

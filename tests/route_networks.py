@@ -43,6 +43,7 @@ def bowed(start: complex, end: complex, aside: float, ramp: float = 0.05) -> Poi
 
 
 def line_of(name: str, points: Points, stations: Sequence[tuple[str, float]]) -> Line:
+    """A line along points of the plane [m]."""
     position = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
     latitude, longitude = from_plane(points, ORIGIN)
     length = float(position[-1])
@@ -81,6 +82,7 @@ PHONE = Receiver(rate=1.0 / 11.0, white=6.0, lasting=6.0, time=120.0, stated=12.
 
 
 def motion(stops, rng, rate):
+    """Time [s], position [m] and speed [m/s] of a train that stops at places."""
     rows = [(float(stops[0]), 0.0)]
     dt = min(0.1, 1.0 / rate) if rate >= 1.0 else 0.5
     for begin, end in pairwise(stops):
@@ -109,6 +111,7 @@ class Received:
 
 
 def received(track, drive, receiver, rng, tunnels=()):
+    """What a receiver gives of a drive along a track (positions [m], points)."""
     seconds, position, speed = drive
     count, step = seconds.size, 1.0 / receiver.rate
     points = np.interp(position, *track)
@@ -215,6 +218,7 @@ def balloon() -> Network:
 
 
 def drive(route, receiver, rng, stops=(), tunnels=()):
+    """A trip over a route, as received."""
     geometry = route.line.geometry
     points = to_plane(geometry.latitudes, geometry.longitudes, ORIGIN)
     places = stops or (40.0, 0.45 * route.length, route.length - 40.0)
@@ -223,6 +227,7 @@ def drive(route, receiver, rng, stops=(), tunnels=()):
 
 
 def write_csv(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -> Path:
+    """The fixes as a table that its own profile describes."""
     lost = np.isnan(fixes.points)
     latitude, longitude = from_plane(np.where(lost, 0.0, fixes.points), fixes.origin)
     time = pd.Timestamp(start, tz="UTC") + pd.to_timedelta(fixes.seconds, unit="s")
@@ -237,6 +242,7 @@ def write_csv(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -
 
 
 def profile_for(fixes: Received) -> Profile:
+    """How `write_csv` writes."""
     columns = {
         "/gnss/fix.latitude": {"column": "latitude", "unit": "deg"},
         "/gnss/fix.longitude": {"column": "longitude", "unit": "deg"},

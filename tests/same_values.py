@@ -36,6 +36,7 @@ def first_difference(found: Path, kept: Path, tolerance: float = TOLERANCE) -> s
 
 
 def _content(path: Path) -> Any:
+    """All values of a file, as JSON would hold them."""
     if path.suffix == ".json":
         return json.loads(path.read_bytes())
     if path.suffix == ".mcap":
@@ -60,6 +61,7 @@ def _content(path: Path) -> Any:
 
 
 def _of_numbers(found: np.ndarray, kept: np.ndarray, tolerance: float) -> str | None:
+    """Two columns of numbers; NaN equals NaN."""
     largest = float(np.max(np.abs(kept[np.isfinite(kept)]), initial=0.0))
     off = np.where((found == kept) | (np.isnan(found) & np.isnan(kept)), 0.0, np.abs(found - kept))
     beyond = ~(off <= tolerance * largest)

@@ -31,6 +31,8 @@ def winding(length: float = 12_000.0) -> Geometry:
 
 @dataclass(frozen=True)
 class Receiver:
+    """How a receiver errs."""
+
     rate: float = 1.0
     noise: float = 3.0
     lasting: bool = False
@@ -41,6 +43,7 @@ class Receiver:
 
 
 def motion(length: float, top: float = 25.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time [s], position [m] and speed [m/s] of a run with a stop of 40 s in the middle."""
     half = np.linspace(0.0, length / 2.0, 4_000)
     pace = np.sqrt(np.minimum(2.0 * 0.5 * half, 2.0 * 0.6 * (half[-1] - half)))
     pace = np.maximum(np.minimum(pace, top), 0.15)
@@ -97,6 +100,7 @@ def drive(geometry, receiver, seed=1, *, reverse=False):
 
 
 def errors(estimate: pd.DataFrame, truth: pd.DataFrame, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of an estimate every second, and its standard deviations."""
     index = estimate.index.as_unit("ns").asi8
     even = np.arange(index[0], index[-1], 1_000_000_000)
     at = (even - index[0]) / 1e9
@@ -278,6 +282,7 @@ def spans(rate, shortest, longest, end, generator):
 
 
 def shown_speed(kind, t, time, speed, generator):
+    """What a receiver gives for the speed."""
     step = t[1] - t[0]
     true = np.interp(t, time, speed)
     white = 0.1 * generator.standard_normal(t.size)
@@ -317,6 +322,7 @@ def shown_speed(kind, t, time, speed, generator):
 
 
 def receive(geometry, run, field, seed):
+    """A trip as a receiver of the field records it, and its truth."""
     generator = np.random.default_rng(seed)
     time, position, speed = run
     t = np.arange(generator.uniform(0.0, field.interval), time[-1], field.interval)

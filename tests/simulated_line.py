@@ -47,6 +47,7 @@ def hilly_line() -> Line:
 
 
 def flirt(**changes: object) -> Train:
+    """Nearly the FLIRT of the samples."""
     known: dict[str, object] = {
         "name": "flirt",
         "mass": 122_000.0,

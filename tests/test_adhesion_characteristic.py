@@ -181,6 +181,7 @@ def test_energy_and_momentum_are_conserved_on_any_characteristic(curve, efforts,
 
 @family
 def test_the_plant_agrees_with_an_adaptive_solver(curve):
+    """The same equations with the characteristic itself, scaled to the rail at every speed."""
     peak, effort, train = 0.2, 30e3, flirt()
     plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, peak)), characteristic=curve)
     p = plant.parameters
@@ -208,6 +209,7 @@ def magic_formula(slips: np.ndarray, maximum: float, optimum: float, form: float
 
 @pytest.mark.parametrize(("curve", "optimum"), [(1, (0.0034, 0.016)), (2, (0.013, 0.019))])
 def test_the_eurosprinter_curves(curve, optimum):
+    """At most 2 % of the maximum (RMS), where the plant's own shape misses by more than half."""
     creepage, adhesion, _ = eurosprinter(curve)
     fit = fit_adhesion_characteristic(AdhesionPoints(creepage, adhesion), speed=10.0)
     found = fit.characteristic.over_creepage(creepage, 10.0)
@@ -392,6 +394,7 @@ class Run:
 
 
 def run(base, *, curve=DRY, demand=0.26, speed=8.0, climb=0.1, seconds=200.0, seed=0):
+    """A plant that pulls with an adhesion of `demand` uphill, on a rail of about `base`."""
     rng = np.random.default_rng(seed)
     places = np.arange(0.0, 40_000.0, 100.0)
     rail = StepProfile(places, base * np.exp(0.12 * rng.standard_normal(places.size)))
@@ -430,6 +433,7 @@ class TestObserver:
     @given(st.integers(0, 2**31), st.integers(1, 5))
     @settings(max_examples=8)
     def test_it_is_the_linear_gaussian_filter(self, seed, axles):
+        """The engine of all models, on uneven steps with speeds and efforts missing."""
         rng = np.random.default_rng(seed)
         count = 200
         time = np.cumsum(rng.uniform(0.02, 0.5, count))
@@ -511,6 +515,7 @@ class TestOnset:
         assert not fell
 
     def test_measured_creep_curves(self):
+        """Curves after a measurement peak at 0.16 m/s and lie flat or fall slowly beyond."""
         creepage, adhesion, speed = eurosprinter(2)
         time = np.arange(0.0, 12.0, 0.05)
         wheel, used, effort = climb(creepage * speed, adhesion, time)

@@ -42,6 +42,7 @@ TABLES = ("header", "trips", "files", "trip_edges", "computations", "result_file
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Where the catalogue of a test is, on each database."""
     if request.param == "sqlite":
         return str(tmp_path / "catalogue")
     return str(request.getfixturevalue("postgresql_place"))
@@ -49,6 +50,7 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 @pytest.fixture
 def where(place: str, tmp_path: Path) -> Iterator[Callable[[], Catalogue]]:
+    """Opens the catalogue of a test; the same one each time."""
     opened: list[Catalogue] = []
     results = tmp_path / "results" if "://" in place else None
 
@@ -63,6 +65,7 @@ def where(place: str, tmp_path: Path) -> Iterator[Callable[[], Catalogue]]:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of three logs: the beginnings of two drives, and a part of one of them."""
     folder = tmp_path_factory.mktemp("written")
     (folder / "deep").mkdir()
     for name, minutes in (("nonstop", 4), ("deep/stopping", 4), ("part", 2)):
@@ -74,6 +77,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def logs(written: Path, tmp_path: Path) -> Path:
+    """The same, which a test may change."""
     return Path(shutil.copytree(written, tmp_path / "logs"))
 
 
@@ -154,6 +158,7 @@ def _record(catalogue, todo, of=STOPS, stops=1):
 
 @pytest.fixture(scope="module")
 def many_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Small logs: parts of two drives, many of which overlap, a copy, and what is no log."""
     folder = tmp_path_factory.mktemp("many")
     for name in ("nonstop", "stopping"):
         trip = trainlog.read(SAMPLES / f"{name}.mcap", ["/train/state"])
@@ -171,6 +176,7 @@ def many_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _held(catalogue: Catalogue) -> dict[str, list[tuple[object, ...]]]:
+    """Everything in the catalogue that does not depend on when it came."""
     trips, files, edges = (metadata.tables[each] for each in ("trips", "files", "trip_edges"))
     other = trips.alias()
     own = [c for c in trips.c if c.name not in ("id", "added", "same_as")]
@@ -362,6 +368,7 @@ def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_fir
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_recording_with_its_line_counts_before_the_same_without(tmp_path, seed):
+    """As when a file is ingested again with --line: which comes first does not matter."""
     bare = _file(seed, 0, 9, line=None, messages=1001)
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register([bare])
@@ -419,6 +426,8 @@ def _standings(catalogue: Catalogue) -> dict[str, tuple[str, str | None, float |
 @settings(max_examples=12)
 @given(st.data())
 def test_what_counts_is_what_one_look_at_all_recordings_says(data):
+    """However many are registered at once, and in which order: chains of overlaps, and files that
+    were ingested with other times."""
     recordings, known, qualities = [], [], ("whole", "unclosed", "damaged")
     for number in range(data.draw(st.integers(2, 10))):
         first, minutes = data.draw(st.integers(0, 300)), data.draw(st.integers(1, 70))
@@ -482,6 +491,7 @@ def test_an_older_version_does_not_count_even_where_the_later_one_vanished(tmp_p
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def first_version(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Where a catalogue is that the first version of trainlog's tables holds."""
     script = (DATA / "catalogue-1.sqlite.sql").read_text()
     if request.param == "sqlite":
         with sqlite3.connect(tmp_path / "catalogue.sqlite") as database:

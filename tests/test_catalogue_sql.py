@@ -29,6 +29,7 @@ ENTRIES = [synthetic_entry(number, trains=6, days=400) for number in range(TRIPS
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Where a catalogue of synthetic trips is, of which two computations have results."""
     folder = tmp_path_factory.mktemp("sql")
     where = str(folder / "catalogue")
     if request.param == "postgresql":
@@ -62,6 +63,7 @@ def catalogue(place: str) -> Iterator[Catalogue]:
 
 
 def judged() -> pd.DataFrame:
+    """The trips as they were drawn."""
     frame = pd.DataFrame([{**each.entry.values, "edges": each.entry.edges} for each in ENTRIES])
     for name in ("name", "train", "kind", "line", "direction", "weather"):
         frame[name] = frame[name].astype("string")
@@ -194,6 +196,7 @@ SAME = [
 
 
 def unordered(value: object) -> object:
+    """A cell, with the rows that an aggregate gathered in it in a fixed order."""
     if isinstance(value, str) and value.startswith("["):
         value = json.loads(value)
     if isinstance(value, np.ndarray | list):
@@ -202,6 +205,7 @@ def unordered(value: object) -> object:
 
 
 def as_found(statement: str, frame: pd.DataFrame) -> list[str]:
+    """Rows as a statement gives them; in a fixed order where the statement names none."""
     rows = [repr(row) for row in frame.map(unordered).to_numpy().tolist()]
     return rows if "order by" in statement else sorted(rows)
 
@@ -281,6 +285,7 @@ def test_overviews_sum_the_trips_by_what_is_asked(catalogue):
 
 
 def held(name: str, key: str) -> Callable[[pd.DataFrame], pd.Series]:
+    """What each trip has under a key of a column of several values."""
     return lambda f: pd.Series([each.get(key) for each in f[name]]).convert_dtypes()
 
 

@@ -36,6 +36,7 @@ PLAIN = profile_of(HEAD)
 
 
 def trips(count: int, track: Geometry | None = None, **options: object) -> list[Trip]:
+    """Trips both ways, once and five times a second, with outages at different places."""
     found = []
     for seed in range(count):
         begin = 100.0 + 47.0 * seed
@@ -63,6 +64,7 @@ def test_a_picture_of_equal_scales_is_drawn_without_a_warning(centre_line, tmp_p
 
 
 def test_the_deviations_of_a_curve_are_its_errors():
+    """Curves whose curvature wanders as the fit expects, seen with noise of 3 m."""
     generator = np.random.default_rng(1)
     fine = np.arange(0.0, 3_000.0, 1.0)
     seen = slice(None, None, 20)
@@ -111,6 +113,7 @@ def test_a_further_trip_finds_its_chainage_on_the_line_built(centre_line):
 
 
 def test_stretches_without_fixes_are_reported():
+    """All trips are blind at the same place: a tunnel."""
     found = []
     for seed in range(3):
         trip, truth = drive(winding(), Receiver(), seed)
@@ -165,6 +168,7 @@ METRO = ("007", "015", "016", "017", "024", "026", "034", "035", "036", "038", "
 
 @pytest.mark.skipif(not AALTO.is_file(), reason="the Aalto data are not here")
 def test_phones_on_a_metro_make_its_line():
+    """Real movement: a fix every 11 s, good to 20 m, none in the tunnels and no speed."""
     rides = {ride.name.split("-")[1]: ride for ride in ingest_each(AALTO)}
     centre_line = geometry_of([rides[number] for number in METRO])
     assert len(centre_line.used) == len(METRO)
@@ -198,6 +202,7 @@ def hills(length: float, seed: int) -> StepProfile:
 
 
 def rides_over(slopes, length, count, seed, size=5.0, hold=60.0):
+    """Rides in both directions whose altitudes wander between random levels, heavy tails too."""
     rng = np.random.default_rng(seed)
     places = np.arange(0.0, length + 5.0, 5.0)
     heights = np.concatenate(([0.0], np.cumsum(5.0 * slopes(places)[:-1])))
@@ -268,6 +273,7 @@ def test_two_rides_do_not_show_how_they_err():
 
 
 def with_altitudes(trip: Trip, truth: object, slopes: StepProfile, seed: int) -> Trip:
+    """The trip's fixes with altitudes that err by half a metre, for a minute or so."""
     rng = np.random.default_rng(seed)
     fix = trip["/gnss/fix"].copy()
     known = truth.index.as_unit("ns").asi8
@@ -383,6 +389,7 @@ def test_the_plane_and_the_earth_are_inverse():
 
 
 def test_a_minute_of_arc_has_its_published_length():
+    """At 45 degrees on WGS 84 a degree is 111.132 km of latitude and 78.847 km of longitude."""
     half, origin = 1.0 / 120.0, (45.0, 9.0)
     north = planes.to_plane(45.0 + half, 9.0, origin) - planes.to_plane(45.0 - half, 9.0, origin)
     east = planes.to_plane(45.0, 9.0 + half, origin) - planes.to_plane(45.0, 9.0 - half, origin)
@@ -426,6 +433,7 @@ ANCHORS = (
 
 @needs_track
 def test_positive_radii_bend_to_the_right():
+    """The library's convention, confirmed: with the other sign the stations lie far off."""
     track = read_track(TRACK)
     known = track.curvatures
     bends = CurvatureProfile(known.positions, -known.start, -known.end)

@@ -83,6 +83,7 @@ def test_chainage_holds_through_outages_and_reflections(receiver, bound, reverse
 
 @pytest.mark.parametrize("known", [slice(-300, None), slice(-100, None), slice(300)])
 def test_fixes_count_before_the_first_speed_and_after_the_last(known):
+    """They are not refused, and no place is taken from a speed of minutes away."""
     trip, truth = drive(winding(), Receiver())
     speed = trip["/gnss/motion"]["speed"]
     given = pd.Series(np.nan, speed.index)
@@ -95,6 +96,7 @@ def test_fixes_count_before_the_first_speed_and_after_the_last(known):
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_a_line_that_comes_near_itself_is_followed_in_its_order(reverse):
+    """At a hairpin and a loop; the nearest place would jump by kilometres."""
     track = valley()
     length = float(track.positions[-1])
     way = track.reversed(length) if reverse else track
@@ -153,6 +155,7 @@ def test_a_trip_elsewhere_or_the_other_way_is_refused():
 
 
 def test_a_branch_is_not_the_line():
+    """Four of twelve kilometres together, then apart: the trip followed the other branch."""
     s = np.arange(0.0, 12_000.0, 5.0)
     main = curve_of(np.zeros(s.size))
     bend = np.where((s > 4_000.0) & (s < 5_000.0), 1.0 / 800.0, 0.0)
@@ -161,6 +164,7 @@ def test_a_branch_is_not_the_line():
 
 
 def test_a_line_that_lies_right_is_rarely_called_misplaced():
+    """Errors of 3 m that last make few independent samples: their mean is no misfit."""
     misfits = []
     for seed in range(12):
         trip, _ = drive(winding(), Receiver(lasting=True), seed)
@@ -205,6 +209,7 @@ def field_rides() -> list[tuple[Geometry, tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _field_cases() -> Iterator[Any]:
+    """Every receiver at both intervals; by default at one of them."""
     for number, name in enumerate(FIELD):
         for interval in (1.0, 11.0):
             marks = () if (interval > 1.0) == (number % 2 > 0) else pytest.mark.long
@@ -247,6 +252,7 @@ def test_fixes_that_are_late_are_brought_forward(interval, field_rides):
 
 @pytest.mark.parametrize("speed", ["good", "none"])
 def test_replayed_fixes_count_where_they_were_measured(speed, field_rides):
+    """After 40 s without sky a receiver shows the way of these 40 s, as late, for two minutes."""
     track, run = field_rides[0]
     quiet = Field(outages=0.0, reflections=0.0, speed=speed)
     trip, truth = receive(track, run, quiet, 5)
@@ -294,6 +300,7 @@ def test_late_speeds_and_those_in_another_unit_are_reported(field_rides):
 
 
 def late(trip: Trip, delay: float, *topics: str) -> Trip:
+    """The trip with topics whose values arrive late on its clock."""
     shifted = {name: trip[name].copy() for name in topics}
     for frame in shifted.values():
         frame.index = pd.DatetimeIndex(frame.index) + pd.Timedelta(delay, "s")
@@ -362,6 +369,7 @@ def test_the_noise_of_a_receiver_is_estimated_and_not_believed(field_rides):
 
 @pytest.mark.parametrize("interval", [0.2, 1.0])
 def test_wild_speeds_go_without_a_line_and_good_ones_stay(interval, tmp_path):
+    """The truth is the drive; the receiver's speeds wander by themselves for up to a minute."""
     for number, (track, pace) in enumerate(((winding(), "regional"), (streets(), "tram"))):
         run = paced(float(track.positions[-1]), PACES[pace], 3)
         for kind in ("wild", "good"):
@@ -384,6 +392,7 @@ def test_wild_speeds_go_without_a_line_and_good_ones_stay(interval, tmp_path):
 
 
 def departure(speed: pd.Series, truth: pd.DataFrame) -> np.ndarray:
+    """How far a speed is off [m/s]."""
     begin = truth.index.as_unit("ns").asi8[0]
     at, seconds = ((each.as_unit("ns").asi8 - begin) / 1e9 for each in (speed.index, truth.index))
     return np.abs(speed.to_numpy() - np.interp(at, seconds, truth["speed"]))
@@ -402,12 +411,15 @@ GNSS_TABLE = table_of(
 
 @dataclass
 class Run:
+    """A run between two stations and what was measured of it, 10 Hz."""
+
     time: FloatArray
     position: FloatArray
     speed: FloatArray
     measured: dict[str, FloatArray]
 
     def located(self, estimator: OdometryFilter, **changes: FloatArray) -> list[OdometryResult]:
+        """What the filter gives after each sample, with some of the measurements changed."""
         columns = [{**self.measured, **changes}[name] for name in self.measured]
         return [estimator.update(*row) for row in zip(self.time, *columns, strict=True)]
 
@@ -468,6 +480,7 @@ def test_deviations_are_honest_whatever_is_missing(missing):
 
 
 def test_an_axle_that_locks_does_not_make_the_train_stand():
+    """For 20 s all of the wheel's samples are 0 while the train runs at speed."""
     for missing in (None, "satellite_speed"):
         trip = run(1)
         locked = (trip.time > 100.0) & (trip.time < 120.0)
@@ -487,6 +500,7 @@ def test_an_axle_that_locks_does_not_make_the_train_stand():
     [(5.0, (), 10.0), (-8.0, (), 10.0), (5.0, ("satellite_speed",), 35.0)],
 )
 def test_a_filter_that_lost_the_train_follows_it_again(wrong, missing, within):
+    """It begins with a wrong speed of which it is sure; all that is measured contradicts it."""
     trip = run(2)
     late = trip.time > 150.0
     begin = int(np.argmax(late))

@@ -38,6 +38,7 @@ BOTH = [*LINE, "--train", "sample"]
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of a user, of which none may change and beside which nothing may be written."""
     folder = tmp_path_factory.mktemp("given")
     for name in ("nonstop.mcap", "stopping.mcap", "gnss.csv", "CH_StGallen_Wil.map"):
         shutil.copy(sample(name), folder)
@@ -62,6 +63,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def state_of(folder: Path) -> dict[Path, tuple[int, int]]:
+    """Size and time of each file, and the folders."""
     states = ((path, path.stat()) for path in folder.rglob("*"))
     return {path: (each.st_size, each.st_mtime_ns) * path.is_file() for path, each in states}
 
@@ -200,6 +202,7 @@ REFUSED |= {
 
 @pytest.mark.parametrize(("words", "said"), REFUSED.items(), ids=REFUSED)
 def test_what_cannot_be_done_is_refused_in_one_line(words, said, given, monkeypatch, shell):
+    """Nothing is printed or written before."""
     monkeypatch.chdir(given)
     before = state_of(given)
     for short, whole in SHORT.items():
@@ -310,6 +313,7 @@ def test_a_log_without_axles_is_estimated_but_has_no_table_of_slips(tmp_path, sh
 
 
 def test_slip_events_of_all_logs_are_tabled(tmp_path, shell):
+    """One row an event, with units in the names; a log that cannot be analysed is left out."""
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "a.mcap").write_bytes(b"no log")
     (tmp_path / "logs" / "b.mcap").write_bytes(sample("nonstop.mcap").read_bytes())
@@ -372,6 +376,7 @@ def test_help_of_every_command_fits_the_terminal_and_loses_nothing(columns, monk
 
 
 def examples(command: Any) -> list[list[str]]:
+    """The words of the examples in a command's help."""
     return [
         shlex.split(each.removeprefix("Example: trainlog "))
         for each in (command.help or "").split("\n\n")

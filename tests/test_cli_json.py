@@ -108,6 +108,7 @@ Schema = dict[str, Any]
 
 
 def schema_of(value: Any, key: str = "") -> Schema:
+    """A schema that fits a value, and others of its kind."""
     if isinstance(value, bool):
         return {"type": ["boolean"]}
     if isinstance(value, int | float):
@@ -134,6 +135,7 @@ def schema_of(value: Any, key: str = "") -> Schema:
 
 
 def merged(one: Schema, other: Schema) -> Schema:
+    """A schema that fits what either fits."""
     if not one or not other:
         return one or other
     found: Schema = {"type": sorted({*one["type"], *other["type"]})}
@@ -157,6 +159,7 @@ def merged(one: Schema, other: Schema) -> Schema:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the samples, a damaged log, and points of an adhesion characteristic."""
     folder = tmp_path_factory.mktemp("json")
     copy_samples(folder / "sample_logs")
     log = (folder / "sample_logs" / "nonstop.mcap").read_bytes()
@@ -178,6 +181,7 @@ def test_each_command_prints_one_object_of_its_documented_form(folder, monkeypat
     found: dict[str, Schema] = {}
     renew = request.config.getoption("--renew-golden")
     known = {} if renew else json.loads(SCHEMAS.read_text("utf-8"))
+    monkeypatch.setattr("trainlog.cli.terminal.SILENCE", 3600.0)
     monkeypatch.setattr("trainlog.cli.demo.commands", lambda _: STEPS)
     monkeypatch.setattr("trainlog.cli.demo.fleet_commands", lambda *_, **__: STEPS)
     for line in COMMANDS.split("\n")[1:-1]:

@@ -25,12 +25,15 @@ CONTROL_C = b"\x03"
 
 @dataclass
 class Seen:
+    """What a person saw of a command."""
+
     status: int
     text: str
     group: int
 
     @property
     def lines(self) -> list[str]:
+        """Lines as they were printed, without colours and what moves the cursor."""
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.text)
         return [line.strip() for line in re.split(r"[\r\n]+", plain) if line.strip()]
 
@@ -68,6 +71,7 @@ def typed(words: list[str | Path], folder: Path, *, until: str = "", columns: in
 
 
 def nobody_left(group: int) -> bool:
+    """Whether no process of a command is left."""
     try:
         os.killpg(group, 0)
     except ProcessLookupError:

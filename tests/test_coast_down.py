@@ -29,6 +29,7 @@ STEP = 0.1
 
 
 def line_of_gradients(values: Sequence[float], each: float = 400.0) -> Line:
+    """A line whose gradient changes every `each` metres."""
     gradients = StepProfile(each * np.arange(len(values)), list(values))
     return level_line(each * len(values), limit=45.0, name="made", gradients=gradients)
 
@@ -199,6 +200,7 @@ def sample_trip(name: str) -> Trip:
 
 
 def satellites_only(trip: Trip) -> Trip:
+    """Without what the train itself recorded but its chainage."""
     state = trip["/train/state"].assign(speed=np.nan)
     kept = {"/gnss/motion": trip["/gnss/motion"], "/train/state": state}
     return replace(trip, topics=kept)
@@ -262,6 +264,7 @@ def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path):
 
 @cache
 def coasting_over(count, *, both):
+    """Trips that coast over the same track from different speeds, and when."""
     trips, spans = [], {}
     back = HILLY.reversed()
     for number in range(count):

@@ -45,6 +45,7 @@ def nonstop() -> Trip:
 
 
 def altered(whole: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], **metadata: str) -> Trip:
+    """A copy of a trip with all its topics changed alike."""
     topics = {name: change(frame) for name, frame in whole.topics.items()}
     return replace(whole, topics=topics, metadata={**whole.metadata, **metadata})
 
@@ -93,6 +94,7 @@ def test_a_stop_at_which_the_reference_ends_is_no_stop_more():
     first, last = (pd.Timestamp(f"2024-10-07T08:{each}Z") for each in ("06:57", "10:50"))
 
     def part(frame: pd.DataFrame) -> pd.DataFrame:
+        """Gossau SG to Flawil, 5 % slower."""
         frame = frame[(frame.index >= first) & (frame.index <= last)]
         slow = frame.set_axis(first + 1.05 * (frame.index - first), axis=0)
         return slow.assign(speed=slow["speed"] / 1.05) if "speed" in slow else slow
@@ -275,6 +277,7 @@ def test_poor_adhesion_costs_what_it_costs():
 
 
 def test_energies_of_unlike_loads_are_alike_at_one_load():
+    """The same driver with another load and another driver's time; truth: drive it so."""
     heavy = replace(scenario(name="heavy"), mass=TRAIN.mass + 24_000.0)
     light = replace(scenario(name="light"), mass=TRAIN.mass + 1_000.0)
     trips = [simulate(each) for each in (heavy, light)]
@@ -288,6 +291,7 @@ def test_energies_of_unlike_loads_are_alike_at_one_load():
 
 
 def test_energy_from_the_line_is_what_voltage_and_current_recorded():
+    """A supply at 15 kV, whose current is drawn at 80 %, and one that fails for a while."""
     controls, state = stopping()["/train/controls"], stopping()["/train/state"]
     power = controls["tractive_effort"].to_numpy() * state["speed"].to_numpy() / 0.8
     time = state.index.as_unit("ns").asi8
@@ -305,6 +309,7 @@ def test_energy_from_the_line_is_what_voltage_and_current_recorded():
 
 
 def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own():
+    """Half a minute of acceleration, three of 20 m/s, half of braking: everything is known."""
     mass, metres = 150_000.0, 14_476.0
     nodes = np.array([0.0, 300.0, metres - 300.0, metres])
     configuration = Configuration("plan", mass, 0.0, TRAIN.resistance, TRAIN.max_traction_power)
@@ -436,6 +441,7 @@ def test_savings_pair_the_same_configuration_only():
 
 
 def test_slip_protection_that_is_not_recorded_is_not_zero():
+    """A flag counts where there is one, else events; without both, how often is not known."""
     silent = followed("departure from A", "arrival at B", late=0.1)
     assert trip_cost(silent).slips is None
     assert punctuality([silent, followed("slip protection active", late=0.1)]).slips is None
@@ -447,6 +453,7 @@ def test_slip_protection_that_is_not_recorded_is_not_zero():
 
 
 def followed(*messages: str, late: float) -> Trip:
+    """A trip that followed a trajectory, with events."""
     seconds, name = np.arange(6) * 1_000_000_000, np.full(len(messages), "drive", dtype=object)
     words = {"message": np.array(messages, dtype=object), "name": name}
     events = {"level": np.full(len(messages), 3), **words}
@@ -490,6 +497,7 @@ def test_a_plan_for_the_nominal_train_is_compared_by_train_and_says_so():
 
 
 def test_a_trip_of_the_name_is_of_the_same_train_and_line():
+    """Trips are called trip-01 on every line: only one of the train and the line compares."""
     driven = trip("driven-a", 40_000.0, configuration="a")
     attached = trip("a").attachments
     for attachment, name in (
@@ -548,6 +556,7 @@ def true_work(trip: Trip) -> float:
 
 
 def test_the_true_model_calculates_the_true_work_and_time():
+    """A set of the one true configuration; its band is that of gradients, load and efforts."""
     mass, own, power = drawn_scenario().mass, drawn_scenario().resistance, TRAIN.max_traction_power
     true = Configuration("true", mass, TRAIN.rotating_mass, own, power)
     covariance = np.diag(np.array([OWN.r0, OWN.r1, OWN.r2]) * 0.005) ** 2
@@ -570,6 +579,7 @@ WIND = 6.0
 
 @cache
 def windy(recorded: bool) -> Trip:
+    """The same trip against a head wind, of which a recorder may keep what it measures."""
     if not recorded:
         own = drawn_scenario().resistance
         more = own.r2 * WIND**2, 2.0 * own.r2 * WIND
@@ -652,6 +662,7 @@ def test_efforts_that_are_missing_everywhere_explain_nothing():
 
 
 def test_brakes_that_are_not_recorded_are_no_error_of_the_model():
+    """Without them the model seemed to need half of the work, and was contradicted."""
     unrecorded = ["pneumatic_braking_effort", "dynamic_braking_effort"]
     whole = stopping()
     controls = whole["/train/controls"].assign(**dict.fromkeys(unrecorded, np.nan))

@@ -34,6 +34,7 @@ FRESH = np.array([[False, False, True], [False, False, True], [True, True, False
 
 @pytest.mark.parametrize("left_out", [(), (1, 2)])
 def test_the_pass_along_a_line_adds_up_all_ways_through_it(left_out):
+    """Every bin's own likelihood is no part of what the others say of it."""
     rng = np.random.default_rng(1)
     bins, classes, size = 3, 3, 3
     likelihood = rng.uniform(0.1, 1.0, (bins, size))
@@ -278,6 +279,7 @@ def day(number: int) -> pd.Timestamp:
 
 class TestWhatPasses:
     def test_a_spot_has_its_place_and_days_and_is_not_the_lasting_condition(self):
+        """Thirty days of trips that bear 0.15; on the last three a spot of 0.07 in three bins."""
         pieces = [calm(DAY + number, 0.15) for number in range(27)]
         visited = layer_of(pieces + [met(DAY + n, 40, 0.07, 0.15) for n in range(27, 30)])
         assert np.all(visited.quantile(0.5)[40:43] > 0.14)
@@ -301,6 +303,7 @@ class TestWhatPasses:
 class TestChanges:
     @pytest.mark.parametrize(("before", "after"), [(0.08, 0.16), (0.16, 0.08)])
     def test_a_change_is_dated_and_not_averaged_away(self, before, after):
+        """Slip at one level for twenty days, then at another: ground, or grown over."""
         pieces = [met(DAY + number, 38, before, 0.06, bins=6) for number in range(0, 40, 2)]
         pieces += [met(DAY + number, 38, after, 0.06, bins=6) for number in range(40, 56, 2)]
         layer = layer_of(pieces)
@@ -342,6 +345,7 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from):
 
 
 def test_without_evidence_parameters_are_assumed_and_with_it_estimated():
+    """Levels of places and trips are drawn with numbers that the map does not know."""
     generator = np.random.default_rng(4)
     places = np.log(0.2) + 0.1 * generator.standard_normal(BINS)
     pieces = []
@@ -364,6 +368,7 @@ def test_without_evidence_parameters_are_assumed_and_with_it_estimated():
 
 @pytest.mark.parametrize("length", [300.0, 1_000.0, 2_500.0])
 def test_bins_longer_than_a_slippery_place_have_the_level_of_their_onsets(length):
+    """Of ten bins one was met at 0.06, the others at 0.12, on each of twenty days."""
     levels = np.where(np.arange(10) == 2, 0.06, 0.12)
     weight, unused = np.full(10, 1.0 / OF_TRIP**2), np.zeros((10, LEVELS.size))
     pieces = [
@@ -382,6 +387,7 @@ FEW_BINS = 40
 
 
 def made(seen=None, demonstrated=None):
+    """A map with estimates of 10 per cent where seen, and trips that bore levels."""
     observed, mean = np.zeros(FEW_BINS, bool), np.zeros(FEW_BINS)
     censored = np.zeros((FEW_BINS, FEW_LEVELS.size))
     for index, adhesion in (seen or {}).items():
@@ -448,6 +454,8 @@ def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place():
 
 def test_a_risk_is_read_for_the_time_of_the_run():
     class Fading(ConditionLayer):
+        """Expects half of the adhesion until a time."""
+
         def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:
             worse = time is None or time < Timestamp("2026-11-22", tz="UTC")
             mean = self.log_mean - (np.log(2.0) if worse else 0.0)

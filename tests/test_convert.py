@@ -254,6 +254,7 @@ def test_stretches_are_kilometres():
 
 @pytest.mark.parametrize("suffix", [".mcap", pytest.param(".parquet", marks=pytest.mark.long)])
 def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(suffix, log, tmp_path):
+    """Also where it shows only on the way: the last chunk of several fails its checksum."""
     trip, minutes = read_log(log), {}
     for name, frame in trip.topics.items():
         parts = [frame.set_axis(frame.index + pd.Timedelta(minutes=2 * k)) for k in range(4)]
@@ -290,6 +291,7 @@ def written(trip: Trip, path: Path) -> Path:
 
 @pytest.mark.parametrize(("cuts", "order"), [((0.5,), 1), ((0.2, 0.21, 0.9), -1)])
 def test_parts_in_any_order_are_the_whole(cuts, order, whole, tmp_path):
+    """Each instant of a cut is in both parts, and once in the whole."""
     length = whole.end - whole.start
     edges = [None, *(whole.start + share * length for share in cuts), None]
     pieces = [whole.between(*ends) for ends in pairwise(edges)]

@@ -28,6 +28,10 @@ NONSTOP = "trip-01"  # configuration of a trip without a stop, to which the driv
 
 @pytest.fixture(scope="module", params=[3, pytest.param(12, marks=pytest.mark.long)])
 def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> Path:
+    """Results of the demo's commands; of three trips, which one configuration drives, unless long.
+
+    Unless long, its pictures are not painted, as they are in the tests of pictures.
+    """
     changed = {} if request.param == 12 else {"12": str(request.param), "all": NONSTOP}
     coarse = {"plan": ["--set", "cells=40"]} if changed else {}
 
@@ -110,6 +114,7 @@ def test_driving_it_saves_energy_against_the_drivers(results):
 @pytest.mark.long
 @pytest.mark.parametrize("results", [12], indirect=True)
 def test_readme_states_what_the_demo_shows(results):
+    """Its gap, its savings and how often wheels slipped."""
     certificate = read_trajectory(results / "trajectory.json").certificate
     gap = f"{at_most(certificate['gap'])} above the theoretical minimum"
     root = Path(demo.__file__).parents[2]

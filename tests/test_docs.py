@@ -37,6 +37,7 @@ LINK = re.compile(r"\]\(([^)#\s]+)")
 
 
 def with_code() -> list[object]:
+    """Pages with Python or commands."""
     found = [page for page in PAGES if pages.blocks_of(page.read_text("utf-8"))]
     return [
         pytest.param(page, marks=[pytest.mark.long] if page.name in LONG else [], id=page.name)
@@ -47,6 +48,7 @@ def with_code() -> list[object]:
 @pytest.mark.usefixtures("unpainted_page")
 @pytest.mark.parametrize("page", with_code())
 def test_code_runs(page, tmp_path, monkeypatch):
+    """Of the pictures that a page writes, those that it shows are painted, too."""
     shown, unpainted = LINK.findall(page.read_text("utf-8")), Figure.savefig
 
     def written(figure: Figure, path: str | Path, **given: Any) -> None:
@@ -108,6 +110,7 @@ def test_every_page_is_in_the_navigation():
 
 
 def test_validation_states_what_the_studies_reach():
+    """The figures of the papers' systems are those of the page whose tables are tested."""
     studies = (DOCS / "studies.md").read_text("utf-8")
     validation = (DOCS / "validation.md").read_text("utf-8")
     section = validation.partition("## The published systems")[2].partition("\n## ")[0]
@@ -127,6 +130,7 @@ def test_validation_names_benchmarks_that_there_are():
 
 
 def anchors_of(page: Path) -> set[str]:
+    """Places in a page as the site names them."""
     from pymdownx.slugs import slugify
 
     text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
@@ -148,6 +152,7 @@ def test_links_lead_to_files_and_places_that_there_are(page):
 
 
 def resolved(dotted: str) -> object:
+    """The module, class or function of a dotted name."""
     parts = dotted.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -192,6 +197,7 @@ def test_every_part_of_a_paper_names_code_that_is_there_and_a_result():
 
 @pytest.fixture(params=["site", "source"])
 def installed(request: pytest.FixtureRequest, tmp_path: Path) -> Documentation:
+    """Documentation as an installation has it: a built site, or Markdown."""
     built = request.param == "site"
     folder = tmp_path / request.param
     for name in ("index", "tutorials/planner", "reference/logs"):

@@ -16,6 +16,7 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def modules() -> list[str]:
+    """Modules of the three packages with an example in a docstring."""
     paths = (path for package in PACKAGES for path in sorted((CHECKOUT / package).rglob("*.py")))
     with_examples = [path for path in paths if ">>> " in path.read_text("utf-8")]
     parts = [path.relative_to(CHECKOUT).with_suffix("").parts for path in with_examples]

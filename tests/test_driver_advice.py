@@ -37,6 +37,7 @@ def line() -> Line:
 
 @pytest.fixture(scope="module")
 def sections(line: Line) -> tuple[Trajectory, ...]:
+    """Against the chainage, from Wil to Uzwil and past Flawil to Gossau; two configurations."""
     loads = [Configuration.of(FLIRT), replace(Configuration.of(FLIRT, 20e3), name="laden")]
     back, asked = line.reversed(), {"reserve": 0.1, "direction": "reverse", "cells": 60}
     ends = [back.stations[number].position for number in (0, 1, 3)]
@@ -276,6 +277,7 @@ def test_at_one_speed_the_advice_is_to_hold_it():
 
 
 def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake():
+    """Braking downhill at one speed, then to a lower one: two speeds to hold, and a brake."""
     speeds = [0, 99, 100, 100, 100, 100, 85, 80, 80.5, 80, 60, 0]
     assert words_of(_with_phases("TPPPPHHPPCB", speeds)) == [
         "full traction to 100 km/h",
@@ -300,6 +302,7 @@ def test_a_short_full_brake_to_a_lower_speed_is_advice():
 
 
 def test_braking_is_advised_only_where_a_configuration_brakes():
+    """One coasts below a limit that the other has to brake for; further on both coast below one."""
     slow = np.array([0, 100, 92, 88, 80, 70, 0]) / 3.6
     fast = np.array([0, 100, 100, 90, 84, 75, 0]) / 3.6
     one = Configuration.of(FLIRT)
@@ -353,6 +356,7 @@ STEPS = {"T": (-9, 40), "P": (-2, 4), "C": (-9, 5), "H": (-8, 1), "B": (-40, -5)
 
 @st.composite
 def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
+    """A plan of two configurations, of which one may brake where the other coasts, and limits."""
     letters, speeds, more, others = "T", [0.0, draw(st.floats(40.0, 90.0))], [0.0, 0.0], "T"
     for letter in draw(st.lists(st.sampled_from("TPPCCCHB"), min_size=3, max_size=14)):
         after = speeds[-1] + draw(st.floats(*STEPS[letter]))

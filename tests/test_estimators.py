@@ -31,6 +31,8 @@ EFFORTS = 2e4 + 1e3 * RNG.standard_normal((COUNT, 2))
 
 @dataclass(frozen=True)
 class Case:
+    """How an estimator is made, and how it is fed the samples of a slice."""
+
     make: Callable[[], Estimator]
     feed: Callable[[Estimator, slice], object]
 
@@ -257,6 +259,7 @@ DAVIS = np.array([0.039, 0.000675])
 
 
 def trip(slopes: FloatArray, period: float = 0.5) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, regressors and resistance plus slope of a train that speeds up and down."""
     time = np.arange(0.0, 120.0, period)
     speed = 20.0 + 15.0 * np.sin(time / 15.0)
     position = np.cumsum(np.concatenate(([0.0], period * 0.5 * (speed[1:] + speed[:-1])))) + 1.0
@@ -325,6 +328,7 @@ def free(columns: FloatArray, mean: float = 0.0) -> list[Free]:
 
 
 def rows(seed: int, count: int = 60) -> tuple[FloatArray, FloatArray]:
+    """Columns, and a left-hand side with noise of unit variance."""
     generator = np.random.default_rng(seed)
     columns = generator.standard_normal((count, 2)) * [1.0, 1e-3]
     return columns, columns @ CURVE + generator.standard_normal(count)
@@ -358,6 +362,7 @@ def test_rows_far_off_are_left_out_and_no_others():
 
 
 def test_rows_that_err_together_widen_what_is_known():
+    """Twenty clusters of thirty rows with an error in common: as much as estimates scatter."""
     errors, stated = [], []
     for seed in range(200):
         generator = np.random.default_rng(seed)
@@ -387,6 +392,7 @@ def test_a_ratio_has_the_spread_of_both():
 
 @pytest.mark.parametrize("rounds", [None, 1, 2, 3])
 def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds):
+    """Rows one by one, where only the worst of all is left out in a round."""
     values = np.zeros(20)
     values[[3, 8, 11, 17]] = 1e3, 2e3, 3e3, 4e3
     cut = Cut(5.0, apart=41) if rounds is None else Cut(5.0, apart=41, rounds=rounds)
@@ -396,6 +402,7 @@ def test_each_round_but_the_last_leaves_out_what_is_far_off(rounds):
 
 
 def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple[FloatArray, ...]:
+    """A stable model with steps of its own, known inputs, measurements, some missing."""
     rng = np.random.default_rng(seed)
     transition = np.eye(rank) + 0.2 * rng.standard_normal((count, rank, rank))
     transition /= 1.0 + np.abs(np.linalg.eigvals(transition)).max()
@@ -410,6 +417,7 @@ def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple
 
 
 def by_filterpy(drawn, mean, covariance):
+    """Filtered and smoothed means and covariances of the same model."""
     transition, noise, observation, shift, measured, variances = drawn
     peer = KalmanFilter(dim_x=mean.size, dim_z=1)
     peer.x, peer.P = mean.copy(), covariance.copy()
@@ -495,6 +503,7 @@ def test_a_gate_leaves_out_what_is_too_far_off(limit, deviations, kept):
 
 
 def test_bands_hold_errors_that_last_and_only_with_them():
+    """Errors are drawn for each trip: no averaging removes them."""
     time = np.arange(0.0, 200.0)
     truth, speed = 10.0 * time - 100.0 * np.sin(time / 20.0), 10.0 - 5.0 * np.cos(time / 20.0)
     held: dict[bool, list[float]] = {True: [], False: []}

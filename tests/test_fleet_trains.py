@@ -49,6 +49,7 @@ KINDS = ("flirt", "virm")
 
 @cache
 def pool(*kinds: str) -> pd.DataFrame:
+    """Summaries and passports of trips that were simulated, recorded and fitted."""
     rows = pd.read_parquet(Path(__file__).parent / "data" / "fleet_trips.parquet")
     return rows[rows["kind"].isin(kinds or KINDS)].reset_index(drop=True)
 
@@ -123,6 +124,7 @@ def test_a_gain_that_many_trips_share_does_not_explain_their_noise():
 
 
 def test_faults_are_named_with_beginning_and_size_and_healthy_trains_raise_no_alarm():
+    """Of seven trains of each of two kinds five have a fault from trip 40 on."""
     faults = tuple(Fault(what, size, n, SINCE) for n, (what, size) in enumerate(FAULTS.items()))
     found = fleet_trains(drawn_fleet(pool(), 1, trains=7, trips=60, faults=faults))
     for number, (what, size) in enumerate(FAULTS.items(), start=1):
@@ -267,6 +269,7 @@ def drift(found: FleetTrains, train: str, channel: str) -> Drift:
 
 @pytest.mark.parametrize("trips", [60, pytest.param(180, marks=pytest.mark.long)])
 def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(trips):
+    """Over a year, of few trips or of many."""
     drawn = {"trips": trips, "trips_a_day": trips / 360.0, "wear": 0.0, "season": 0.06}
     rows = drawn_fleet(pool("flirt"), 11, trains=5, **drawn)
     months = (rows["start"] - rows["start"].min()) / pd.Timedelta(days=30.4375)
@@ -339,6 +342,8 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def table_of(page: Page, name: str) -> list[dict]:
+    """The rows of a table, by its name, wherever it stands."""
+
     def parts(section: Section):
         for part in section.parts:
             yield from parts(part) if isinstance(part, Section) else [part]
@@ -458,6 +463,7 @@ def test_findings_and_trains_without_a_result_are_listed_with_what_to_do():
 
 
 def test_trips_whose_dates_contradict_each_other_are_named():
+    """A train that runs to and fro; two recorders on one trip contradict nothing."""
     hour, day = pd.Timedelta("1h"), pd.Timedelta("1D")
     start = pd.Timestamp("2026-10-01T05:00Z") + np.arange(12) * hour
     trips = pd.DataFrame(

@@ -45,6 +45,7 @@ HERE = UpdateOptions(workers=0)
 
 @pytest.fixture
 def place(tmp_path: Path, fleet_logs: Path) -> Path:
+    """A catalogue of the trips, whose logs may be changed."""
     shutil.copytree(fleet_logs, tmp_path / "logs")
     with open_catalogue(tmp_path / "catalogue") as catalogue:
         catalogue.add(tmp_path / "logs")
@@ -53,6 +54,7 @@ def place(tmp_path: Path, fleet_logs: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory, fleet_logs: Path) -> dict[str, bytes]:
+    """The files of results of one update in one process."""
     folder = tmp_path_factory.mktemp("undisturbed")
     with open_catalogue(folder) as catalogue:
         catalogue.add(fleet_logs)
@@ -306,6 +308,8 @@ def test_edges_are_updated_side_by_side_with_the_same_result(place, fleet_logs, 
 
 @dataclass(frozen=True)
 class Killing:
+    """Work that kills its worker."""
+
     jobs: tuple[int, ...] = ()
 
     def computed(self) -> None:

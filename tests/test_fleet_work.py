@@ -132,6 +132,7 @@ def test_a_shift_too_small_for_any_trip_is_found_in_the_mean_of_its_train_alone(
 
 
 def test_differences_that_scatter_around_zero_are_rarely_called_systematic():
+    """Of twenty comparisons with 50 trains each, at a rate of one in twenty."""
     called = 0
     for seed in range(20):
         table = made_up(trains=50, trips=6, seed=seed)
@@ -160,6 +161,7 @@ def test_trips_that_one_side_alone_accepts_are_listed_with_the_reason():
 
 @pytest.fixture(scope="module")
 def adhesion() -> pd.DataFrame:
+    """What the two sample trips show of the maximum adhesion."""
     frames = []
     for name in ("nonstop", "stopping"):
         trip = view_of(f"sample_logs/{name}.mcap")
@@ -179,6 +181,7 @@ def test_evidence_that_one_side_alone_has_is_listed_by_trip(adhesion):
 
 def test_a_place_of_the_map_that_moved_is_named(adhesion):
     def with_more_adhesion(data: bytes) -> bytes:
+        """The same evidence, but for more adhesion at the onsets of 18 to 21 km."""
         daily = evidence_of_row(data)
         there = (daily.bin >= 720) & (daily.bin < 840)
         log = daily.weighted_log / np.where(daily.weight > 0.0, daily.weight, 1.0)
@@ -200,12 +203,14 @@ def test_a_place_of_the_map_that_moved_is_named(adhesion):
 
 
 def counts_of(columns: dict[str, np.ndarray], name: str) -> pd.DataFrame:
+    """A result of an analysis with its counts, of as many trips as there are."""
     table = made_up()
     count = len(next(iter(columns.values())))
     return table[["key", "trip", "train", "kind", "line", "start"]].head(count).assign(**columns)
 
 
 def test_a_count_moves_beyond_its_band_by_more_than_its_chance():
+    """Of n repairs the standard deviation by chance is the root of n; of none that of one."""
     before = np.array([0, 0, 1, 4, 100, 100, 10_000])
     after = np.array([1, 2, 2, 8, 119, 120, 10_195])
     sides = (counts_of({"repairs": each}, "checks") for each in (before, after))
@@ -244,6 +249,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_results_of_other_code_that_differ_are_named(place, tmp_path, monkeypatch, shell):
+    """By code whose checks state durations that are 2 % too long."""
     checks = ANALYSES["checks"]
 
     def longer(trip: TripView, **given: object) -> pd.DataFrame:
@@ -358,6 +364,7 @@ def dask_cluster(folder: Path) -> Iterator[tuple[str, int]]:
 
 
 def when_ready(address: str, patience: float = PATIENCE) -> None:
+    """Wait until two workers have come."""
     until = time.monotonic() + patience
     while time.monotonic() < until:
         try:
@@ -382,6 +389,8 @@ def dask_threads(folder: Path) -> Iterator[tuple[str, int]]:
 
 
 def test_a_fork_server_that_dies_is_no_interruption_by_the_user(monkeypatch):
+    """What starting a worker raises then; the update goes on with a server of its own."""
+
     def refused_by_server(*_: object) -> None:
         raise EOFError
 
@@ -441,6 +450,7 @@ def test_a_scheduler_that_dies_ends_the_update_and_fails_no_trip(tmp_path, fleet
 
 
 def kill_scheduler(address: str, catalogue: str) -> None:
+    """Kill the scheduler as soon as anything is recorded."""
     while not recorded(catalogue):
         time.sleep(0.05)
     for process in psutil.Process().children():
@@ -459,6 +469,8 @@ def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(monkeyp
     pytest.importorskip("distributed")
 
     class Client:
+        """Of a scheduler without workers."""
+
         status = "running"
 
         def scheduler_info(self, n_workers: int) -> dict[str, object]:
@@ -532,6 +544,7 @@ def test_each_table_has_the_columns_that_are_declared_and_documented():
 
 
 def test_results_are_those_of_the_single_analyses():
+    """Of the fit, of the map, and of times and works."""
     log = LOGS[1]
     row, fit = one("resistance", log).iloc[0], fit_trip(log)
     assert [row["r0"], row["r1"], row["r2"], row["mass"]] == [*fit.beta.tolist(), fit.mass]

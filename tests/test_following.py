@@ -29,6 +29,7 @@ NEUTRAL = TrainEstimate(1.0, 0.0, 0.0)
 
 @cache
 def plan(name: str = "flirt") -> tuple[Train, Trajectory]:
+    """A train and its trajectory over the hilly line, for masses and resistances far apart."""
     only_friction = {"max_dynamic_braking_effort": 0.0, "brake": Brake(2.0, 1.5)}
     train = flirt(**({} if name == "flirt" else only_friction))
     configurations = [
@@ -56,6 +57,7 @@ def known(name: str = "flirt") -> tuple[bounds.TrainLimits, bounds.RouteTables]:
 
 
 def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
+    """What a map that was learnt well says of a rail."""
     line = hilly_line()
     track = TrackConditionMap(line.name, line.length, 25.0, np.zeros(1), {})
     n = track.bins
@@ -66,6 +68,7 @@ def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
 
 
 def slippery() -> StepProfile:
+    """A wet rail with three slippery places: at the start, on a climb, before the stop."""
     return steps(
         (0.0, 0.15), (150.0, 0.09), (400.0, 0.17), (5_500.0, 0.08), (5_700.0, 0.17),
         (10_700.0, 0.1), (10_850.0, 0.15),
@@ -73,6 +76,7 @@ def slippery() -> StepProfile:
 
 
 def driven(name="flirt", rail=None, locates=None, chosen=HEAVY, **options):
+    """What a train of a configuration does that follows its plan, on dry rail or a known one."""
     train, trajectory = plan(name)
     if rail is not None:
         options |= {"condition": map_of(rail), "layer": "wet"}
@@ -93,6 +97,7 @@ def driven(name="flirt", rail=None, locates=None, chosen=HEAVY, **options):
 
 
 def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time():
+    """Friction brake alone, 2 s of dead time and 1.5 s of lag."""
     found, _ = driven("friction")
     assert abs(found["position"][-1] - hilly_line().length) < 0.3
     assert found["over"] <= 0.0
@@ -101,6 +106,7 @@ def test_a_mass_at_the_end_of_the_set_and_a_brake_that_takes_its_time():
 
 
 def test_efforts_do_not_alternate_where_a_late_train_pulls_at_its_ceiling():
+    """On little adhesion, by its own instruments: only places with a reason reverse the effort."""
     late = {"margin": MARGIN, "departure": DEPARTURE + 60.0}
     found, _ = driven(rail=steps((0.0, 0.07)), locates=Odometry, **late)
     assert effort_reversals(found["tractive_effort"], found["braking"]) <= 5
@@ -255,6 +261,7 @@ def test_friction_brakes_give_what_the_motors_lack_in_adhesion():
 
 
 def test_every_train_of_the_set_can_brake_below_the_ceiling():
+    """Run backwards from any place: full braking never fails to keep what lies ahead."""
     can, road = known()
     for start in (900.0, 2_600.0, 4_900.0, 9_600.0, 10_700.0):
         for row in can.corners:
@@ -323,6 +330,7 @@ def test_the_train_is_found_while_it_runs():
 
 
 def test_a_train_with_curves_follows_within_them():
+    """In traction; its dynamic brake fades at both ends, and the friction brake takes over."""
     pull = EffortCurve(np.array([0.0, 12.0, 20.0, 45.0]), np.array([200e3, 185e3, 105e3, 35e3]))
     fading = EffortCurve(np.array([0.0, 3.0, 15.0, 45.0]), np.array([0.0, 60e3, 120e3, 40e3]))
     train = flirt(traction_curve=pull, dynamic_braking_curve=fading)

@@ -155,6 +155,7 @@ def scored(rail: Drawn, forecaster: verification.Forecaster) -> verification.Ver
 
 
 def others(rail: Drawn) -> dict[str, verification.Forecaster]:
+    """Forecasters that do not know the rail: too high, too low, too sure, too wide, ignorant."""
     true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
     made = {
         "too high": normal(true.log_mean + 0.15, true.log_std),

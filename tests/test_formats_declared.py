@@ -76,6 +76,7 @@ def test_what_is_written_survives_and_results_to_the_last_bit(kind, data, tmp_pa
 @quick
 @given(drawn.maps())
 def test_the_evidence_of_maps_survives_to_the_last_bit(condition):
+    """Any numbers at all: the estimate is not made of them."""
     data = whole_file(condition)
     with opened(data) as file:
         trips = file.trips()
@@ -226,12 +227,15 @@ def read(kind: str, content: Any) -> Any:
 
 
 def complaint_of(kind: str, change: Callable[[Any], None]) -> str:
+    """The one line with which a changed good file is refused."""
     content = good(kind)
     change(content)
     return str(refused(InputError, "", read, kind, content))
 
 
 def setting(path: str, value: Any) -> Callable[[Any], None]:
+    """A change that sets ``a.b.3.c`` to a value."""
+
     def change(content: Any) -> None:
         *way, last = [int(part) if part.isdigit() else part for part in path.split(".")]
         for part in way:
@@ -260,6 +264,8 @@ def test_another_format_a_newer_version_and_an_unknown_key_are_reported(kind):
 
 @pytest.mark.parametrize("kind", GOOD)
 def test_no_wrong_value_anywhere_makes_a_traceback(kind):
+    """Every value of a good file in turn is replaced by nonsense of another type."""
+
     def places(content: Any) -> list[tuple[Any, Any]]:
         items = content.items() if isinstance(content, dict) else enumerate(content)
         found = []
@@ -360,6 +366,7 @@ def test_numbers_that_json_has_not_are_refused():
 
 
 def test_all_that_is_wrong_with_a_line_is_listed_at_once(tmp_path):
+    """Keys, types, units, the order of rows, and values that cannot be meant."""
     content = good("line")
     content["colour"] = "red"
     content["length"] = 1000
@@ -429,6 +436,7 @@ def test_what_cannot_be_meant_is_refused(kind, changes, message, tmp_path):
 
 @pytest.mark.parametrize("factor", [0.1, 0.3, 3.0, 10.0])
 def test_trains_of_other_sizes_are_plausible(tmp_path, factor):
+    """A railcar of 12 t and a freight train of 1,200 t, all figures in proportion."""
     content = whole("train")
     scaled = [content[name] for name in content if name.startswith("max_")]
     scaled = [each for each in scaled if each["unit"] in ("kN", "MW", "kW", "t")]

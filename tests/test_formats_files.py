@@ -410,6 +410,7 @@ def test_what_the_layout_cannot_say_is_refused(tmp_path):
 
 
 def test_what_an_export_leaves_out_is_listed(tmp_path):
+    """Another curve resistance or another mass model changes energies by per cents."""
     line = ttobench.read_track(written(tmp_path, TRACK))
     assert ttobench.write_track(line, tmp_path / "copy.json") == []
     roeckl = replace(line, curve_resistance="roeckl")
@@ -449,6 +450,7 @@ WAGON = railtoolkit.RollingVehicle(
 
 
 def train_of(file: str, loaded: float = 1.0) -> Train:
+    """The train of one of the files of TrainRuns, loaded to a share."""
     ((_, train, _),) = railtoolkit.read_any(DATA / "trainruns" / "trains" / f"{file}.yaml", loaded)
     assert isinstance(train, Train)
     return train

@@ -36,6 +36,7 @@ def trip_of(name: str) -> Trip:
 
 
 def estimates(trip: Trip) -> Figures:
+    """Smoothed motion, running resistance in its course, adhesion and slip as topics."""
     result, refusals = with_estimates(trip)
     topics = [topic for topic in result.topics if topic.startswith("/estimates/")]
     found: Figures = {"refusals": len(refusals)}
@@ -117,6 +118,7 @@ def path_of(name: str, log: str) -> Path:
 
 
 def replayed(run: Callable[[Trip], Figures], log: str) -> dict[str, object]:
+    """A digest of each figure, or why it is refused."""
     try:
         figures = run(trip_of(log))
     except TrainlogError as error:

@@ -185,6 +185,7 @@ PROFILES = {
 
 
 def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
+    """A good file of a format."""
     run = drive(30, 1.0)
     if kind == "aalto":
         rides = [phones.ride(1, "SUBWAY", "V", "09:02:00", "09:09:00")]
@@ -211,6 +212,7 @@ def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
 
 
 def damaged(draw: random.Random, data: bytes) -> bytes:
+    """The file with one to eight stretches flipped, cut, doubled or filled."""
     found = bytearray(data)
     for _ in range(draw.randint(1, 8)):
         start, length = draw.randrange(len(found)), draw.randint(1, 40)

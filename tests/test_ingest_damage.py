@@ -38,6 +38,7 @@ WEEKS = 1024 * 7 * 86_400
 
 
 def shifted(run: Run, rows: slice, seconds: float) -> list[str]:
+    """The rows of a run, some of them written by a clock that is off."""
     time = run.time.copy()
     time[rows] += int(seconds * SECOND)
     return Run(time, run.speed, run.position).rows()

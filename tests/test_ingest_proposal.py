@@ -324,6 +324,7 @@ class Layout:
                 self.add(key, unit, cells)
 
     def lines(self, mark: str, units: str) -> tuple[list[str], int]:
+        """The lines of the file, and at which its rows begin."""
         forms = {"brackets": "{} [{}]", "round brackets": "{} ({})", "slash": "{} / {}"}
         shown, labels = list[str](), list[str]()
         for label, unit, _ in self.columns:
@@ -366,6 +367,7 @@ class Verdict:
 
 
 def judged(layout: Layout) -> Verdict:
+    """Propose a profile for a layout and compare what it reads with what happened."""
     try:
         proposal = propose_profile(layout.path)
     except InputError as error:
@@ -455,6 +457,7 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> list[Verdict]:
 
 
 def assert_right(verdicts: list[Verdict], share: float, wrong: int) -> None:
+    """At least a share of the layouts is read rightly, and no more are wrong without a word."""
     others = [each for each in verdicts if not each.all_right]
     said = "\n".join(map(str, others))
     assert len(others) <= (1.0 - share) * len(verdicts), said

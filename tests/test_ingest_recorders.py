@@ -20,6 +20,7 @@ def read(tmp_path: Path, name: str, text: str, **options: object) -> Trip:
 
 
 def assert_fixes(trip: Trip, recorded: Recorded) -> None:
+    """The fixes are those of the drive, to the file's last digit, at the right instants."""
     fix, truth = trip["/gnss/fix"], recorded.truth
     np.testing.assert_array_equal(fix.index.as_unit("ns").asi8, truth.time)
     for column in ("latitude", "longitude", "altitude"):

@@ -151,6 +151,7 @@ def test_rows_before_the_first_fix_leave_logs_of_a_receiver_alone():
 
 
 def timed(time: FloatArray) -> Table:
+    """A table of speeds at times [s]; rows are numbered from 0."""
     known = START + np.round(SECOND * time).astype(np.int64)
     return Table(known, np.arange(time.size), {"/train/state.speed": np.arange(time.size) + 0.0})
 
@@ -320,6 +321,7 @@ METRE = 1.0 / 111_195.0
 
 
 def moved(run: Drive, places: np.ndarray, metres: np.ndarray, hdop: float | None = None) -> Drive:
+    """The drive with fixes that lie beside it to the north."""
     latitude, stated = run.latitude.copy(), run.hdop.copy()
     latitude[places] += metres * METRE
     if hdop is not None:
@@ -559,6 +561,7 @@ SIZES = {"speed": 1.0, "effort": 5e3, "position": 20.0, "latitude": 3e-4}
 
 @cache
 def sampled(name: str) -> pd.DataFrame:
+    """All that a train records, in one table."""
     trip = read(f"sample_logs/{name}.mcap")
     frames = [trip[topic].add_prefix(f"{topic}.") for topic in TOPICS if topic in trip]
     return pd.concat(frames, axis=1)

@@ -56,6 +56,7 @@ def legs_of(trip: Trip) -> list[tuple[str, bool]]:
 
 
 def errors(trip: Trip, fixes: Received) -> np.ndarray:
+    """Distances [m] between the estimated and the true position."""
     estimate = trip["/estimates/state"]
     seconds = (estimate.index - BEGUN).total_seconds().to_numpy()
     true = np.interp(seconds, fixes.seconds, fixes.true_position)
@@ -258,6 +259,7 @@ def test_distances_between_stops_show_the_route_of_an_imported_network_without_c
 
 
 def _of_edges(network: Network, names: set[str]) -> Network:
+    """The part of a network that some edges are."""
     edges = tuple(each for each in network.edges if each.name in names)
     ends = {name for each in edges for name in (each.start, each.end)}
     nodes = tuple(node for node in network.nodes if node.name in ends)

@@ -65,6 +65,7 @@ def motion(line: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def lasting(rng: np.random.Generator, size: int, rate: float, std: float) -> np.ndarray:
+    """Errors that last for half a minute."""
     keep = np.exp(-1.0 / (30.0 * rate))
     white = rng.normal(0.0, std * np.sqrt(1.0 - keep**2), size)
     out = np.empty(size)
@@ -161,6 +162,8 @@ STEPS = {"back": -2, "forward": 3, "mixed": -2, "back 7.4": -7.4, "forward 2.6":
 
 @dataclass(frozen=True)
 class Case:
+    """A recording whose clock was set."""
+
     path: Path
     profile: Profile | None
     truth: np.ndarray

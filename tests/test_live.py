@@ -44,6 +44,7 @@ EPOCH = 1_714_543_200
 
 
 def recorded(path: Path, data: list[bytes], profile: Path | None = None) -> tuple[Trip, LiveIngest]:
+    """The log of datagrams, in batches as they come at a high rate."""
     recording, live = LiveIngest.begun(path, Given(profile), LiveOptions())
     with recording:
         for first in range(0, len(data), 100):
@@ -59,6 +60,8 @@ MALFORMED = b"12;34", b"\xff\xfe\x00garbage", b'{"topic": "/train/state", "speed
 
 
 def received(path: Path, file: Path) -> tuple[Trip, LiveIngest, Datagrams]:
+    """The log of what is sent of a file as datagrams, with a pause."""
+
     def send() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             for number, line in enumerate(file.read_bytes().splitlines()):
@@ -443,6 +446,7 @@ def test_what_ends_the_program_costs_a_second_at_most(number, tmp_path):
 
 
 def scalars_of(path: Path, entity: str) -> list[tuple[Any, float]]:
+    """Time and value of every scalar that a replay holds of an entity, in the order of time."""
     chunk = pytest.importorskip("rerun.chunk")
     found = []
     for each in chunk.RrdReader(path).stream().to_chunks():
@@ -483,6 +487,8 @@ def test_what_is_drawn_is_what_the_replay_of_the_log_draws(tmp_path):
 
 
 class _Stuck:
+    """A viewer that takes nothing until it is free."""
+
     def __init__(self, free: threading.Event) -> None:
         self._free = free
 

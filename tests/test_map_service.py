@@ -33,6 +33,7 @@ Content = tuple[str, list[Row], dict[str, DailyEvidence]]
 
 
 def content(path: Path) -> Content:
+    """All that a map is made from: its header, its rows, and the evidence of each layer."""
     with MapFile(path) as file:
         rows = file.trips()
         return (

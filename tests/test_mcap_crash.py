@@ -43,6 +43,7 @@ def values_at(number: Any) -> dict[str, dict[str, Any]]:
 
 
 def record(path: str, pipe: Connection) -> None:
+    """Record samples of two topics, one by one and in blocks, and report it, until killed."""
     with trainlog.record(path, flush=FLUSH, metadata={"trip": "cut short"}) as log:
         number = 0
         while True:
@@ -93,6 +94,7 @@ def killed(path: Path, after: float) -> tuple[int, int]:
 
 
 def check(path: Path, must: int, may: int) -> None:
+    """The file holds the first samples, as many as it must, each as it was given."""
     if not must and not officially(path):
         refused(LogError, "no message of it is readable", read_log, path)
         return
@@ -115,6 +117,7 @@ def check(path: Path, must: int, may: int) -> None:
 
 
 def officially(path: Path) -> int:
+    """How many messages the official reader finds before the end of what was written."""
     count = 0
     with path.open("rb") as stream:
         try:

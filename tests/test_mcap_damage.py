@@ -45,6 +45,7 @@ def chunks_of(data: bytes) -> list[ChunkIndex]:
 
 
 def without_checksums(data: bytes) -> bytearray:
+    """The same log as a writer without checksums would leave it."""
     stripped = bytearray(data)
     for index in chunks_of(data):
         struct.pack_into("<I", stripped, index.chunk_start_offset + 9 + 24, 0)

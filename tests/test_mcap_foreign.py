@@ -254,6 +254,7 @@ def test_of_a_damaged_file_what_is_readable_comes(tmp_path):
 
 
 def every_encoding(path):
+    """A file with messages of every encoding, in several chunks."""
     log = ForeignLog(path)
     fix = struct.pack("<IIII4sbH3d9dB", 1, 2, 3, 4, b"gnss", 0, 1, 47.0, 8.0, 1.0, *COVARIANCE, 2)
     ros1 = ("sensor_msgs/NavSatFix", "ros1msg", FIX_1.encode())

@@ -31,6 +31,7 @@ STATE, AXLES = TRAIN_STATE.name, TRAIN_AXLES.name
 
 
 def until(true: Callable[[], bool]) -> None:
+    """Wait for the recorder's thread."""
     for _ in range(6000):
         if true():
             return
@@ -50,6 +51,7 @@ def values_at(frame: pd.DataFrame, rows: int | slice) -> dict[str, Any]:
 
 
 def play(trip: Trip, log: Recording, block: int | None = None) -> None:
+    """Record a trip sample by sample, or in blocks."""
     for name, frame in trip.topics.items():
         times = frame.index.as_unit("ns").asi8
         for row in range(0, len(frame), block or 1):

@@ -209,6 +209,7 @@ def test_recovery_of_a_large_log_stays_small_in_memory(tmp_path):
 
 
 def official(path: Path) -> list[tuple[str, int, int, bytes]]:
+    """All messages, by the official reader with its checks."""
     reader = SeekingReader(BytesIO(path.read_bytes()), validate_crcs=True)
     return [
         (channel.topic, message.log_time, message.sequence, message.data)
@@ -380,6 +381,7 @@ INPUTS: dict[str, list[McapRecord]] = {
 
 
 def variants() -> Iterator[tuple[str, list[McapRecord], frozenset[str]]]:
+    """Name, records and features of every file of the suite."""
     for name, records in INPUTS.items():
         for count in range(len(FEATURES) + 1):
             for chosen in combinations(FEATURES, count):
@@ -399,6 +401,8 @@ def _is_sensible(features: set[str], kinds: set[type]) -> bool:
 
 
 class _Extended(RecordBuilder):
+    """Adds what the suite adds to the end of each record that may be extended."""
+
     def start_record(self, opcode: Opcode) -> None:
         self._opcode = opcode
         super().start_record(opcode)
@@ -410,6 +414,7 @@ class _Extended(RecordBuilder):
 
 
 def generated(records: list[McapRecord], features: frozenset[str]) -> bytes:
+    """The file of the suite with these records and features, by the official writer."""
     stream, indexes = BytesIO(), IndexType.NONE
     for feature in features & set(INDEXES):
         indexes |= INDEXES[feature]
@@ -475,6 +480,7 @@ def test_valid_files_are_whole_and_give_all_they_hold(base, tmp_path):
 
 
 def assert_holds(source: Source, contents: Contents, records: list[McapRecord]) -> None:
+    """The contents of a file are these records."""
     messages = sorted((m.log_time, m.data) for m in records if isinstance(m, Message))
     found = messages_in(source, contents)
     assert sorted((time, data) for _, time, data in found.elements()) == messages

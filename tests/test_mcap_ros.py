@@ -25,6 +25,7 @@ NUMBERS = ["bool", "float32", "float64"] + [
 
 @st.composite
 def ros_fields(draw):
+    """Lines of a definition, and a value for each field."""
     lines, values = [], {}
     for name in draw(st.lists(st.sampled_from(NAMES), min_size=1, unique=True)):
         kind = draw(st.sampled_from([*NUMBERS, "string"]))
@@ -54,6 +55,7 @@ def ros_fields(draw):
 
 
 def written(lines, values):
+    """The bytes of a message by the official writer; long arrays and blobs are filled up."""
     given_values = dict(values)
     for line, (name, value) in zip(lines, values.items(), strict=True):
         if value is BYTES:

@@ -27,6 +27,7 @@ SECOND = 10**9
 
 @pytest.fixture(autouse=True)
 def _short_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many small chunks, as in a long log."""
     monkeypatch.setattr(writer.parts_of, "__defaults__", (2 * SECOND, 2**20))
 
 
@@ -51,6 +52,7 @@ def shuttle(seed: int = 0, rows: int = 200) -> Trip:
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """Logs of `shuttle`, written once."""
     folder = tmp_path_factory.mktemp("logs")
 
     def log(seed: int) -> Path:
@@ -78,6 +80,7 @@ def in_time(trip: Trip, pair: tuple[float | None, float | None]) -> tuple[Any, A
 
 @cache
 def whole_of(path: Path) -> Trip:
+    """A log's trip, which no test changes."""
     return read_log(path)
 
 
@@ -181,6 +184,7 @@ def test_a_log_without_positions_says_so(tmp_path):
 
 
 def together(pieces: list[Trip]) -> Trip:
+    """The pieces one after the other."""
     topics = {name: pd.concat([piece[name] for piece in pieces]) for name in pieces[0].topics}
     return replace(pieces[0], topics=topics)
 

@@ -156,12 +156,15 @@ def write_elsewhere(
 
 
 def edited(change: Callable[[Any], None], topic: Topic = TRAIN_STATE) -> bytes:
+    """The schema of a topic, changed."""
     files = FileDescriptorSet.FromString(descriptor_set(topic))
     change(files.file[-1].message_type[0])
     return files.SerializeToString()
 
 
 def with_field(place: int, /, **values: object) -> Callable[[Any], None]:
+    """Changes a field of a message's schema."""
+
     def change(message: Any) -> None:
         for name, value in values.items():
             setattr(message.field[place], name, value)
@@ -439,6 +442,7 @@ FIELDS = TRAIN_CONTROLS.fields
 
 
 def pieces(trip: Trip, cuts: list[pd.Timestamp]) -> Iterator[Trip]:
+    """The trip cut at times; each piece with all topics."""
     edges = [pd.Timestamp(0, tz="UTC"), *cuts, pd.Timestamp.max.tz_localize("UTC")]
     for start, end in pairwise(edges):
         frames = {

@@ -55,6 +55,7 @@ class Broker:
         self.start()
 
     def start(self) -> None:
+        """Start it, and wait until it listens."""
         words = [MOSQUITTO, "-c", str(self._file)]
         self._process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
         for _ in range(200):
@@ -65,12 +66,14 @@ class Broker:
         raise AssertionError("mosquitto does not listen")
 
     def kill(self) -> None:
+        """End it without a word."""
         self._process.send_signal(signal.SIGKILL)
         self._process.wait()
 
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[Broker]:
+    """A broker of one's own."""
     folder = tmp_path / "broker"
     folder.mkdir()
     found = Broker(folder)
@@ -79,6 +82,8 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 
 class Publisher:
+    """A train that publishes, and goes on where a broker was away."""
+
     def __init__(self, port: int, topic: str) -> None:
         self._topic = topic
         self._client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, "train", clean_session=False)
@@ -89,10 +94,12 @@ class Publisher:
         self.left = 0
 
     def publish(self, data: bytes) -> None:
+        """Give a message to the broker, now or once it is there again."""
         self.left += 1
         self._client.publish(self._topic, data, qos=1)
 
     def close(self) -> None:
+        """Wait until the broker has them all."""
         began = time.monotonic()
         while self.left and time.monotonic() - began < PATIENCE:
             time.sleep(0.02)
@@ -107,6 +114,7 @@ def speed(second: int) -> bytes:
 
 
 def recorded(source: Subscription, path: Path, idle: float) -> Trip:
+    """The log of what a broker gives."""
     recording, live = LiveIngest.begun(path, Given(), LiveOptions(source.name))
     with recording:
         live.follow(source, idle=idle)

@@ -51,6 +51,7 @@ CONNECTED = {
 
 @cache
 def file_of(name: str) -> Any:
+    """What a file of OSRD holds; no test changes it."""
     return json.loads((OSRD / "infras" / f"{name}.json").read_text())
 
 

@@ -30,12 +30,14 @@ MAP = ("--map", sample("CH_StGallen_Wil.map"))
 
 @pytest.fixture(scope="module")
 def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The set of one sample trip."""
     path = tmp_path_factory.mktemp("set") / "parameters.json"
     cli.run(["fit", str(sample("nonstop.mcap")), "-o", str(path)])
     return path
 
 
 def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
+    """The trajectory that the command writes."""
     output = folder / "trajectory.json"
     own = shutil.copy(parameters, folder)
     given = ("plan", own, *SAMPLES, "--set", "cells=40", *words, "-o", output)
@@ -59,6 +61,7 @@ def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(obser
     assert whole.provenance["settings"]["protected_length"] == train.length
 
     def over(found: Trajectory) -> float:
+        """Most speed over what is permitted at the train's end."""
         places = np.arange(train.length, 6_000.0, 5.0)
         speeds = np.sqrt(np.interp(places, found.positions, found.speeds[0] ** 2))
         return float((speeds - line.speed_limit(places - train.length)).max())

@@ -47,6 +47,7 @@ def test_importing_the_packages_loads_neither_pandas_nor_a_solver():
 
 
 def public_examples() -> list[Any]:
+    """Name and docstring of every public name, and of its public methods."""
     found = []
     for package in (*PACKAGES, "estimators"):
         for name in importlib.import_module(package).__all__:
@@ -96,6 +97,7 @@ GIVEN: dict[str, Any] = {
 
 
 def kinds() -> list[type[TrainlogError]]:
+    """Every error of the three packages."""
     for package in ("trainlog", "analysis", "estimators"):
         for path in (CHECKOUT / package).rglob("*.py"):
             if re.search(r"^class \w+Error\(", path.read_text("utf-8"), re.MULTILINE):
@@ -110,6 +112,7 @@ def kinds() -> list[type[TrainlogError]]:
 
 
 def an_error(kind: type[TrainlogError]) -> TrainlogError:
+    """Of a kind, with all that its constructor takes."""
     arguments = []
     named = {}
     for name, parameter in inspect.signature(kind).parameters.items():
@@ -141,6 +144,7 @@ def test_a_message_is_one_line_whatever_it_names():
 
 
 def without_remedy() -> list[str]:
+    """Places where the product raises an `InputError` that states no remedy."""
     return [
         f"{path.relative_to(CHECKOUT)}:{node.lineno}"
         for package in ("trainlog", "analysis")
@@ -194,6 +198,7 @@ SAMPLES = ["--line", "sample", "--train", "sample"]
 
 
 def without_extras(program: str, folder: Path, kept: str = "") -> subprocess.CompletedProcess[str]:
+    """Run a program in a Python that has none of the extras' packages but one's."""
     absent = sorted(module for module, extra in EXTRAS.items() if extra != kept)
     code = WITHOUT.format(modules=absent, program=program)
     return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
@@ -346,6 +351,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def environment(folder: Path) -> tuple[Path, Path]:
+    """A fresh environment, without pip: its Python and its site-packages."""
     venv.create(folder)
     scripts = folder / ("Scripts" if os.name == "nt" else "bin")
     python = scripts / ("python.exe" if os.name == "nt" else "python")
@@ -354,6 +360,7 @@ def environment(folder: Path) -> tuple[Path, Path]:
 
 
 def install(python: Path, *arguments: str, timeout: float) -> None:
+    """Install into the environment of `python`, by the pip that runs here."""
     pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet"]
     subprocess.run([*pip, *arguments], check=True, capture_output=True, timeout=timeout)
 

@@ -52,6 +52,7 @@ def recording(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def tiled(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With places on the globe."""
     path = tmp_path_factory.mktemp("replay") / "tiles.rrd"
     write_replay([trip], path, options=ReplayOptions(tiles=True))
     return path
@@ -59,6 +60,7 @@ def tiled(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A trip each way over the map."""
     path = tmp_path_factory.mktemp("replay") / "map.rrd"
     both = [made_trip(), made_trip("down", "reverse")]
     write_replay(both, path, condition_map=condition_of())
@@ -394,6 +396,7 @@ def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(spotted):
 
 
 def unlike(name: str, top: float) -> Trip:
+    """A trip of another speed that follows no reference."""
     return without(made_trip(name, top=top), "/reference")
 
 
@@ -544,6 +547,8 @@ COMPONENTS = {
 
 @dataclass
 class Layout:
+    """What the blueprint of a recording says."""
+
     logged: dict[str, dict[str, Any]]
 
     def views(self) -> list[dict[str, Any]]:

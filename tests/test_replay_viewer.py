@@ -258,6 +258,7 @@ def test_ctrl_c_ends_the_viewer_and_leaves_nothing(tmp_path):
 
 
 def viewers_of(folder: Path) -> list[str]:
+    """Command lines of the processes that name a file of a folder."""
     found = []
     for each in Path("/proc").iterdir():
         try:

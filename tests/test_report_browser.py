@@ -54,6 +54,7 @@ TOOLTIP = """() => {
 
 @pytest.fixture(scope="module")
 def page_file(tmp_path_factory: pytest.TempPathFactory, remembered: None) -> Path:
+    """The report on a folder with results of every kind, and a file that is none."""
     del remembered
     folder = make_folder(tmp_path_factory.mktemp("browser") / "results")
     write_report(folder, folder.parent / "report.html")
@@ -77,6 +78,8 @@ def browser() -> Iterator[Any]:
 
 
 class Opened:
+    """A report as it stands in the browser, with all that it complained of and asked for."""
+
     def __init__(self, browser: Any, file: Path, scheme: str) -> None:
         self.context = browser.new_context(
             viewport={"width": 1200, "height": 900}, color_scheme=scheme

@@ -36,6 +36,8 @@ pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 
 class Outline(HTMLParser):
+    """Tags with their attributes."""
+
     def __init__(self, text: str) -> None:
         super().__init__()
         self.tags = list[tuple[str, dict[str, str | None]]]()
@@ -45,6 +47,7 @@ class Outline(HTMLParser):
         self.tags.append((tag, dict(attrs)))
 
     def values(self, *names: str) -> list[str]:
+        """What attributes of these names hold."""
         return [known[name] or "" for _, known in self.tags for name in names if name in known]
 
 

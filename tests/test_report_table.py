@@ -30,6 +30,7 @@ ROW = ("Chemnitz Hbf - Chemnitz-Hilbersdorf", "222", "204.7", "41 (of 5000)", "1
 
 
 def printed(width: int) -> list[str]:
+    """The lines of the table on a page of `width` columns."""
     table = new_table("A table", *HEADINGS)
     table.add_row(*ROW)
     console = Console(width=width)

@@ -80,6 +80,7 @@ def test_at_its_own_times_a_topic_is_what_it_was(frame):
 
 @st.composite
 def frames_and_times(draw: st.DrawFn) -> tuple[pd.DataFrame, pd.DatetimeIndex]:
+    """A frame, and times at, between and around its rows."""
     frame = draw(drawn)
     known = frame.index.asi8
     steps = st.one_of(st.integers(-5, 5), st.integers(-(10**12), 10**12))

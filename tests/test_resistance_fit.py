@@ -288,6 +288,7 @@ def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded():
 
 
 def at_one_speed(kmh: float) -> Trip:
+    """A start, and nothing but one speed behind it."""
     return trip(
         lambda time: kmh / 3.6 * np.sin(0.5 * np.pi * np.clip(time / 60.0, 0.0, 1.0)),
         name=f"at {kmh:.0f}", seed=round(kmh),

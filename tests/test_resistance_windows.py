@@ -89,6 +89,7 @@ def test_windows_fill_the_usable_stretches_and_nothing_else():
 
 
 def dense(windows: Windows, noise: NoiseModel, mass: float = 130e3) -> FloatArray:
+    """Covariance of the windows, cause by cause, as a full matrix."""
     gradient = GRAVITY * noise.gradient * windows.sections.toarray()
     position = noise.position * windows.edges.toarray()
     full = gradient @ gradient.T + position @ position.T
@@ -375,6 +376,7 @@ def whole_fit() -> TripFit:
 def fit_of(
     name: str, beta: FloatArray, covariance: FloatArray, train: str = "unit", **changes: Any
 ) -> TripFit:
+    """A fit of made-up coefficients."""
     full = np.zeros((4, 4))
     full[:3, :3], full[3, 3] = covariance, 200.0**2
     known = {"mass": 130e3, "freedom": 90, "asked": (5.0, 35.0), "speed_range": (3.0, 34.0)}
@@ -629,6 +631,7 @@ def test_trips_of_one_name_become_configurations_of_two_names():
 
 
 def rows(count: int = 6, seed: int = 1) -> pd.DataFrame:
+    """Summaries of made-up trips, each with a digest."""
     fits, _ = drawn(count, 0.05, (150.0, 60.0, 100.0), seed)
     digests = {fit.trip: f"{seed:02d}{number:062d}" for number, fit in enumerate(fits)}
     return summarised(fits, digests=digests)

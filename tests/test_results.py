@@ -83,6 +83,7 @@ def test_a_fit_goes_straight_into_set_and_calculation(fitted):
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory, fitted) -> dict[type, Presented]:
+    """One result of each class that is presented, made of the samples."""
     folder = tmp_path_factory.mktemp("results")
     shutil.copy(LOG, folder / "nonstop.mcap")
     logs = [LOG, trainlog.sample("stopping.mcap")]

@@ -70,6 +70,7 @@ def scored(works: Callable[..., str]) -> Callable[..., dict[str, Any]]:
 
 @cache
 def first_days() -> TrackConditionMap:
+    """The month up to its seventh day, not estimated."""
     known = month().layer("wet").evidence.between(0, FIRST + 6)
     return replace(month(), layers={"wet": ConditionLayer.unestimated(known)})
 
@@ -81,6 +82,7 @@ def first_scored() -> Score:
 
 @pytest.fixture(scope="module")
 def rolling() -> tuple[Score, list[tuple[int, int]]]:
+    """The month scored day by day, and the days that were reported meanwhile."""
     days: list[tuple[int, int]] = []
     return score_rolling(month(), None, lambda *each: days.append(each)), days
 

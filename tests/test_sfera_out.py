@@ -47,6 +47,7 @@ def checked(data: bytes) -> Element:
 
 @pytest.fixture(scope="module")
 def wil(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A journey over St.Gallen-Wil."""
     folder = tmp_path_factory.mktemp("wil") / "journey"
     line, train = trainlog.read_line("sample"), trainlog.read_train("sample")
     return write_journey(folder, line, CUTS, train)
@@ -54,6 +55,7 @@ def wil(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plan(wil: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A trajectory over the whole of it."""
     (journey,) = read_sfera(wil)
     file = tmp_path_factory.mktemp("plan") / "trajectory.json"
     write_trajectory(planned(journey, journey.train), file)

@@ -197,6 +197,7 @@ def test_with_less_recorded_it_still_works(trips, missing, limit):
 
 
 def of_efforts(trip: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], *topics: str) -> Trip:
+    """The trip with its recorded efforts changed, in the topics named or in all."""
     for topic in topics or ("/train/axles", "/train/controls"):
         frame = trip[topic].copy()
         names = [n for n in frame if "effort" in n and "demand" not in n]
@@ -206,6 +207,7 @@ def of_efforts(trip: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], *topi
 
 
 def of_speeds(trip: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], *axles: int) -> Trip:
+    """The trip with the recorded speeds of its wheels changed, of the axles named or of all."""
     frame = trip["/train/axles"].copy()
     names = [f"wheel_speed_{axle}" for axle in axles or range(1, 5)]
     frame[names] = change(frame[names])
@@ -353,6 +355,7 @@ class TestWhatTheRecorderLacks:
 
 
 def total_only(trip: Trip) -> Trip:
+    """The axles' efforts were not recorded."""
     axles = trip["/train/axles"]
     return trip.with_topic(axles[[name for name in axles if "effort" not in name]])
 

@@ -88,6 +88,7 @@ def train(count: int = 8, coupler: Coupler = COUPLER, **changes: object) -> Cons
 
 
 def residual(plant: ConsistPlant, state: ConsistState, before: float) -> float:
+    """Energy that is unaccounted for, over all work done."""
     works = state.works
     gained = works["traction"] - sum(value for name, value in works.items() if name != "traction")
     return abs(plant.energy(state) - before - gained) / sum(abs(v) for v in works.values())
@@ -120,6 +121,7 @@ def test_energy_is_accounted_for(count, nonlinearity, slack, demands):
 
 
 def momentum(plant: ConsistPlant, state: ConsistState) -> float:
+    """Of all vehicles with their rotating parts [kg m/s]."""
     inertia = [each.inertia for each in plant.consist.vehicles]
     return float(np.dot(inertia, state.speeds))
 

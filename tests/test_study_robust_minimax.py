@@ -19,6 +19,7 @@ LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations(
 
 @cache
 def answer(name: str) -> Trajectory:
+    """The trajectory of one of the study's questions."""
     return study.solved(*study.questions(LEVEL, DOWNHILL, CHOSEN)[name], cells=CELLS)
 
 

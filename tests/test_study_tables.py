@@ -31,6 +31,7 @@ Rows = list[list[str]]
 
 
 def tables(text: str) -> dict[str, Rows]:
+    """Cells of the tables, by title."""
     return {
         title: [[cell.strip() for cell in line.strip("|").split("|")] for line in body.splitlines()]
         for title, body in TABLE.findall(text)
@@ -38,10 +39,12 @@ def tables(text: str) -> dict[str, Rows]:
 
 
 def section(name: str) -> re.Pattern[str]:
+    """The part of the page that holds the tables of a command."""
     return re.compile(rf"(<!-- tables of {re.escape(name)} -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
 def close(one: str, other: str) -> bool:
+    """Whether two printed numbers are the same to the tolerance."""
     a, b = float(one), float(other)
     if "e" in one + other:
         return abs(a - b) <= max(2.0 * min(abs(a), abs(b)), 1e-5)
@@ -50,6 +53,7 @@ def close(one: str, other: str) -> bool:
 
 
 def same(one: str, other: str) -> bool:
+    """Whether two cells have the same words, and the same numbers to the tolerance."""
     if NUMBER.sub("#", one) != NUMBER.sub("#", other):
         return False
     return all(map(close, NUMBER.findall(one), NUMBER.findall(other)))
@@ -87,11 +91,13 @@ def renewed(page: str, name: str, found: str) -> str:
 
 
 def on_page(name: str) -> dict[str, Rows]:
+    """The tables of a command that the page lists, by title."""
     part = section(name).search(PAGE.read_text(encoding="utf-8"))
     return tables(part[2])
 
 
 def check(title: str, rows: Rows, now: Rows) -> None:
+    """That the page's rows are among those that a study reaches now."""
     for row, other in zip(rows, chosen(title, rows, now), strict=True):
         assert len(row) == len(other), title
         for cell, reached in zip(row, other, strict=True):

@@ -149,6 +149,7 @@ NET = replace(FLIRT, max_acceleration=0.5, max_deceleration=0.5, acceleration_li
 
 
 def own_accelerations(found: Trajectory, train: Train) -> FloatArray:
+    """Accelerations of the train at the beginning of each cell [m/s²], by Newton's law."""
     speed, at = found.speeds[0, :-1], found.positions[:-1] + 1e-6
     force = found.tractive_effort + 0.5 * found.tractive_effort_fall - found.braking_effort[0]
     force = force - train.resistance(speed) - train.mass * HILLS.track_acceleration(at)

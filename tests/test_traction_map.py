@@ -524,6 +524,7 @@ SAMPLE = sample("CH_StGallen_Wil.map")
 
 
 def drive(first: int, last: int) -> TripIdentity:
+    """A recording of the minutes from `first` to `last` of one drive."""
     start, end = (pd.Timestamp(60 * n, unit="s", tz="UTC") for n in (first, last + 1))
     return TripIdentity(
         start, end, 600 * (last - first + 1), np.arange(first, last + 1).astype("u8")
@@ -531,6 +532,7 @@ def drive(first: int, last: int) -> TripIdentity:
 
 
 def part(seed: int, first: int, last: int) -> Evidence:
+    """A recording of a part of one drive."""
     return replace(piece(seed, "wet"), recorded=drive(first, last))
 
 
@@ -753,6 +755,7 @@ def good(without_estimates: bytes, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def changed(path: Path, words: str, *values: object) -> int:
+    """Change a database by a statement; how many rows that concerned."""
     database = sqlite3.connect(path)
     count = database.execute(words, values).rowcount
     database.commit()
@@ -766,6 +769,7 @@ class TestDamage:
     @staticmethod
     @cache
     def content(data: bytes) -> object:
+        """All that a map is made from."""
         with pytest.MonkeyPatch.context() as patch, opened(data, "f.map") as file:
             # Whether trips agree follows from their evidence, and takes longer than to read it.
             patch.setattr("trainlog.condition.reconciled", lambda *_, **__: None)

@@ -67,6 +67,7 @@ instants = st.integers(0, 5 * 10**18)
 
 
 def driven(times: list[float], positions: list[float]) -> Trip:
+    """A trip with its position, and an event every half second."""
     halves = np.arange(times[0], times[-1] + 0.25, 0.5)
     state = frame_of(TRAIN_STATE, START + np.array(times) * SECOND, {"position": positions})
     shown = {"message": [f"{at:g} s" for at in halves]}

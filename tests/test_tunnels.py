@@ -68,6 +68,7 @@ def test_tunnels_that_add_no_resistance_are_stated():
 
 
 def check(fit: TripFit, trip: Trip, true: Train) -> tuple[bool, bool]:
+    """Whether the bands hold the curve of open track, and the resistance in the tunnels."""
     truth = truth_of(trip)
     speed = np.linspace(12.0, fit.asked[1], 20)
     low, high = fit.band(speed)

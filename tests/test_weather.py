@@ -141,6 +141,7 @@ def trip() -> Trip:
 
 
 def changing(trip: Trip, *parts: tuple[float, float, str]) -> Weather:
+    """Weather by share of the trip's duration."""
     start, duration = trip.start.value, trip.duration * 1e9
     edges = [(int(start + a * duration), int(start + b * duration)) for a, b, _ in parts]
     return Weather(

@@ -39,6 +39,7 @@ FOLDERS = ("estimators", "benchmarks", "docs", "sample_logs", "tests")
 
 @cache
 def files() -> dict[Path, str]:
+    """Texts by path."""
     found = [path for pattern in PATTERNS for path in CHECKOUT.glob(pattern)]
     found += [path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py")]
     kept = sorted(path for path in found if path.name != Path(__file__).name)

@@ -41,12 +41,14 @@ FREIGHT = replace(
 
 
 def optimised(line, train, configurations, *, cells=500, **question):
+    """The optimum of a problem that is given by its attributes."""
     options = {n: question.pop(n) for n in ("tolerance", "time_limit") if n in question}
     problem = TrajectoryProblem(line, train, configurations, **question)
     return optimise(problem, OptimiserOptions(cells, **options))
 
 
 def optimised_journey(line, train, configurations, journey, *, dwell=0.0, cells=500, **question):
+    """The optimum of a journey on a line."""
     problem = TrajectoryProblem(line, train, configurations, **question)
     return optimise_journey(problem, journey, OptimiserOptions(cells), dwell=dwell)
 
@@ -89,6 +91,7 @@ def observed(train: Train, *factors: float, load: float = 0.0) -> list[Configura
 
 
 def drawn(train: Train, count: int, seed: int = 0, spread: float = 0.1) -> list[Configuration]:
+    """Configurations drawn at random: resistance, load and power vary."""
     random = np.random.default_rng(seed)
     return [
         Configuration(
