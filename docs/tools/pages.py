@@ -22,7 +22,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-EXECUTED = "<!-- Executed, with its output on the site. -->\n"
+EXECUTED = "<!-- executed -->\n"
 """First line of a page whose blocks are followed by what they print and show."""
 
 COLUMNS = 110
