@@ -434,7 +434,7 @@ def _check_rows(plan: Trajectory, limits: StepProfile) -> None:
         assert row.phase is not Phase.MAXIMUM_TRACTION or own[0].min() == 0
         assert (row.phase is Phase.PARTIAL_BRAKING) == (brakes and own[0].max() == 3)
         # It leads to a speed that is held, or to one of the plan: of who brakes.
-        slows = row.phase is Phase.MAXIMUM_TRACTION and row.highest > row.until + top
+        slows = row.phase is Phase.MAXIMUM_TRACTION and row.highest - row.until > top
         alone = brakes and own[0].max() < Phase.PARTIAL_BRAKING
         goal = row.highest if slows else plan.speeds[1, last] if alone else row.until
         if after is not None and after.hold and not slows and row.phase is not Phase.COASTING:
