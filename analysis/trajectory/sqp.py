@@ -577,7 +577,7 @@ def minimise(
         if converged or (len(statuses) >= iterations and (given or not goes_on)):
             return replace(solution, statuses=tuple(statuses), converged=converged)
         energy, last = solution.energy, max(off, tolerances.lateness)
-        part, loose = changed / max(energy, NEGLIGIBLE_ENERGY), solution.loose
+        part, loose = changed / max(abs(energy), NEGLIGIBLE_ENERGY), solution.loose
         # The iterations contract by themselves; where they do not, ever smaller steps make them.
         if len(statuses) >= _FREE_ITERATIONS:
             radius *= 0.7
