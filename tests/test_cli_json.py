@@ -7,13 +7,13 @@ reviewed like code.
 import json
 import shutil
 from collections.abc import Iterator
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import pytest
 
-from trainlog.cli.commands import INTERRUPTED
 from trainlog.formats.samples import copy_samples
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted_page", "unrenewed")
@@ -139,21 +139,17 @@ def merged(one: Schema, other: Schema) -> Schema:
     if not one or not other:
         return one or other
     found: Schema = {"type": sorted({*one["type"], *other["type"]})}
-    if "items" in one or "items" in other:
-        found["items"] = merged(one.get("items", {}), other.get("items", {}))
     if "properties" in one or "properties" in other:
         parts = one.get("properties", {}), other.get("properties", {})
         names = sorted({*parts[0], *parts[1]})
-        one_of, other_of = parts
-        both = {name: (one_of.get(name, {}), other_of.get(name, {})) for name in names}
-        found["properties"] = {name: merged(*pair) for name, pair in both.items()}
+        found["properties"] = {
+            name: merged(*(each.get(name, {}) for each in parts)) for name in names
+        }
         known = [set(each["required"]) for each in (one, other) if "required" in each]
         found["required"] = sorted(set.intersection(*known))
-        found["additionalProperties"] = False
-    elif "additionalProperties" in one or "additionalProperties" in other:
-        found["additionalProperties"] = merged(
-            one.get("additionalProperties", {}), other.get("additionalProperties", {})
-        )
+    for key in ("items", "additionalProperties"):
+        if parts := [each[key] for each in (one, other) if key in each]:
+            found[key] = reduce(merged, parts)
     return found
 
 
@@ -232,18 +228,3 @@ def test_quiet_prints_errors_only(folder, shell):
     assert (status, printed) == (1, "")
     assert complaint.count("\n") == 1
     assert "empty.mcap" in complaint
-
-
-STATUSES = {
-    0: "done",
-    1: "partly done, or a finding: some files could not be used, damage, a significant change",
-    2: "nothing done: the command, a file or an option is not valid; one line states the problem"
-    " and the remedy",
-    INTERRUPTED: "interrupted by Ctrl-C; one line states the finished part",
-}
-
-
-def test_exit_statuses_are_documented():
-    page = (CHECKOUT / "docs" / "command-line.md").read_text("utf-8")
-    for status, meaning in STATUSES.items():
-        assert f"| {status} | {meaning} |" in page
