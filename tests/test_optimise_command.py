@@ -13,13 +13,11 @@ import pytest
 
 from analysis.comparison.driven import driven_trip
 from analysis.trajectory.problem import TrajectoryProblem, adhesion_demand, adhesion_words
+from trainlog import Configuration, Trajectory, read_line, read_map, read_train, read_trajectory
 from trainlog.cli import main as cli
 from trainlog.cli.options import sections_in
-from trainlog.formats.mapfile import read_map
-from trainlog.formats.railway import read_line, read_train, read_trajectory
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
-from trainlog.railway import Configuration, Trajectory
 from trainlog.units import GRAVITY, KMH
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted", "unrenewed")

@@ -21,8 +21,7 @@ from PIL import Image
 from refusals import refused
 from replay_trips import condition_of, made_trip, trajectory_of
 
-from trainlog.errors import InputError
-from trainlog.formats.samples import sample
+from trainlog import InputError, Trip, frame_of, sample
 from trainlog.mcap import write_log
 from trainlog.replay import run_viewer, viewer, write_replay
 from trainlog.replay.layout import DRAWN, scalars, write_layout
@@ -37,7 +36,6 @@ from trainlog.replay.viewer import (
     web_viewer,
 )
 from trainlog.topics import TOPICS
-from trainlog.trip import Trip, frame_of
 
 SETTLE, SIZE = 2.5, (900, 750)
 ENOUGH = 100

@@ -27,15 +27,13 @@ from analysis.reports.build import kind_of
 from analysis.reports.page import DARK, LIGHT, Page, Section
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.truth import curve_error, map_error, true_adhesion
-from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.mapfile import read_map, write_map
+from trainlog import DEFAULT_LINE, InputError, TrainlogError, read_map, sample, write_map
 from trainlog.formats.railway import (
     line_of,
     write_coast_down,
     write_parameters,
     write_trajectory,
 )
-from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.formats.summaries import write_summaries
 from trainlog.ingest.recording import Finding, Report
 from trainlog.mcap import read_log, write_log

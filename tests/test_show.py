@@ -12,9 +12,8 @@ from refusals import refused
 import trainlog
 from analysis.contents import contents_of
 from analysis.resistance.logs import fit
+from trainlog import InputError, TrainlogError, sample
 from trainlog.cli.main import run
-from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.samples import sample
 from trainlog.formats.settings import MEANINGS, Settings, read_settings, set_setting
 from trainlog.formats.summaries import write_summaries
 from trainlog.mcap.convert import convert

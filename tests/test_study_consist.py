@@ -11,10 +11,8 @@ from refusals import refused
 from simulated_line import level_line, steps
 
 from analysis.studies import in_train_forces as study
+from trainlog import InputError, read_consist, sample, write_consist, write_line
 from trainlog.cli.main import run as command
-from trainlog.errors import InputError
-from trainlog.formats.railway import read_consist, write_consist, write_line
-from trainlog.formats.samples import sample
 from trainlog.railway import CurvatureProfile, RunningResistance, Tunnel
 from trainlog.railway.train import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.simulation.consist import ConsistPlant, ConsistState, Variation

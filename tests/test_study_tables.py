@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from analysis.studies.in_train_forces import crest_and_sag, run
+from trainlog import read_consist, sample
 from trainlog.cli.main import run as command
-from trainlog.formats.railway import read_consist
-from trainlog.formats.samples import sample
 from trainlog.units import KMH
 
 PAGE = Path(__file__).parents[1] / "docs" / "studies.md"

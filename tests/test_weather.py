@@ -1,34 +1,34 @@
-"""Weather files, and what they make of trips: layers, covariates, reasons."""
+"""Weather files, and what they make of trips; a rail whose spots and changes depend on weather."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from contents import put
 from refusals import refused
+from scipy.stats import kstest
 from trip_parts import without
 
+import trainlog
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import Evidence, evidence
-from trainlog.errors import InputError, LogError
-from trainlog.formats.csv_tables import read_weather, write_weather
-from trainlog.formats.mapfile import read_map
+from analysis.truth import truth_of
+from trainlog import InputError, LogError, StepProfile, Trip, read_map, read_weather, write_weather
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
 from trainlog.railway.weather import Weather, sun_elevation
-from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import Trip
+from trainlog.simulation import Change, Rail, draw_days, draw_scenarios, simulate
+from trainlog.simulation.rail import HOUR, KINDS
+from trainlog.units import DAY
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
-HOUR = 3600 * 10**9
-
-TRACK = empty_map(read_line(sample(DEFAULT_LINE)))
+LINE, TRAIN = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+TRACK = empty_map(LINE)
 HEADER = "time [UTC],condition,temperature [degC],humidity [%],precipitation [mm/h]\n"
 
 
@@ -36,14 +36,10 @@ def when(text: str) -> int:
     return int(pd.Timestamp(text).as_unit("ns").value)
 
 
-def written(folder: Path, text: str) -> Path:
-    return put(folder / "weather.csv", text)
-
-
 class TestFile:
     def test_rows_hold_until_the_next_one(self, tmp_path):
         rows = "2026-10-24T06:00,wet,8.5,93,1.2\n2026-10-24T07:00,dry,9,,0\n"
-        weather = read_weather(written(tmp_path, HEADER + rows))
+        weather = read_weather(put(tmp_path / "weather.csv", HEADER + rows))
         early = weather.at(when("2026-10-24T06:59:59Z"))
         assert early.condition == "wet"
         assert early.temperature == pytest.approx(281.65)
@@ -75,7 +71,7 @@ class TestFile:
         assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "weather.csv").read_bytes()
 
     def test_a_zone_is_a_name_or_an_offset(self, tmp_path):
-        path = written(tmp_path, "time [+02:00],condition\n2026-10-24T06:00,wet\n")
+        path = put(tmp_path / "weather.csv", "time [+02:00],condition\n2026-10-24T06:00,wet\n")
         assert read_weather(path).starts[0] == when("2026-10-24T04:00Z")
 
     @pytest.mark.parametrize(
@@ -109,7 +105,7 @@ class TestFile:
         ],
     )
     def test_a_wrong_row_is_named_by_file_and_line(self, tmp_path, text, words):
-        path = written(tmp_path, text)
+        path = put(tmp_path / "weather.csv", text)
         raised = refused(InputError, words, read_weather, path)
         assert str(path) in str(raised)
 
@@ -134,8 +130,7 @@ def test_the_sun_stands_where_the_almanac_says(time, place, elevation, within):
 @pytest.fixture(scope="module")
 def trip() -> Trip:
     """A wet trip with many slips, of which the log states no weather."""
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    driven = simulate(draw_scenarios(line, train, 3, seed=1)[2])
+    driven = simulate(draw_scenarios(LINE, TRAIN, 3, seed=1)[2])
     stated = {name: value for name, value in driven.metadata.items() if name != "weather"}
     return replace(driven, metadata=stated)
 
@@ -220,3 +215,197 @@ def test_the_command_takes_a_weather_file(trip, tmp_path, shell, works):
     track = read_map(condition)
     assert sorted(track.layers) == ["dry", "leaves"]
     assert track.trips[0]["weather"]["humidity"] == 0.9
+
+
+@pytest.fixture(scope="module")
+def rail() -> Rail:
+    return Rail.draw(LINE, days=40, start="2026-10-10", seed=2)
+
+
+@pytest.fixture(scope="module")
+def few() -> Rail:
+    """Six days, as many as trips are drawn of."""
+    return Rail.draw(LINE, days=6, start="2026-10-20", seed=2)
+
+
+def without_rain(rail: Rail) -> Rail:
+    table = replace(rail.drawn.table, precipitation=np.zeros(rail.drawn.table.starts.size))
+    return replace(rail, drawn=replace(rail.drawn, table=table))
+
+
+class TestRail:
+    def test_half_of_a_spot_is_left_after_its_life_and_little_long_after(self, rail):
+        dry = without_rain(rail)
+        for number, spot in dry.spots.iloc[::25].iterrows():
+            life = int(spot["life"] * 1e9)
+            shares = [
+                dry.left(int(spot["birth"]) + age)[number]
+                for age in (-1, 0, life // 4, life, 4 * life)
+            ]
+            assert shares[0] == 0.0
+            assert shares[1] == 1.0
+            assert shares[3] == pytest.approx(0.5, abs=1e-6)
+            # It holds at first, then falls: not as an exponential, of which 0.84 and 0.06 are left.
+            assert shares[2] == pytest.approx(1.0 / (1.0 + 4.0 ** -spot["sharpness"]), abs=1e-6)
+            assert shares[2] > 0.92
+            assert shares[4] < 0.08
+
+    def test_rain_shortens_the_life_of_what_it_washes_off(self, rail):
+        rainy = np.flatnonzero(rail.drawn.table.precipitation > 0.0)
+        after = int(rail.drawn.table.ends[rainy[rainy.size // 2]]) + 3 * HOUR
+        wet, dry = rail.left(after), without_rain(rail).left(after)
+        washed = (rail.spots["wash"] > 0.0).to_numpy() & (dry > 0.0)
+        assert np.all(wet <= dry)
+        assert np.any(wet[washed] < dry[washed] - 0.05)
+        lasts = (rail.spots["kind"] == "frost").to_numpy()
+        assert np.array_equal(wet[lasts], dry[lasts])
+
+    @pytest.mark.parametrize("kind", ["leaves", "contamination"])
+    def test_lives_are_lognormal_with_the_median_that_is_stated(self, kind):
+        spots = [Rail.draw(LINE, 40, "2026-10-10", seed).spots for seed in range(6)]
+        lives = pd.concat([each[each["kind"] == kind] for each in spots])["life"] / 3600.0
+        median, spread, shortest, longest = KINDS[kind].life
+        assert lives.min() >= shortest
+        assert lives.max() <= longest
+        inside = lives[(lives > shortest) & (lives < longest)]
+        assert inside.size > 100
+        assert np.median(lives) == pytest.approx(median, rel=0.35)
+        scores = np.log(inside / median) / spread
+        assert kstest(scores, "norm").pvalue > 1e-3
+
+    def test_leaves_fall_in_autumn_and_frost_comes_in_cold_nights(self):
+        summer = Rail.draw(LINE, 30, "2026-06-15", 3)
+        assert set(summer.spots["kind"]) == {"contamination"}
+        winter = Rail.draw(LINE, 60, "2026-11-20", 3)
+        frost = winter.spots[winter.spots["kind"] == "frost"]
+        assert len(frost) > 20
+        rows = winter.drawn.table.row_at(frost["birth"].to_numpy())
+        assert (winter.drawn.table.temperature[rows] < 274.15).all()
+
+    def test_the_same_seed_draws_the_same_rail(self, rail):
+        again = Rail.draw(LINE, days=40, start="2026-10-10", seed=2)
+        pd.testing.assert_frame_equal(rail.spots, again.spots)
+        time = rail.start + 5 * DAY + 7 * HOUR
+        assert rail.profile(time, 3) == again.profile(time, 3)
+        assert rail.profile(time, 3) != rail.profile(time, 4)
+        other = Rail.draw(LINE, days=40, start="2026-10-10", seed=3)
+        assert rail.profile(time, 3) != other.profile(time, 3)
+
+    def test_adhesion_in_the_section_is_changed_from_the_date_on(self):
+        change = Change(10e3, 14e3, when("2026-10-20T02:00Z"), factor=0.7)
+        rail = Rail.draw(LINE, 30, "2026-10-10", 2, [change])
+        for name in rail.base:
+            before = rail.lasting(name, change.time - 1).values
+            after = rail.lasting(name, change.time).values
+            centres = 10.0 * np.arange(before.size) + 5.0
+            inside = (centres > 10e3) & (centres < 14e3)
+            np.testing.assert_allclose(after[inside] / before[inside], 0.7)
+            assert np.array_equal(after[~inside], before[~inside])
+
+    def test_passing_spots_come_more_or_less_often_afterwards(self):
+        def share(births: float) -> float:
+            change = Change(0.0, 15e3, when("2026-10-25T00Z"), births=births)
+            before = after = 0
+            for seed in range(4):
+                spots = Rail.draw(LINE, 30, "2026-10-10", seed, [change]).spots
+                inside = spots[spots["start"] < 15e3]["birth"]
+                after += int((inside >= change.time).sum())
+                before += int((inside < change.time).sum())
+            return after / before
+
+        assert share(0.0) == 0.0
+        assert 0.0 < share(0.3) < 0.7 * share(1.0)
+        assert share(4.0) > 2.0 * share(1.0)
+
+    def test_trains_run_from_five_to_eleven_on_every_day(self, few):
+        trips = draw_days(few, [TRAIN], 7)
+        assert len(trips) == len({trip.name for trip in trips}) == 42
+        starts = pd.DatetimeIndex([trip.start for trip in trips])
+        assert starts.is_monotonic_increasing
+        hours = (starts - starts.normalize()) / pd.Timedelta(hours=1)
+        assert hours.min() >= 5.0
+        assert hours.max() <= 23.0
+        assert (pd.Series(starts.normalize()).value_counts() == 7).all()
+        assert {trip.direction for trip in trips} == {"forward", "reverse"}
+        for trip in trips:
+            assert trip.weather == few.weather(trip.start).condition
+
+    def test_the_log_carries_what_the_trip_met_and_what_lasts(self, few):
+        scenario = draw_days(few, [TRAIN], 2)[11]
+        truth = truth_of(simulate(scenario))
+        assert truth.lasting_adhesion == few.lasting(scenario.weather, scenario.start)
+        assert truth.maximum_adhesion == few.profile(scenario.start, 11)
+        assert truth.weather == few.weather(scenario.start).condition
+
+
+def test_what_cannot_be_drawn_is_refused(few):
+    days = (LINE, 30, "2026-10-10", 1)
+    for words, call, given in (
+        ("is not one of the days drawn", few.weather, (few.start + 50 * DAY,)),
+        ("rail condition 'snow' is unknown", few.lasting, ("snow", few.start)),
+        (
+            "ends at km 29.556",
+            Rail.draw,
+            (*days, [Change(10e3, 40e3, when("2026-10-15T00Z"), 1.3)]),
+        ),
+        (
+            "not one of the days sim",
+            Rail.draw,
+            (*days, [Change(1e3, 4e3, when("2026-11-15T00Z"), 1.3)]),
+        ),
+        ("ends after it starts", Change, (5e3, 4e3, 0)),
+        ("factor 130 is not between", Change, (4e3, 5e3, 0, 130.0)),
+        ("births -1 is not", Change, (4e3, 5e3, 0, 1.0, -1.0)),
+        ("cannot draw 0 trips a day of 1 train", draw_days, (few, [0], 0)),
+        ("of 0 trains", draw_days, (few, [], 4)),
+    ):
+        refused(InputError, words, call, *given)
+
+
+SAMPLES = ("--line", "sample", "--train", "sample")
+
+
+class TestCommand:
+    def test_days_are_simulated_with_their_weather(self, tmp_path, shell):
+        given = ["simulate", "days", *SAMPLES, "--days", "1", "--trips-per-day", "1"]
+        change = ["--start", "2026-10-20", "--change", "km=10:14,date=2026-10-20,factor=0.5"]
+        for folder in ("first", "second"):
+            assert shell(*given, *change, "-o", tmp_path / folder)[0] == 0
+        files = sorted(path.name for path in (tmp_path / "first").iterdir())
+        assert len(files) == 2
+        assert files[-1] == "weather.csv"
+        for name in files:
+            same = (tmp_path / "first" / name).read_bytes()
+            assert same == (tmp_path / "second" / name).read_bytes()
+        weather = read_weather(tmp_path / "first" / "weather.csv")
+        for name in files[:-1]:
+            trip = trainlog.read(tmp_path / "first" / name, topics=[])
+            there = weather.at(pd.Timestamp(trip.metadata["start"]).value)
+            assert there.condition == trip.metadata["weather"]
+
+    def test_a_train_that_is_stopped_for_good_does_not_end_the_month(
+        self, tmp_path, monkeypatch, shell
+    ):
+        slippery = Rail.lasting
+
+        def met(rail: Rail, condition: str, time: int) -> StepProfile:
+            found = slippery(rail, condition, time)
+            evening = time % DAY > 12 * HOUR
+            return StepProfile(found.positions, found.values * (0.02 if evening else 1.0))
+
+        monkeypatch.setattr(Rail, "lasting", met)
+        given = ["simulate", "days", *SAMPLES, "--days", "1", "--trips-per-day", "2"]
+        status, _, complaint = shell(*given, "-o", tmp_path)
+        assert status == 1
+        assert "the train does not arrive" in complaint
+        assert len(list(tmp_path.glob("*.mcap"))) == 1
+        assert (tmp_path / "weather.csv").exists()
+
+
+def test_a_rail_without_stations_or_spots_is_drawn():
+    """An edge of a network may be a hundred metres of track between two switches."""
+    short = replace(LINE.section(12_000.0, 12_100.0), stations=())
+    drawn = [Rail.draw(short, days=2, start="2026-06-15", seed=seed) for seed in range(5)]
+    assert min(len(each.spots) for each in drawn) == 0
+    assert all((each.spots["start"] <= 100.0).all() for each in drawn)
+    assert {tuple(each.spots.columns) for each in drawn} == {tuple(drawn[0].spots.columns)}
