@@ -9,7 +9,6 @@ import sys
 from collections import defaultdict
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -216,7 +215,6 @@ def test_what_cannot_be_done_is_refused_in_one_line(words, said, given, monkeypa
     assert state_of(given) == before
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_the_folder_of_a_file_is_made_and_goes_if_nothing_is_written(tmp_path, shell, works):
     words = "show", "sample_logs/CH_StGallen_Wil.line.json", "--picture", tmp_path / "a" / "b.png"
     assert shell(*words, "--nothing")[0] == 2
@@ -375,23 +373,14 @@ def test_help_of_every_command_fits_the_terminal_and_loses_nothing(columns, monk
             assert parameter.help, (words, parameter.name)
 
 
-def examples(command: Any) -> list[list[str]]:
-    """The words of the examples in a command's help."""
-    return [
-        shlex.split(each.removeprefix("Example: trainlog "))
-        for each in (command.help or "").split("\n\n")
-        if each.startswith("Example: trainlog ")
-    ]
-
-
 @pytest.mark.parametrize("words", [words for words, _ in commands()])
 def test_each_command_has_an_example_that_parses_and_twelve_options(words, tmp_path, monkeypatch):
     (tmp_path / "results").mkdir()
     monkeypatch.chdir(tmp_path)
     command = dict(commands())[words]
-    found = examples(command)
-    assert found
-    for example in found:
+    examples = re.findall(r"^Example: trainlog (.*?)(?:\n\n|\Z)", command.help or "", re.M | re.S)
+    assert examples
+    for example in map(shlex.split, examples):
         given = example[len(words.split()) :]
         assert example[: len(words.split())] == words.split()
         command.make_context(words, given, help_option_names=["-h", "--help"])

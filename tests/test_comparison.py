@@ -428,18 +428,6 @@ def test_the_stops_on_a_line_without_stations_have_no_names_and_efforts_may_be_u
     assert trip_cost(stops).stops == 1
 
 
-def test_savings_pair_the_same_configuration_only():
-    drivers = [trip("a", 50_000.0), trip("b", 60_000.0, stop=True)]
-    followed = [
-        trip("driven-a", 40_000.0, configuration="a"),
-        trip("driven-b", 40_000.0, configuration="b"),
-        trip("driven-c", 40_000.0, configuration="c"),
-    ]
-    (pair,) = compare_groups(drivers, followed).pairs
-    assert pair.driver.name == "a"
-    assert pair.traction == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
-
-
 def test_slip_protection_that_is_not_recorded_is_not_zero():
     """A flag counts where there is one, else events; without both, how often is not known."""
     silent = followed("departure from A", "arrival at B", late=0.1)
@@ -525,10 +513,14 @@ def test_trips_that_followed_nothing_are_named_with_their_file():
         refused(LogError, words, compare_groups, [trip("a")], followed)
 
 
-def test_groups_are_compared_by_their_mean_and_spread():
-    drivers = [trip("a", effort=60_000.0), trip("b", effort=50_000.0)]
-    followed = [trip("c", 40_000.0, configuration="a"), trip("d", 40_000.0, configuration="b")]
-    driver, own, saved = compare_groups(drivers, followed).tables()[0].words[-1][1:4]
+def test_groups_are_compared_by_their_mean_and_spread_and_pairs_of_one_configuration():
+    drivers = [trip("a", effort=60_000.0), trip("b", effort=50_000.0), trip("d", stop=True)]
+    followed = [trip(f"driven-{name}", 40_000.0, configuration=name) for name in "abcd"]
+    groups = compare_groups(drivers, followed)
+    assert [pair.driver.name for pair in groups.pairs] == ["a", "b"]
+    saved = [pair.traction for pair in groups.pairs]
+    assert saved == pytest.approx([20_000.0 * 12_000.0, 10_000.0 * 12_000.0], rel=1e-3)
+    driver, own, saved = groups.tables()[0].words[-1][1:4]
     # 50 kN and 60 kN over 12 km are 167 and 200 kWh, 40 kN are 133 kWh.
     assert driver.startswith("183.33 kWh ± 23.57 kWh, 600 ± 0 s")
     assert own.startswith("133.33 kWh ± 0.00 kWh")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from painting import without_painting
+from refusals import refused
 from rich.console import Console
 from test_cli import commands as every_command, context_of
 
@@ -23,8 +24,6 @@ from trainlog.formats.railway import line_of
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
-NONSTOP = "trip-01"  # configuration of a trip without a stop, to which the driven one is compared
-
 
 @pytest.fixture(scope="module", params=[3, pytest.param(12, marks=pytest.mark.long)])
 def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> Path:
@@ -32,7 +31,8 @@ def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> P
 
     Unless long, its pictures are not painted, as they are in the tests of pictures.
     """
-    changed = {} if request.param == 12 else {"12": str(request.param), "all": NONSTOP}
+    # The driven one is compared to a trip of its configuration that does not stop: trip-01.
+    changed = {} if request.param == 12 else {"12": str(request.param), "all": "trip-01"}
     coarse = {"plan": ["--set", "cells=40"]} if changed else {}
 
     def make(folder: Path) -> None:
@@ -154,8 +154,8 @@ def test_a_folder_of_other_files_is_left_alone(tmp_path):
     kept = tmp_path / "trips" / "mine.mcap"
     kept.parent.mkdir()
     kept.write_bytes(b"mine")
-    with pytest.raises(InputError, match="not the demo's; name a new folder"):
-        demo.run_demo(tmp_path, Console(quiet=True), cli.run)
+    said = "not the demo's; name a new folder"
+    refused(InputError, said, demo.run_demo, tmp_path, Console(quiet=True), cli.run)
     assert kept.read_bytes() == b"mine"
 
 

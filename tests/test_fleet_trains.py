@@ -332,15 +332,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.fixture(scope="module")
-def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    line = read_line(sample(DEFAULT_LINE))
-    nodes = (Node("St.Gallen"), Node("Wil"))
-    path = tmp_path_factory.mktemp("network") / "one.network.json"
-    write_network(Network("one", nodes, (Edge(line.name, line, *(n.name for n in nodes)),)), path)
-    return path
-
-
 def table_of(page: Page, name: str) -> list[dict]:
     """The rows of a table, by its name, wherever it stands."""
 
@@ -494,7 +485,10 @@ def test_trips_whose_dates_contradict_each_other_are_named():
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_command_writes_one_page_that_asks_for_nothing(place, network, tmp_path, shell):
+def test_the_command_writes_one_page_that_asks_for_nothing(place, tmp_path, shell):
+    line, network = read_line(sample(DEFAULT_LINE)), tmp_path / "one.network.json"
+    nodes, edge = (Node("St.Gallen"), Node("Wil")), Edge(line.name, line, "St.Gallen", "Wil")
+    write_network(Network("one", nodes, (edge,)), network)
     words = ("report", place, "--network", network, "-o", tmp_path / "fleet.html")
     assert shell(*words)[0] == 0
     html = (tmp_path / "fleet.html").read_text("utf-8")

@@ -194,10 +194,9 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place):
     assert updated(place, WRONG, retry=True).trips == 2
 
 
-LATE = pytest.param(DEADLY_AFTER, marks=pytest.mark.long)
-
-
-@pytest.mark.parametrize("analysis", [DEADLY, LATE], ids=["deadly", "after"])
+@pytest.mark.parametrize(
+    "analysis", [DEADLY, pytest.param(DEADLY_AFTER, marks=pytest.mark.long)], ids=lambda it: it.name
+)
 def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(place, analysis, monkeypatch):
     monkeypatch.setattr("analysis.fleet.engine.PATIENCE", 1.0)
     found = updated(place, analysis, workers=2, batch=3)
@@ -342,9 +341,6 @@ def test_maps_of_other_code_stand_until_all_is_computed_anew(place, undisturbed,
         assert maps_in(folder) == before
 
 
-SERVERS = pytest.mark.parametrize("server", ["sqlite", "postgresql"])
-
-
 def places(server, folder, request, *names):
     """Catalogues of their own on a database, that keep their results below a folder."""
     if server == "sqlite":
@@ -388,7 +384,7 @@ def test_an_update_killed_at_random_counts_each_trip_once(server, kills, trips, 
 
 
 @pytest.mark.long
-@SERVERS
+@pytest.mark.parametrize("server", ["sqlite", "postgresql"])
 @pytest.mark.parametrize(("each", "at_random", "together"), [(10, 20, 1), (3, 20, 2)])
 def test_kills_at_each_point_leave_the_same(server, each, at_random, together, tmp_path, request):
     short_trips(tmp_path / "logs", 6)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from fleet_trips import later
 from refusals import refused
 
 import trainlog
@@ -55,14 +56,10 @@ def network() -> Network:
 def on_line(name: str, line: Line, path: Path, days: float = 0.0) -> Path:
     """A sample log near the cut, as if driven on another line, days later."""
     trip = trainlog.read(sample(name)).within(7_500.0, 15_000.0)
-    topics = {}
-    for topic, frame in trip.topics.items():
-        topics[topic] = frame.set_axis(frame.index + pd.Timedelta(days=days))
-        topics[topic].attrs = frame.attrs
     named = {"line": line.name, "trip": path.stem, "weather": "wet"}
     attached = {**trip.attachments, "line.json": line_to_bytes(line)}
-    moved = replace(trip, topics=topics, metadata=trip.metadata | named, attachments=attached)
-    trainlog.write(moved, path)
+    moved = replace(trip, metadata=trip.metadata | named, attachments=attached)
+    trainlog.write(later(moved, pd.Timedelta(days=days)), path)
     return path
 
 
@@ -174,10 +171,8 @@ def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path):
     assert list(network_map(tmp_path / "maps").maps) == ["CH_StGallen_Wil"]
     found = update_network_map(sample("nonstop.mcap"), tmp_path / "other", network())
     assert "has no edge 'CH_StGallen_Wil'" in found.refused[0].reason
-    with pytest.raises(InputError, match="differs from the 'cut' given"):
-        update_network_map(
-            sample("nonstop.mcap"), tmp_path / "other", replace(network(), source="else")
-        )
+    given = sample("nonstop.mcap"), tmp_path / "other", replace(network(), source="else")
+    refused(InputError, "differs from the 'cut' given", update_network_map, *given)
     refused(InputError, "has no track-condition maps", network_map, tmp_path / "other")
 
 
@@ -197,10 +192,11 @@ def test_forecasts_and_scores_of_all_edges(maps):
     assert when.date() > pd.Timestamp("2024-10-07").date()
     early = pd.Timestamp("2024-10-08T00:00Z")
     assert sum(len(track.trips) for track in found.known_before(early).maps.values()) == 2
-    with pytest.raises(InputError, match="no edge has evidence of a day before 2020"):
-        forecasts_of_network(found, pd.Timestamp("2020-01-01T00:00Z"))
-    with pytest.raises(InputError, match="no edge has evidence of two days"):
-        score_network(NetworkMap(maps, None, {}))
+    before = pd.Timestamp("2020-01-01T00:00Z")
+    said = "no edge has evidence of a day before 2020"
+    refused(InputError, said, forecasts_of_network, found, before)
+    none = NetworkMap(maps, None, {})
+    refused(InputError, "no edge has evidence of two days", score_network, none)
 
 
 def test_maps_are_scored_on_later_trips_edge_by_edge(maps, logs):

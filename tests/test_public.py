@@ -46,25 +46,17 @@ def test_importing_the_packages_loads_neither_pandas_nor_a_solver():
     assert ended.stdout.strip() == "[]"
 
 
-def public_examples() -> list[Any]:
-    """Name and docstring of every public name, and of its public methods."""
-    found = []
+def test_examples_use_only_public_names_and_what_they_import():
+    """What a reader of the reference can type: no names of the module that defines it."""
+    documented = {}  # docstrings of every public name, and of its public methods
     for package in (*PACKAGES, "estimators"):
         for name in importlib.import_module(package).__all__:
             each = getattr(importlib.import_module(package), name)
-            found.append((f"{package}.{name}", each.__doc__ or ""))
-            if isinstance(each, type):
-                methods = {key: it for key, it in vars(each).items() if not key.startswith("_")}
-                docs = {
-                    key: it.__doc__ or "" for key, it in methods.items() if hasattr(it, "__doc__")
-                }
-                found += [(f"{package}.{name}.{key}", text) for key, text in docs.items()]
-    return [(name, text) for name, text in found if ">>> " in text]
-
-
-def test_examples_use_only_public_names_and_what_they_import():
-    """What a reader of the reference can type: no names of the module that defines it."""
-    examples = public_examples()
+            documented[f"{package}.{name}"] = each.__doc__
+            for key, method in vars(each).items() if isinstance(each, type) else ():
+                if not key.startswith("_"):
+                    documented[f"{package}.{name}.{key}"] = getattr(method, "__doc__", None)
+    examples = [(name, text) for name, text in documented.items() if ">>> " in (text or "")]
     assert len(examples) > 100
     wrong = {}
     for name, text in examples:
@@ -111,24 +103,14 @@ def kinds() -> list[type[TrainlogError]]:
     return seen
 
 
-def an_error(kind: type[TrainlogError]) -> TrainlogError:
-    """Of a kind, with all that its constructor takes."""
-    arguments = []
-    named = {}
-    for name, parameter in inspect.signature(kind).parameters.items():
-        if parameter.kind is parameter.KEYWORD_ONLY:
-            if name in GIVEN:
-                named[name] = GIVEN[name]
-        else:
-            arguments.append(GIVEN.get(name, name))
-    return kind(*arguments, **named)
-
-
 def test_every_error_survives_pickling_and_copying():
     found = kinds()
     assert len(found) >= 11
     for kind in found:
-        error = an_error(kind)
+        taken = inspect.signature(kind).parameters.values()
+        named = [each.name for each in taken if each.kind is each.KEYWORD_ONLY]
+        others = [GIVEN.get(each.name, each.name) for each in taken if each.name not in named]
+        error = kind(*others, **{name: GIVEN[name] for name in named if name in GIVEN})
         for again in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
             assert type(again) is kind
             assert str(again) == str(error)
@@ -143,11 +125,11 @@ def test_a_message_is_one_line_whatever_it_names():
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
-def without_remedy() -> list[str]:
-    """Places where the product raises an `InputError` that states no remedy."""
-    return [
+def test_input_errors_state_a_remedy():
+    """Those of a form state in the problem what a value must be; those of studies are few."""
+    found = [
         f"{path.relative_to(CHECKOUT)}:{node.lineno}"
-        for package in ("trainlog", "analysis")
+        for package in PACKAGES
         for path in sorted((CHECKOUT / package).rglob("*.py"))
         if re.search(r"\b(Input|Log)Error\(", text := path.read_text("utf-8"))
         for node in ast.walk(ast.parse(text))
@@ -156,11 +138,6 @@ def without_remedy() -> list[str]:
         and node.func.id in ("InputError", "LogError")
         and not any(each.arg in ("remedy", None) for each in node.keywords)
     ]
-
-
-def test_input_errors_state_a_remedy():
-    """Those of a form state in the problem what a value must be; those of studies are few."""
-    found = without_remedy()
     forms = [each for each in found if "/studies/" not in each]
     assert len(forms) <= 7, forms
     assert len(found) <= 18

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -400,14 +400,6 @@ def unlike(name: str, top: float) -> Trip:
     return without(made_trip(name, top=top), "/reference")
 
 
-def reached(trip: Trip, position: np.ndarray) -> np.ndarray:
-    """When a trip of the example passed positions [s], from its samples as they are."""
-    state = trip["/train/state"]
-    seconds = (state.index.as_unit("ns").asi8 - state.index.as_unit("ns").asi8[0]) / 1e9
-    moving = np.concatenate(([True], np.diff(state["position"].to_numpy()) > 0.0))
-    return np.interp(position, state["position"].to_numpy()[moving], seconds[moving])
-
-
 def test_a_trip_is_behind_another_by_the_difference_of_their_passing_times(tmp_path):
     fast, slow = unlike("fast", 25.0), unlike("slow", 16.0)
     path = tmp_path / "both.rrd"
@@ -415,7 +407,12 @@ def test_a_trip_is_behind_another_by_the_difference_of_their_passing_times(tmp_p
     assert made.references == ("fast",)
     found = rows(path, "/trips/slow/behind/time")
     behind, place = found["Scalars:scalars"][1:, 0], found["position_m"][1:].astype(float)
-    expected = reached(slow, place) - reached(fast, place)
+    passed = []  # when each trip passed the places [s], from its samples as they are
+    for state in (trip["/train/state"] for trip in (slow, fast)):
+        position, time = state["position"].to_numpy(), state.index.as_unit("ns").asi8
+        moving = np.concatenate(([True], np.diff(position) > 0.0))
+        passed.append(np.interp(place, position[moving], (time[moving] - time[0]) / 1e9))
+    expected = passed[0] - passed[1]
     inside = (place > 50.0) & (place < LENGTH - 50.0)
     assert inside.sum() > 150
     assert behind[inside] == pytest.approx((expected - expected[0])[inside], abs=0.15)
@@ -537,54 +534,24 @@ def test_the_command_states_with_what_trips_are_compared(tmp_path, works):
     assert "/trips/a/behind/time" in entities(target)
 
 
-COMPONENTS = {
-    "class": "ViewBlueprint:class_identifier",
-    "name": "ViewBlueprint:display_name",
-    "contents": "ViewContents:query",
-    "origin": "ViewBlueprint:space_origin",
-}
-
-
-@dataclass
-class Layout:
-    """What the blueprint of a recording says."""
-
-    logged: dict[str, dict[str, Any]]
-
-    def views(self) -> list[dict[str, Any]]:
-        found = []
-        for path, components in self.logged.items():
-            if re.fullmatch(r"/view/[0-9a-f-]{36}", path) and COMPONENTS["class"] in components:
-                both = components | self.logged[f"{path}/ViewContents"]
-                found.append(
-                    {key: both.get(name) for key, name in COMPONENTS.items()} | {"path": path}
-                )
-        return found
-
-    def shown(self) -> set[str]:
-        """Entity paths that views ask for, `$origin` filled in."""
-        paths = set()
-        for view in self.views():
-            for line in view["contents"]:
-                for query in line.splitlines():
-                    paths.add(query.strip().removeprefix("+").strip().replace(
-                        "$origin", (view["origin"] or [""])[0]))  # fmt: skip
-        return paths
-
-
-def layout_of(path: Path) -> Layout:
+def layout_of(path: Path) -> tuple[dict[str, dict[str, Any]], list[dict[str, Any]]]:
+    """What the blueprint of a recording says of each entity, and of each view."""
     reader = RrdReader(path)
-    stored = reader.blueprints()
-    assert len(stored) == 1
-    assert stored[0].application_id == reader.recordings()[0].application_id == "trainlog"
+    (stored,) = reader.blueprints()
+    assert stored.application_id == reader.recordings()[0].application_id == "trainlog"
     logged: dict[str, dict[str, Any]] = {}
-    for chunk in reader.stream(store=stored[0]).to_chunks():
+    for chunk in reader.stream(store=stored).to_chunks():
         batch = chunk.to_record_batch()
         kept = logged.setdefault(chunk.entity_path, {})
         for name in batch.schema.names:
             if ":" in name:
                 kept[name] = batch[name][len(batch) - 1].as_py()
-    return Layout(logged)
+    return logged, [
+        {"path": path, **components, **logged[f"{path}/ViewContents"]}
+        for path, components in logged.items()
+        if re.fullmatch(r"/view/[0-9a-f-]{36}", path)
+        and "ViewBlueprint:class_identifier" in components
+    ]
 
 
 def matches(query: str, found: set[str]) -> bool:
@@ -604,18 +571,23 @@ def test_every_view_has_something_to_show_and_everything_recorded_is_shown(
     path = tmp_path / "replay.rrd"
     given = {"trajectory": trajectory_of(), "condition_map": condition_of()} if beside else {}
     write_replay(trips[:count], path, **given)
-    layout, found = layout_of(path), set(entities(path))
-    queries = layout.shown()
+    (logged, views), found = layout_of(path), set(entities(path))
+    queries = {
+        query.lstrip(" +").rstrip().replace("$origin", view["ViewBlueprint:space_origin"][0])
+        for view in views
+        for line in view["ViewContents:query"]
+        for query in line.splitlines()
+    }
     assert queries
     assert [query for query in queries if not matches(query, found)] == []
     assert [name for name in found if not any(matches(q, {name}) for q in queries)] == []
-    logged = layout.logged.values()
-    tabs = [each for each in logged if each.get("ContainerBlueprint:container_kind") == [1]]
+    kind = "ContainerBlueprint:container_kind"
+    tabs = [each for each in logged.values() if each.get(kind) == [1]]
     assert tabs
     assert all(len(each["ContainerBlueprint:contents"]) > 1 for each in tabs), "none alone"
     titles = {
         value[0]
-        for components in logged
+        for components in logged.values()
         for name, value in components.items()
         if name.endswith(":display_name")
     }
@@ -624,9 +596,9 @@ def test_every_view_has_something_to_show_and_everything_recorded_is_shown(
         others = titles - {"up: speed [km/h]"}
         assert any(title.startswith(several) for title in others) == (count > 1)
     # Without tiles no map asks for them.
-    views = {view["class"][0]: view for view in layout.views()}
-    assert "Map" not in views
-    bounds = layout.logged[f"{views['2D']['path']}/VisualBounds2D"]["VisualBounds2D:range"][0]
+    kinds = {view["ViewBlueprint:class_identifier"][0]: view["path"] for view in views}
+    assert "Map" not in kinds
+    bounds = logged[f"{kinds['2D']}/VisualBounds2D"]["VisualBounds2D:range"][0]
     (left, right), (top, bottom) = bounds["x_range"], bounds["y_range"]
     assert left < 0.0 < 2000.0 < right < 3000.0
     assert top < 0.0 < bottom

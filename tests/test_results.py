@@ -118,11 +118,7 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:
     recorded = folder / "recorder.csv"
     rows_of_it = trainlog.sample("recorder.csv").read_bytes().splitlines(True)[:2_000]
     recorded.write_bytes(b"".join(rows_of_it))
-    later = {
-        name: frame.set_axis(frame.index + pd.Timedelta(days=2))
-        for name, frame in trip.topics.items()
-    }
-    two_days = analysis.adhesion_map([trip, replace(trip, topics=later)]).track
+    two_days = analysis.adhesion_map([trip, later(trip, pd.Timedelta(days=2))]).track
     write_parameters(fitted.parameters, folder / "parameters.json")
     (kind, *_) = fleet.resistance
     start, end = trainlog.Node("St. Gallen"), trainlog.Node("Wil")
