@@ -151,16 +151,34 @@ def test_slip_protection_catches_the_wheels(braking, effort, peak):
     assert found["protected_axles"].max() == 4.0
 
 
-def test_the_friction_brake_uses_no_more_than_the_adhesion_of_the_trailing_axles():
-    brake = Brake(dead_time=0.0, lag=0.1)
-    train = flirt(resistance=NO_DRAG, max_dynamic_braking_effort=0.0, brake=brake)
+@pytest.mark.parametrize("powered", [0.2, 0.6, 1.0])
+@pytest.mark.parametrize("dynamic", [0.0, 20e3])
+def test_all_axles_brake_with_the_adhesion_of_all(powered, dynamic):
+    """A train with every axle powered brakes as any other, with a dynamic brake or without."""
+    train = flirt(
+        resistance=NO_DRAG,
+        max_dynamic_braking_effort=dynamic,
+        axles=replace(flirt().axles, adhesive_mass=powered * flirt().mass),
+        brake=Brake(dead_time=0.0, lag=0.1),
+    )
     plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, 0.05)))
     rows = columns(plant, plant.advance(rolling(plant, 0.0, 30.0), 0.0, 90e3, 1_000, 1))
+    # The brakes slow the powered wheels, the rail all of the rest.
+    slowed = -0.05 * GRAVITY * train.mass / plant.parameters.body_inertia
+    np.testing.assert_allclose(rows["acceleration"][500:], slowed, rtol=1e-3)
+
+
+def test_axles_that_slide_take_no_part_in_the_friction_brake():
+    train = flirt(resistance=NO_DRAG, brake=Brake(dead_time=0.0, lag=0.1))
+    plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, 0.05)))
+    rows = columns(plant, plant.advance(rolling(plant, 0.0, 30.0), 0.0, 180e3, 2_000, 1))
+    wheels = np.column_stack([rows[f"wheel_speed_{axle + 1}"] for axle in range(plant.axles)])
+    sliding = np.all(np.abs(wheels - rows["speed"][:, None]) > 3.0, axis=1)
     trailing = GRAVITY * (train.mass - train.axles.adhesive_mass)
-    # The wheels of the powered axles are slowed by the rail.
-    inertia = plant.parameters.body_inertia + plant.axles * plant.parameters.axle_inertia
-    slowed = rows["acceleration"][500:]
-    np.testing.assert_allclose(slowed, -0.05 * trailing / inertia, rtol=1e-3)
+    assert np.count_nonzero(sliding) > 20
+    friction = rows["pneumatic_braking_effort"]
+    np.testing.assert_allclose(friction[sliding], 0.05 * trailing, rtol=1e-3)
+    assert np.all(rows["acceleration"] > -0.05 * GRAVITY)
 
 
 @pytest.mark.parametrize("efforts", [None, np.full(4, -20e3)])

@@ -40,7 +40,7 @@ from trainlog.railway import (
     Trajectory,
 )
 from trainlog.simulation import draw_scenarios, drive, recorded
-from trainlog.simulation.dynamics import Step, held_back
+from trainlog.simulation.dynamics import Step, forces
 from trainlog.simulation.plant import Plant
 from trainlog.units import GRAVITY
 
@@ -89,8 +89,8 @@ def test_curve_resistance_is_that_of_the_formula_in_plan_and_simulation(formula,
         row = rows[np.searchsorted(rows[:, 0], at, side="right") - 1]
         state = np.zeros(3)
         state[0], state[1] = at, 10.0
-        now = Step(*[np.zeros(1)] * 9, plant.parameters)._replace(track=row, rail=rail)
-        along = held_back(state, 10.0, now)[1]
+        now = Step(*[np.zeros(0)] * 10, plant.parameters)._replace(track=row, rail=rail)
+        along = forces(state, 10.0, now)[2]
         assert along / FLIRT.mass == pytest.approx(line.track_acceleration(at), abs=1e-7)
 
 

@@ -9,7 +9,8 @@ through the adhesion between wheel and rail:
 (Zhao et al. (2025), eq. 1, 8, 10; Amirhosseini et al. (2024), eq. 1, 5, 6, 10). `M` moves with the
 train, `J` is the inertia of one powered axle, both as masses at the wheel rim; `T_i` is the motor
 torque over the wheel radius. The efforts follow their demand with a first-order lag, the friction
-brake after a dead time as well. The efforts of the axles are those that a traction control gives,
+brake after a dead time as well. The friction brake acts on all axles, within the adhesion that the
+motors leave, and not on an axle that slides. The efforts of the axles are those that a traction control gives,
 or an even share of the demand under the slip protection of each axle (`protect`).
 Classical Runge-Kutta of fourth order with a fixed step; the works of all forces are integrated
 beside the motion, so that the energy balance can be checked.
@@ -122,6 +123,8 @@ class Step(NamedTuple):
         Row of the characteristic's table; empty: the row of the rail is the curve.
     loads : (n,) array [N]
         Of the axles, each times its adhesion.
+    contacts : (n,) array [N]
+        Pull of each axle, as scratch (see `forces`).
     pieces : (4, n) array
         See `find_pieces`.
     end, at : arrays
@@ -135,6 +138,7 @@ class Step(NamedTuple):
     rail: FloatArray
     curve: FloatArray
     loads: FloatArray
+    contacts: FloatArray
     pieces: FloatArray
     end: FloatArray
     at: FloatArray
@@ -244,37 +248,41 @@ def braking_limit(speed: float, p: PlantParameters) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def holding_effort(
-    speed: float, command: FloatArray, rail: FloatArray, p: PlantParameters
-) -> float:
+def holding_effort(speed: float, command: FloatArray, p: PlantParameters) -> float:
     """Effort of the holding brake [N]: applied below its speed unless a motor is to pull."""
     if speed >= p.holding_speed:
         return 0.0
     for each in command:
         if each > 0.0:
             return 0.0
-    return min(p.holding_effort, rail[1] * p.mass * GRAVITY)
+    return p.holding_effort
 
 
 @njit(cache=True, error_model="numpy")
-def held_back(y: FloatArray, v: float, now: Step) -> tuple[float, float, float]:
-    """Running resistance, force along the track and friction braking effort on the train [N]."""
-    p, track, rail = now.p, now.track, now.rail
+def forces(y: FloatArray, v: float, now: Step) -> tuple[float, float, float, float]:
+    """Pull of all powered axles, running resistance, force along the track, friction braking [N].
+
+    `now.contacts` is filled with the pull of each axle.
+    """
+    p, track, rail, loads, contacts = now.p, now.track, now.rail, now.loads, now.contacts
+    pull, left = 0.0, rail[1] * p.trailing_weight
+    for i in range(loads.size):
+        slip = y[3 + i] - v
+        contacts[i] = adhesion(slip, rail, now.curve) * loads[i]
+        pull += contacts[i]
+        if abs(slip) <= p.slip_threshold:
+            left += rail[1] * loads[i] + contacts[i]
     resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
     within = y[0] - track[0]
     curves = curve_resistance(track[2] + track[3] * within, track[6], track[7])
     along = p.mass * GRAVITY * (track[1] + track[5] * within + curves)
-    friction = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], now.command, rail, p)
-    return resistance, along, friction
+    return pull, resistance, along, min(y[2] + holding_effort(y[1], now.command, p), left)
 
 
 @njit(cache=True, error_model="numpy")
 def net_force(y: FloatArray, now: Step) -> float:
     """Net force on a train that moves or is about to [N]."""
-    pull, v, rail, curve, loads = 0.0, y[1], now.rail, now.curve, now.loads
-    for i in range(loads.size):
-        pull += adhesion(y[3 + i] - v, rail, curve) * loads[i]
-    resistance, along, friction = held_back(y, v, now)
+    pull, resistance, along, friction = forces(y, y[1], now)
     return pull - resistance - along - friction
 
 
@@ -285,19 +293,14 @@ def shift_loads(y: FloatArray, now: Step, weights: FloatArray, transfer: FloatAr
     The forces are those of the loads a step before: the suspension needs longer than that.
     """
     n, loads, track = weights.size, now.loads, now.track
-    forces, total = np.empty(n), 0.0
-    for i in range(n):
-        forces[i] = adhesion(y[3 + i] - y[1], now.rail, now.curve) * loads[i]
-        total += forces[i]
-    resistance, along, friction = held_back(y, y[1], now)
-    net = total - resistance - along - friction
+    net = net_force(y, now)
     # At rest the brakes hold what is left over.
     acceleration = net / now.p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
     specific = acceleration + GRAVITY * (track[1] + track[5] * (y[0] - track[0]))
     for i in range(n):
         change = transfer[i, n] * specific
         for j in range(n):
-            change += transfer[i, j] * forces[j]
+            change += transfer[i, j] * now.contacts[j]
         share = 1.0 + change / now.p.axle_weight
         loads[i] = weights[i] * max(share, LEAST_LOAD)
 
@@ -310,12 +313,18 @@ def stage(y: FloatArray, share: float, reach: float, moving: bool, now: Step) ->
     `now.at` are left alone, as nothing depends on them. Unless `moving`, the brakes and the
     resistances hold the train where it stands.
     """
-    command, friction_demand, _, rail, curve, loads, pieces, end, at, p = now
-    n = loads.size
+    command, contacts, pieces, end, at, p = (
+        now.command,
+        now.contacts,
+        now.pieces,
+        now.end,
+        now.at,
+        now.p,
+    )
+    n = contacts.size
     v = at[1] if moving else 0.0
     works = 3 + 2 * n
-    resistance, along, friction = held_back(at, v, now)
-    pull = 0.0
+    pull, resistance, along, friction = forces(at, v, now)
     traction = 0.0
     braking = 0.0
     slip_power = 0.0
@@ -323,21 +332,19 @@ def stage(y: FloatArray, share: float, reach: float, moving: bool, now: Step) ->
         wheel = at[3 + i]
         lagged = at[3 + n + i]
         effort = motor_effort(lagged, wheel, pieces, i, p)
-        contact = adhesion(wheel - v, rail, curve) * loads[i]
-        change = (effort - contact) / p.axle_inertia
+        change = (effort - contacts[i]) / p.axle_inertia
         end[3 + i] += share * change
         at[3 + i] = y[3 + i] + reach * change
         change = (command[i] - lagged) / p.motor_lag
         end[3 + n + i] += share * change
         at[3 + n + i] = y[3 + n + i] + reach * change
-        pull += contact
-        slip_power += contact * (wheel - v)
+        slip_power += contacts[i] * (wheel - v)
         if effort >= 0.0:
             traction += effort * wheel
         else:
             braking -= effort * wheel
     acceleration = (pull - resistance - along - friction) / p.body_inertia if moving else 0.0
-    change = (friction_demand - at[2]) / p.friction_lag
+    change = (now.friction_demand - at[2]) / p.friction_lag
     end[0] += share * v
     end[1] += share * acceleration
     end[2] += share * change
@@ -466,8 +473,9 @@ def stop(y: FloatArray, step: float, now: Step) -> None:
 @njit(cache=True, error_model="numpy")
 def sample(y: FloatArray, out: FloatArray, modes: IntArray, now: Step) -> None:
     """Write what `SAMPLE` lists, then wheel speeds and wheel efforts, into `out`."""
-    p, rail, n = now.p, now.rail, now.loads.size
-    net = net_force(y, now)
+    p, n = now.p, now.loads.size
+    pull, resistance, along, friction = forces(y, y[1], now)
+    net = pull - resistance - along - friction
     out[0] = y[0]
     out[1] = y[1]
     out[2] = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
@@ -480,9 +488,9 @@ def sample(y: FloatArray, out: FloatArray, modes: IntArray, now: Step) -> None:
             out[4] -= effort
         out[10 + i] = y[3 + i]
         out[10 + n + i] = effort + 0.0  # no negative zero
-    out[5] = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], now.command, rail, p)
+    out[5] = friction
     out[6] = p.r0 + (p.r1 + p.r2 * y[1]) * y[1] if y[1] > 0.0 else 0.0
-    out[7] = rail[1]
+    out[7] = now.rail[1]
     out[8] = y[3 + 2 * n]
     out[9] = 0.0
     for mode in modes:
@@ -552,7 +560,7 @@ def advance(
     n = weights.size
     loads = weights.copy()
     end, at = np.empty(y.size), np.empty(y.size)
-    command, pieces = np.empty(n), np.zeros((4, n))
+    command, contacts, pieces = np.empty(n), np.empty(n), np.zeros((4, n))
     for i in range(n):
         pieces[0, i] = pieces[2, i] = np.inf
     curve = np.empty(curve_table.shape[1] if curve_table.shape[0] > 0 else 0)
@@ -601,7 +609,9 @@ def advance(
             delay[head] = friction_demand
             places[2] = (head + 1) % delay.size
             friction_demand = delayed
-        now = Step(command, friction_demand, track, rail, curve, loads, pieces, end, at, p)
+        now = Step(
+            command, friction_demand, track, rail, curve, loads, contacts, pieces, end, at, p
+        )
         for _ in range(SETTLING if k == 0 else 1):
             if transfer.shape[0] > 0:
                 shift_loads(y, now, weights, transfer)
