@@ -331,7 +331,7 @@ class TestWhatTheRecorderLacks:
 
     def test_noise_of_the_wheel_speeds(self, heavy):
         generator, total = np.random.default_rng(4), Score()
-        noise = 0.3 * generator.standard_normal((len(heavy.trip["/train/axles"]), 4))
+        noise = 0.32 * generator.standard_normal((len(heavy.trip["/train/axles"]), 4))
         found = slip(of_speeds(heavy.trip, lambda speeds: speeds + noise))
         total.count(replace(heavy, found=found), margin=0.4)
         assert total.precision > 0.97
@@ -341,17 +341,20 @@ class TestWhatTheRecorderLacks:
 
     def test_levels_of_slow_samples_hold_their_band(self, wet):
         """Of each passage of a place; the axles of one err alike, so that they count once."""
-        found = slip(slower(wet.trip, 10))
-        shown = found.events[found.events["measured"]]
-        true = wet.scenario.maximum_adhesion(shown["position"].to_numpy())
-        error = np.log(shown["adhesion"] / true)
-        own = shown["adhesion_std"] / shown["adhesion"]
-        passages = (shown["position"] // 25.0).astype(int)
-        error, own = error.groupby(passages).mean(), own.groupby(passages).mean()
-        assert len(error) > 15
-        spread = np.sqrt(own**2 + found.common_std**2 + found.passage_std**2)
-        assert np.mean(np.abs(error) < 1.96 * spread) > 0.9
-        assert np.mean(np.abs(error) < 1.96 * own) < 0.9
+        every = []
+        for each in wet:
+            found = slip(slower(each.trip, 10))
+            shown = found.events[found.events["measured"]]
+            true = each.scenario.maximum_adhesion(shown["position"].to_numpy())
+            own = shown["adhesion_std"] / shown["adhesion"]
+            rows = pd.DataFrame({"error": np.log(shown["adhesion"] / true), "own": own})
+            passages = rows.groupby((shown["position"] // 25.0).astype(int)).mean()
+            every.append(passages.assign(common=np.hypot(found.common_std, found.passage_std)))
+        shown = pd.concat(every)
+        assert len(shown) > 25
+        error, spread = np.abs(shown["error"]), np.hypot(shown["own"], shown["common"])
+        assert np.mean(error < 1.96 * spread) > 0.9
+        assert np.mean(error < 1.96 * shown["own"]) < 0.9
 
 
 def total_only(trip: Trip) -> Trip:
@@ -371,8 +374,8 @@ def slower(trip: Trip, every: int) -> Trip:
 
 
 @pytest.fixture(scope="module")
-def wet() -> Fine:
-    return Fine.of(draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2])
+def wet() -> list[Fine]:
+    return [Fine.of(each) for each in draw_scenarios(hilly_line(), flirt(), 4, seed=1)[2:]]
 
 
 class TestEnergyOfSlip:
@@ -386,12 +389,13 @@ class TestEnergyOfSlip:
             pytest.param(lambda t: of_efforts(t, lambda values: late(values, 0.2)), id="late"),
             pytest.param(lambda t: without(t, "/gnss/motion"), id="no satellites"),
             pytest.param(lambda t: slower(t, 5), id="2 Hz"),
+            pytest.param(lambda t: slower(t, 10), id="1 Hz"),
             pytest.param(total_only, id="total effort only"),
         ],
     )
     def test_its_band_holds_for_poor_recorders(self, wet, change):
-        found = wet.heats(change).dropna(subset=["energy"])
-        assert len(found) > 10
+        found = pd.concat([each.heats(change) for each in wet]).dropna(subset=["energy"])
+        assert len(found) > 20
         score = (found["energy"] - found["truth"]) / found["energy_std"]
         assert np.mean(np.abs(score) < 1.96) > 0.93
 
@@ -510,13 +514,19 @@ def test_values_that_rest_for_a_minute_are_left_out(trips):
         assert np.isnan(found.adhesion[inside, axle - 1]).all()
         own = found.events[(found.events["axle"] == axle) & found.events["measured"]]
         assert not own["onset"].between(found.time[inside.start], found.time[inside.stop]).any()
-    # What other axles did is as it was.
-    before, after = (seen[seen["axle"].isin([1, 4])] for seen in (each.found.events, found.events))
-    assert len(before) == len(after)
-    assert (
-        abs(before["start"].to_numpy() - after["start"].to_numpy()) < pd.Timedelta("0.3s")
-    ).all()
-    np.testing.assert_allclose(before["adhesion"], after["adhesion"], rtol=0.07)
+    # What other axles did is as it was, but for slips near the threshold.
+    before, after = (seen.sort_values("start") for seen in (each.found.events, found.events))
+    within = {
+        "on": "start",
+        "by": "axle",
+        "direction": "nearest",
+        "tolerance": pd.Timedelta("0.3s"),
+    }
+    for ours, theirs in ((before, after), (after, before)):
+        clear = ours[ours["axle"].isin([1, 4]) & (ours["peak_slip"].abs() > 1.65)]
+        assert len(clear) > 70
+        pairs = pd.merge_asof(clear, theirs, **within)
+        np.testing.assert_allclose(pairs["adhesion_x"], pairs["adhesion_y"], rtol=0.07)
 
 
 GEOMETRY = AxleGeometry(2.6, 9.5, 0.6, 1.0, 1.6)

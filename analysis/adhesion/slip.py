@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.axles import SLOW, PoweredAxles, powered_axles
+from analysis.adhesion.axles import PASSAGE_STD, SLOW, SLOW_STD, PoweredAxles, powered_axles
 from analysis.resistance.passport import passport
 from analysis.view import Given, TripView, one_way, view_of
 from estimators.adhesion import (
@@ -901,8 +901,9 @@ def _energy_of(
     """Energy [J] that the slip turned into heat between two samples, and its std [J].
 
     The work of the adhesion force over the slip. Its errors: those of force and train speed last
-    about as long as an event, so that their work adds up; the gain of the efforts; their delay; and
-    the integral itself, as far as it changes with every other sample left out. Where only the total
+    about as long as an event, so that their work adds up; the gain of the efforts; their delay;
+    efforts and slips between slow samples; and the integral itself, as far as it changes with every
+    other sample left out. Where only the total
     effort is known, the force is that of the onset, fallen by `FALLEN`; without effort, or where
     another axle slipped shortly before that, there is none.
     """
@@ -930,6 +931,7 @@ def _energy_of(
         work(noise * loads, np.abs(slip_speed)),
         work(np.abs(force), motion.speed_std[rows]),
         axles.gain_std * energy,
+        np.hypot(SLOW_STD, PASSAGE_STD) * axles.sampling * energy * (axles.sampling >= SLOW),
         np.sqrt(np.mean((np.array(others) - energy) ** 2)) if others else 0.0,
         work(np.abs(force), np.full(time.size, motion.creep_std)),
         energy - work(force, slip_speed, 2),
