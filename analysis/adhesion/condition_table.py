@@ -142,7 +142,7 @@ def bins_table(
     >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> table = bins_table(track, layers=["wet"])
     >>> len(table), int(table["adhesion"].notna().sum())
-    (1183, 38)
+    (1183, 37)
     """
     if line is not None:
         track.check_line(line.name, line.length)

@@ -158,7 +158,7 @@ def export_map(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     export_map(track, Path(folder) / "map.csv", layers=["wet"])
     ...     int(pandas.read_csv(Path(folder) / "map.csv")["adhesion"].notna().sum())
-    38
+    37
     """
     suffix = exported_suffix(path)
     if line is not None:

@@ -111,7 +111,7 @@ def map_charts(
     >>> import trainlog
     >>> charts = map_charts(trainlog.read_map("sample_logs/CH_StGallen_Wil.map"))
     >>> charts[1].title.splitlines()
-    ['1: km 9.675', 'dry 0.090 to 0.40...', 'wet 0.062 to 0.198']
+    ['1: km 20.175', 'dry 0.113 to 0.388', 'wet 0.062 to 0.174']
     """
     if not track.layers:
         raise InputError(

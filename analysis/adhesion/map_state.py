@@ -485,7 +485,7 @@ def map_state(
     >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> state = map_state(track, line=trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json"))
     >>> state.lowest.query("layer == 'wet'")["near"].tolist()[:2]
-    ['at Flawil', '0.9 km after Uzwil']
+    ['0.9 km after Uzwil', 'at Flawil']
     """
     if line is not None:
         track.check_line(line.name, line.length)

@@ -220,7 +220,7 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     >>> trip = driven_trip("sample_logs/stopping.mcap")
     >>> found = section_table(trip, sections_between(trip.line, *trip.covered))
     >>> found["dwell"].round(1).tolist()
-    [41.5, 43.8, 41.2, 0.0]
+    [41.5, 44.7, 41.2, 0.0]
     """
     edges = sections.edges_of(trip)
     low, high = np.clip(edges[:-1], *trip.covered), np.clip(edges[1:], *trip.covered)

@@ -181,7 +181,7 @@ def station_calls(motion: Motion, line: Line | None) -> tuple[StationCall, ...]:
     >>> trip = trainlog.read("sample_logs/stopping.mcap")
     >>> calls = station_calls(Motion.of(trip), line_of(trip))
     >>> [(call.name, call.dwell) for call in calls if call.dwell]
-    [('Gossau SG', 41.5), ('Flawil', 43.8), ('Uzwil', 41.0)]
+    [('Gossau SG', 41.5), ('Flawil', 44.7), ('Uzwil', 41.0)]
     """
     if not motion.position.size:
         return ()

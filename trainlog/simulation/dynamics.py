@@ -9,9 +9,9 @@ through the adhesion between wheel and rail:
 (Zhao et al. (2025), eq. 1, 8, 10; Amirhosseini et al. (2024), eq. 1, 5, 6, 10). `M` moves with the
 train, `J` is the inertia of one powered axle, both as masses at the wheel rim; `T_i` is the motor
 torque over the wheel radius. The efforts follow their demand with a first-order lag, the friction
-brake after a dead time as well. The friction brake acts on all axles, within the adhesion that the
-motors leave, and not on an axle that slides. The efforts of the axles are those that a traction control gives,
-or an even share of the demand under the slip protection of each axle (`protect`).
+brake after a dead time as well; it acts on all axles, within the adhesion that the motors leave,
+but not on one that slides. The efforts of the axles are those that a traction control gives, or an
+even share of the demand under the slip protection of each axle (`protect`).
 Classical Runge-Kutta of fourth order with a fixed step; the works of all forces are integrated
 beside the motion, so that the energy balance can be checked.
 
