@@ -10,8 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-import test_ingest_aalto as phones
-import test_ingest_mdf as measured
+import test_ingest_recorders as recorders
 from contents import put
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text, ublox, write
 from recorder_files import drive, gpx_text, hexlines, mtk, nmea_lines
@@ -178,7 +177,7 @@ def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path):
 FILLS = (b"\0", b",", b"\n", b'"', b"9", b"-", b"e", b"<", b"#")
 TIME = {"column": "t", "format": "elapsed", "start": "2024-05-01T00:00:00Z"}
 PROFILES = {
-    "mdf": measured.profile({"/train/state.speed": {"column": "v"}}),
+    "mdf": recorders.profile({"/train/state.speed": {"column": "v"}}),
     "csv": plain_profile(),
     "parquet": plain_profile(time=TIME),
 }
@@ -188,12 +187,12 @@ def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
     """A good file of a format."""
     run = drive(30, 1.0)
     if kind == "aalto":
-        rides = [phones.ride(1, "SUBWAY", "V", "09:02:00", "09:09:00")]
-        path = phones.both(folder, phones.fixes(1, "09:00:00", "09:10:00"), rides)
+        rides = [recorders.ride(1, "SUBWAY", "V", "09:02:00", "09:09:00")]
+        path = recorders.both(folder, recorders.fixes(1, "09:00:00", "09:10:00"), rides)
         return path, path.read_bytes()
     if kind == "mdf":
-        samples = [measured.signal(measured.speed(measured.SLOW), measured.SLOW, "v", "km/h")]
-        path = measured.measured(folder / "run.mf4", groups=[samples])
+        samples = [recorders.signal(recorders.speed(recorders.SLOW), recorders.SLOW, "v", "km/h")]
+        path = recorders.measured(folder / "run.mf4", groups=[samples])
         return path, path.read_bytes()
     ticks = np.arange(60)
     if kind == "parquet":

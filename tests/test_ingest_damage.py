@@ -306,10 +306,29 @@ def plain_raw(rows: list[str]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(stated, orient="index").replace([np.inf, -np.inf], np.nan)
 
 
-@FILES
+@settings(max_examples=20)
 @given(damaged_runs())
-def test_a_damaged_file_is_found_again(tmp_path, damaged):
+def test_damage_is_undone_counted_and_found_again(tmp_path, damaged):
     trip = read_plain(tmp_path, damaged.rows)
+    report = report_of(trip)
+    assert report.count("duplicates") == damaged.doubled
+    assert report.count("time_backwards") == damaged.swapped
+    assert report.count("empty", "/train/state.speed") == damaged.empty
+    assert report.count("not_a_number", "/train/state.speed") == damaged.text
+    assert report.count("truncated_rows") == damaged.truncated
+    wild = report.count("spikes", "/train/state.speed")
+    assert wild + report.count("out_of_limits", "/train/state.speed") == len(damaged.wild)
+    assert report.rows_read == len(damaged.rows)
+    assert report.rows_dropped == damaged.doubled + damaged.truncated
+
+    state, run = trip["/train/state"], damaged.run
+    stays = np.array([i not in damaged.lost for i in range(run.time.size)])
+    np.testing.assert_array_equal(state.index.as_unit("ns").asi8, run.time[stays])
+    np.testing.assert_array_equal(state["position"], run.position[stays])
+    absent = np.array([i in damaged.wild | damaged.blank for i in range(run.time.size)])[stays]
+    np.testing.assert_array_equal(state["speed"].isna(), absent)
+    np.testing.assert_array_equal(state["speed"][~absent], run.speed[stays][~absent])
+
     assert_restored(trip, plain_raw(damaged.rows))
     entries = repairs_of(trip)
     cut = entries[entries["rule"] == "truncated_rows"]
@@ -318,7 +337,7 @@ def test_a_damaged_file_is_found_again(tmp_path, damaged):
     words = entries[entries["rule"] == "not_a_number"]
     assert list(words["raw_text"]) == [lines[row - 1].split(",")[1] for row in words["row"]]
     assert len(words) == damaged.text
-    assert report_of(trip).raw_kept == len(entries)
+    assert report.raw_kept == len(entries)
 
 
 @FILES

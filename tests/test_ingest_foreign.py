@@ -22,7 +22,6 @@ from trainlog.mcap import DamageWarning, read_log, write_log
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 SECOND = 10**9
 LATE = -5 * SECOND
-LATE = -5 * SECOND
 LOG = "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
 TWIST = schema_text(
     "std_msgs/Header header\ngeometry_msgs/Twist twist",

@@ -1,20 +1,28 @@
-"""SFERA: journeys in, advice and what was learned out; documents of our own."""
+"""SFERA: journeys in; advice, conditions, resistance and reports out; documents of our own."""
 
 from __future__ import annotations
 
 import datetime
 import os
 import re
-from collections.abc import Callable
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from refusals import refused
+from trip_parts import without
 
+import trainlog
+from analysis import OptimiserOptions, TrajectoryProblem, journey_advice, optimise, sfera
+from analysis.sfera import advised, low_adhesion, write_sfera
 from trainlog import InputError, Line, RunningResistance, Station, StepProfile, read_line
 from trainlog.formats.railml import Element, parsed_xml
+from trainlog.formats.railway import write_parameters, write_trajectory
 from trainlog.formats.sfera import SferaJourney, filled, read_sfera
 from trainlog.formats.sfera_messages import (
     Constraint,
@@ -25,6 +33,15 @@ from trainlog.formats.sfera_messages import (
     xml_of,
 )
 from trainlog.ingest import ingest
+from trainlog.railway import Configuration, ParameterSet, Train, Trajectory
+from trainlog.railway.condition import AdhesionForecast
+from trainlog.topics import TRAIN_SLIP_PROTECTION
+from trainlog.trip import frame_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
+from benchmark_random import random_problem
+from make_journey import DEPARTURE, documents_of, write_journey
 
 FILES = sorted((Path(__file__).parent / "data" / "sfera").glob("*.xml"))
 DOCUMENTS = {each.stem: each.read_text("utf-8") for each in FILES}
@@ -208,52 +225,44 @@ def test_a_line_of_ours_fills_what_the_journey_lacks(tmp_path, found):
     assert said[1:] == ["level and straight elsewhere", "places by the names of stations"]
 
 
-@pytest.fixture(scope="session")
-def valid() -> Callable[[Element], bytes]:
-    """Writes a document; checked against the schema where the variable SFERA_XSD names it."""
-    path = os.environ.get("SFERA_XSD")
-    schema = None
-    if path:
+def checked(data: bytes) -> Element:
+    """A document; by the schema, where the variable SFERA_XSD names it."""
+    if path := os.environ.get("SFERA_XSD"):
         etree = pytest.importorskip("lxml.etree")
-        schema = etree.XMLSchema(etree.parse(path))
-
-    def written(element: Element) -> bytes:
-        data = xml_of(element)
-        if schema is not None:
-            schema.assertValid(etree.fromstring(data))
-        return data
-
-    return written
+        etree.XMLSchema(etree.parse(path)).assertValid(etree.fromstring(data))
+    return parsed_xml(data, "written.xml")
 
 
-def test_constraints_come_back_where_they_were_put(tmp_path, found, valid):
+def test_constraints_come_back_where_they_were_put(tmp_path, found):
     """Over the end of A and all of B into C, travelled A forward, B in reverse, C forward."""
     given = [
         Constraint(500.0, 3_700.0, "ASR", {"ASR_Speed": "30"}, "AdditionalSpeedRestriction"),
         Constraint(2_200.0, 2_300.0, "ASR", {"ASR_Speed": "25"}, "AdditionalSpeedRestriction"),
     ]
     profile = with_constraints(found.profile, found.segments, given, "ASR")
-    (again,) = read_sfera(folder_with(tmp_path, jp=valid(profile).decode()))
+    data = xml_of(profile)
+    checked(data)
+    (again,) = read_sfera(folder_with(tmp_path, jp=data.decode()))
     at = [450.0, 550.0, 2_100.0, 2_250.0, 3_650.0, 3_750.0]
     assert (3.6 * again.line.speed_limit(at)).round().tolist() == [60, 30, 30, 25, 30, 120]
     assert again.profile.text("JP_Version") == "4"
     assert again.journey == found.journey
 
 
-def test_what_was_learned_comes_back_as_the_next_version(tmp_path, valid):
+def test_what_was_learned_comes_back_as_the_next_version_of_its_train(tmp_path):
     element = parsed_xml(UNIT.encode(), "tc.xml")
     learned = RunningResistance(1_987.6, 45.1, 9.87)
-    text = valid(with_resistance(element, learned)).decode()
+    data = xml_of(with_resistance(element, learned))
+    checked(data)
     jp = JOURNEY.replace('TC_VersionMinor="0"', 'TC_VersionMinor="1"')
-    (again,) = read_sfera(folder_with(tmp_path, tc=text, jp=jp))
+    (again,) = read_sfera(folder_with(tmp_path, tc=data.decode(), jp=jp))
     assert (again.train.mass, again.train.resistance) == (122e3, learned)
 
 
-def test_a_report_states_where_the_train_is_in_its_segment(found, valid):
+def test_a_report_states_where_the_train_is_in_its_segment(found):
     time = datetime.datetime(2026, 5, 17, 6, 32, 5, tzinfo=datetime.UTC)
     report = Report(time, 2_400.0, 22.5, slips=True)
-    written = valid(status_report(report, found.segments, found.profile, "unit 17"))
-    message = parsed_xml(written, "report.xml")
+    message = checked(xml_of(status_report(report, found.segments, found.profile, "unit 17")))
     own = message.first("B2G_EventPayload", "B2G_StatusReport", "PositionSpeed")
     # 400 m from the end of B, which is run over in reverse.
     assert (own.text("SP_ID"), own.number("location"), own.number("speed")) == ("B", 1_100.0, 81.0)
@@ -303,3 +312,317 @@ def test_reports_of_others_and_broken_ones_are_counted_and_put_on_no_other_line(
     assert trip.metadata["repair.damaged_messages"] == "1"
     other = read_line("sample_logs/CH_StGallen_Wil.line.json")
     refused(InputError, "count along the journey's line 'Amstad - d'", ingest, archive, line=other)
+
+
+KMH = 3.6
+CUTS = [9_286.1, 14_476.1, 20_086.1]
+
+
+@pytest.fixture(scope="module")
+def wil(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A journey over St.Gallen-Wil."""
+    folder = tmp_path_factory.mktemp("wil") / "journey"
+    line, train = trainlog.read_line("sample"), trainlog.read_train("sample")
+    return write_journey(folder, line, CUTS, train)
+
+
+@pytest.fixture(scope="module")
+def plan(wil: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A trajectory over the whole of it."""
+    (journey,) = read_sfera(wil)
+    file = tmp_path_factory.mktemp("plan") / "trajectory.json"
+    write_trajectory(planned(journey, journey.train), file)
+    return file
+
+
+def planned(journey: SferaJourney, train: Train) -> Trajectory:
+    problem = TrajectoryProblem(journey.line, train, [Configuration.of(train)], end=20_086.1)
+    return optimise(problem, OptimiserOptions(150))
+
+
+def constraints_in(journey: SferaJourney, tag: str) -> Iterator[tuple[float, float, Element]]:
+    """From where to where [m] along the journey its constraints of a kind reach, per segment."""
+    for segment in journey.segments:
+        for each in segment.reference.all("TemporaryConstraints"):
+            found = each.first(tag)
+            if found is None:
+                continue
+            back, length = segment.reverse, segment.length
+            first = each.number("startLocation", length if back else 0.0)
+            last = each.number("endLocation", 0.0 if back else length)
+            ends = (segment.begin + (length - at if back else at) for at in (first, last))
+            yield *ends, found
+
+
+def test_a_line_as_a_journey_comes_back_as_the_line(wil):
+    line, (journey,) = trainlog.read_line("sample"), read_sfera(wil)
+    at = np.arange(1.0, line.length, 7.0)
+    assert np.array_equal(journey.line.speed_limit(at), line.speed_limit(at))
+    assert np.allclose(journey.line.gradient(at), line.gradient(at), atol=1e-12)
+    for name, data in documents_of(line, CUTS, trainlog.read_train("sample")).items():
+        assert checked(data).tag, name
+
+
+@pytest.mark.usefixtures("unrenewed")
+@pytest.mark.parametrize(("number", "apart"), [(3, 25.0), (8, 0.0)])
+def test_advice_keeps_to_limits_and_changes_seldom(number, apart, tmp_path):
+    """Of random lines and trains: nowhere above a limit, no change too soon, nothing left out."""
+    problem = random_problem(number)
+    cuts = (problem.line.length * np.array([0.2, 0.55, 0.6])).tolist()
+    (journey,) = read_sfera(write_journey(tmp_path / "in", problem.line, cuts, problem.train))
+    end = min(problem.end, journey.line.length)
+    found = optimise(replace(problem, line=journey.line, end=end), OptimiserOptions(100))
+    rows = advised(journey_advice([found], journey.line), journey, changes_apart=apart)
+    profile = with_constraints(
+        journey.profile, journey.segments, sfera.advice_constraints(rows), "AdvisedSpeed"
+    )
+    (tmp_path / "in" / "journey.xml").write_bytes(xml_of(profile))
+    checked(xml_of(profile))
+    (again,) = read_sfera(tmp_path / "in")
+    covered = np.zeros(int(problem.line.length) + 1, dtype=bool)
+    for first, last, stated in constraints_in(again, "AdvisedSpeed"):
+        within = np.arange(np.ceil(first), np.floor(last - 1e-6) + 1)
+        limits = KMH * problem.line.limits_over(found.protected_length)(within)
+        assert stated.number("optimalSpeed", 0.0) <= limits.min(initial=np.inf) + 1e-6
+        covered[within.astype(int)] = True
+    places = np.arange(np.ceil(found.positions[0]), np.floor(found.positions[-1])).astype(int)
+    assert covered[places].mean() > 0.999
+    times = [each.time for each in rows]
+    assert np.diff(times).min(initial=np.inf) >= apart
+
+
+def test_brief_advice_neither_replaces_another_nor_holds_a_train_at_its_stop(
+    plan, wil, monkeypatch
+):
+    """Behind each change one that follows sooner: at the same speed, a higher one, a departure.
+
+    Coasting behind traction waits, but for a limit below the speed that the traction leads to.
+    """
+    (journey,), traction = read_sfera(wil), sfera.Phase.MAXIMUM_TRACTION
+    rows = [
+        (0.0, 1_000.0, 0.0, 60.0, sfera.Phase.COASTING, False, 40),
+        (1_000.0, 1_100.0, 60.0, 65.0, traction, False, 77),
+        (1_100.0, 8_000.0, 65.0, 365.0, sfera.Phase.CRUISING, True, 77),
+        (8_000.0, 8_100.0, 365.0, 370.0, sfera.Phase.CRUISING, True, 60),
+        (8_100.0, 9_100.0, 370.0, 420.0, traction, False, 90),
+        (9_100.0, 9_120.0, 420.0, 424.0, sfera.Phase.MAXIMUM_BRAKING, False, 0),
+        (9_120.0, 9_200.0, 426.0, 432.0, traction, False, 90),
+        (9_200.0, 9_700.0, 432.0, 472.0, sfera.Phase.COASTING, False, 80, 100.0),
+        (9_700.0, 9_800.0, 472.0, 477.0, traction, False, 85),
+        (9_800.0, 10_000.0, 477.0, 500.0, sfera.Phase.COASTING, False, 70, 80.0),
+    ]
+    monkeypatch.setattr(sfera, "_divided", lambda *_: [sfera.Advised(*row) for row in rows])
+    found = advised(journey_advice([trainlog.read_trajectory(plan)]), journey)
+    assert [(each.begin, each.end, each.time, each.speed, each.hold) for each in found] == [
+        (0.0, 1_000.0, 0.0, 40, False),
+        (1_000.0, 8_000.0, 60.0, 77, True),
+        (8_000.0, 8_200.0, 365.0, 60, True),
+        (8_200.0, 9_100.0, 375.0, 90, False),
+        (9_100.0, 9_120.0, 420.0, 0, False),
+        (9_120.0, 9_250.0, 426.0, 90, False),
+        (9_250.0, 9_700.0, 436.0, 80, False),
+        (9_700.0, 10_000.0, 472.0, 70, False),
+    ]
+
+
+def test_there_is_no_advice_for_what_lies_behind(plan, wil, tmp_path):
+    options = sfera.SferaOptions(passed=11_000.0)
+    write_sfera([plan], wil, tmp_path / "ahead.xml", options)
+    message = checked((tmp_path / "ahead.xml").read_bytes())
+    every = list(message.all("G2B_EventPayload", "C_DAS_C_Advice"))
+    (journey,) = read_sfera(wil)
+    whole = advised(journey_advice([trainlog.read_trajectory(plan)]), journey)
+    assert len(every) == sum(each.end > 11_001.0 for each in whole)
+    info = next(every[0].all("SegmentProfileInfo"))
+    # In the second segment, run over in reverse from its end at 9,286.1 m on.
+    assert (info.text("SP_ID"), info.number("startLocation")) == ("S1", pytest.approx(3_476.1))
+    assert every[-1].text("adviceType") == "StopAdvice"
+    assert "optimalSpeed" not in every[-1].attributes
+
+
+def with_segments(journey: Path, folder: Path) -> None:
+    for file in journey.glob("[!j]*.xml"):
+        shutil.copy(file, folder)
+
+
+def test_advice_replaces_that_of_the_version_before(plan, wil, tmp_path):
+    write_sfera([plan], wil, tmp_path / "once.xml")
+    with_segments(wil, tmp_path)
+    found = write_sfera([plan], tmp_path / "once.xml", tmp_path / "twice.xml")
+    once, twice = (checked((tmp_path / name).read_bytes()) for name in ("once.xml", "twice.xml"))
+    assert found["version"] == "3"
+    assert twice.text("JP_Version") == "3"
+    assert [e.attributes for e in once.every() if e.tag == "AdvisedSpeed"] == [
+        e.attributes for e in twice.every() if e.tag == "AdvisedSpeed"
+    ]
+    assert any(each.tag == "PowerAdvice" for each in twice.every())
+
+
+def forecast_of(
+    line: str, values: list[float], layers: list[str] | None = None
+) -> AdhesionForecast:
+    count, day = len(values), 86_400 * 10**9
+    start = 1_000.0 * np.arange(count)
+    begins = np.full(count, 20_590 * day)
+    layer = tuple(layers or ["wet"] * count)
+    none = np.zeros(0), np.zeros((count, 0))
+    return AdhesionForecast(
+        line, start, start + 1_000.0, begins, begins + day, begins, layer,
+        np.array([0.05]), np.array(values)[:, None], *none,
+    )  # fmt: skip
+
+
+def test_low_adhesion_is_stated_where_the_forecast_knows_it(wil, tmp_path):
+    """Of a line of ours in the other direction; equal neighbours are one, dry and unknown none."""
+    own = replace(trainlog.read_line("sample").reversed(), name="ours")
+    (journey,) = read_sfera(wil)
+    values = [np.nan] * 12 + [0.04, 0.04, 0.1, 0.3, np.nan, 0.02]
+    rows = low_adhesion(forecast_of("ours", values), journey, own, layer="wet")
+    length = own.length
+    assert [
+        (round(each.begin), round(each.end), each.attributes["lowAdhesionCategory"])
+        for each in rows
+    ] == [
+        (round(length - 18_000), round(length - 17_000), "Extremely Low Adhesion"),
+        (round(length - 15_000), round(length - 14_000), "Dry Rail (Low)"),
+        (round(length - 14_000), round(length - 12_000), "Very Low Adhesion"),
+    ]
+    profile = with_constraints(journey.profile, journey.segments, rows, "Low_Adhesion")
+    checked(xml_of(profile))
+    (tmp_path / "journey.xml").write_bytes(xml_of(profile))
+    with_segments(wil, tmp_path)
+    (again,) = read_sfera(tmp_path / "journey.xml")
+    found = list(constraints_in(again, "LowAdhesion"))
+    assert round(sum(last - first for first, last, _ in found)) == 4_000
+    times = {each.attributes.get("startTime") for each in again.profile.every()}
+    assert times == {None, "2026-05-17T00:00:00Z"}
+
+
+def test_a_forecast_for_another_day_is_named(wil, tmp_path):
+    """The journey is of 2026-05-17."""
+    given = wil, tmp_path / "low.xml", sfera.SferaOptions(layer="wet")
+    line, table = read_sfera(wil)[0].line.name, tmp_path / "forecast.csv"
+    for day, said in (("17", None), ("18", "2026-05-18, the journey is of 2026-05-17")):
+        table.write_text(
+            "line,layer,from [km],to [km],valid from,valid to,issued,quantile 0.05\n"
+            f"{line},wet,1.0,2.0,2026-05-{day}T04:00Z,2026-05-{day}T09:00Z,2026-05-16T00:00Z,0.06\n"
+        )
+        assert write_sfera([table], *given).get("dated") == said
+
+
+def test_a_forecast_by_conditions_asks_which_one(wil):
+    (journey,) = read_sfera(wil)
+    forecast = forecast_of(journey.line.name, [0.04, 0.05], ["wet", "dry"])
+    other = replace(forecast, line="other")
+    for given, options, said in (
+        (forecast, {}, "each for one rail condition.*name one with --layer: dry, wet"),
+        (forecast, {"layer": "wet", "probability": 0.5}, "does not state the quantile 0.5"),
+        (other, {"layer": "wet"}, "it is of line 'other'"),
+    ):
+        refused(InputError, said, low_adhesion, given, journey, **options)
+
+
+def test_a_trip_becomes_reports_and_a_trip_again(wil, tmp_path):
+    """The sample's trip: half a second of time, and what 5 s without a report hide."""
+    log = Path("sample_logs/nonstop.mcap")
+    found = write_sfera([log], wil, tmp_path / "reports.zip")
+    trip, again = trainlog.read("sample_logs/nonstop.mcap"), ingest(tmp_path / "reports.zip")
+    assert found["reports"] == len(again["/train/state"])
+    assert found["dated"] == "2024-10-07, the journey is of 2026-05-17"
+    state, own = again["/train/state"], trip["/train/state"]
+    when, known = (each.index.as_unit("ns").asi8 for each in (state, own))
+    place = np.interp(when, known, own.position)
+    assert np.abs(state.position - place).max() < 0.5
+    assert np.abs(state.speed - np.interp(when, known, own.speed)).max() < 0.05
+    assert again.metadata["line"] == read_sfera(wil)[0].line.name
+
+
+def test_a_train_reports_nothing_of_a_gap(wil):
+    """Nor of an instant before its first sample."""
+    (journey,), trip = read_sfera(wil), trainlog.read("sample_logs/nonstop.mcap")
+    own = trip["/train/state"]
+    passed = (own.index - own.index[0]).total_seconds()
+    kept = (passed > 100.6) & ~((passed > 300.0) & (passed < 800.0))
+    part = trip.with_topic(own[kept])
+    times = [each.time for each in sfera.reports_of(part, journey, trainlog.read_line("sample"))]
+    since = np.array([(each - own.index[0]).total_seconds() for each in times])
+    assert 100.6 < since[0] < 101.6
+    assert not np.any((since > 300.0) & (since < 800.0))
+    assert np.diff(times).max().total_seconds() == pytest.approx(500.0, abs=5.0)
+
+
+def test_slips_that_only_their_own_topic_records_are_reported(wil):
+    """At 100 s for 3 s; not known where nothing records them."""
+    (journey,), line = read_sfera(wil), trainlog.read_line("sample")
+    trip = without(trainlog.read("sample_logs/nonstop.mcap"), "/events")
+    own = trip["/train/state"].index
+    passed = (own - own[0]).total_seconds().to_numpy()
+    acts = frame_of(
+        TRAIN_SLIP_PROTECTION, own, {"active": ((passed >= 100.0) & (passed < 103.0)) * 1.0}
+    )
+    found = sfera.reports_of(trip.with_topic(acts), journey, line)
+    (slips,) = [(each.time - own[0]).total_seconds() for each in found if each.slips]
+    assert slips == pytest.approx(100.0, abs=5.0)
+    assert {each.slips for each in found} == {True, False}
+    assert {each.slips for each in sfera.reports_of(trip, journey, line)} == {None}
+
+
+def test_what_was_learned_is_the_next_version(wil, tmp_path):
+    train = trainlog.read_train("sample")
+    common = RunningResistance(1_987.0, 40.0, 10.0)
+    learned = ParameterSet(train.name, (Configuration.of(train),), common, np.eye(3))
+    write_parameters(learned, tmp_path / "fitted.json")
+    found = write_sfera([tmp_path / "fitted.json"], wil, tmp_path / "unit.xml")
+    element = checked((tmp_path / "unit.xml").read_bytes())
+    features = element.first("TC_Features")
+    assert [features.number(f"rolloutCoefficient{each}") for each in "ABC"] == [1_987.0, 40.0, 10.0]
+    assert found["version_of_characteristics"] == element.text("TC_VersionMinor") == "1"
+    alone = replace(learned, common=None, common_covariance=None)
+    write_parameters(alone, tmp_path / "alone.json")
+    given = [tmp_path / "alone.json"], wil, tmp_path / "x.xml"
+    refused(InputError, "no fit of all trips", write_sfera, *given)
+    assert not given[2].exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "changes", "said"),
+    [
+        ("sample_logs/README.md", {}, "cannot be written to SFERA"),
+        ("sample_logs/nonstop.mcap", {}, "is not the name of a .zip file"),
+        ("sample_logs/CH_StGallen_Wil.map", {}, "but a map file"),
+        ("plan", {"layer": "wet"}, "--layer goes with a forecast"),
+        ("plan", {"passed": 20_086.1}, "the plan ends at km 20.086"),
+        ("plan", {"passed": 40_000.0}, "the plan ends at km 20.086"),
+        ("plan", {"line": "shorter"}, "is planned on line"),
+        ("plan", {"line": "slower"}, "the journey's limit is 40 km/h"),
+        ("plan", {"line": "two"}, "holds 2 journeys"),
+    ],
+)
+def test_what_does_not_fit_is_refused(wil, plan, tmp_path, source, changes, said):
+    """A slower journey has the same name and length, and a limit of 40 km/h on its way."""
+    line, train, journey = trainlog.read_line("sample"), trainlog.read_train("sample"), wil
+    limits = replace(line.speed_limits, values=line.speed_limits.values.copy())
+    limits.values[3] = 40.0 / KMH
+    match changes.pop("line", None):
+        case "shorter":
+            journey = write_journey(tmp_path / "in", line.section(0.0, 21_000.0), [9_000.0], train)
+        case "slower":
+            journey = write_journey(
+                tmp_path / "in", replace(line, speed_limits=limits), CUTS, train
+            )
+        case "two":
+            journey = shutil.copytree(wil, tmp_path / "in")
+            other = (journey / "journey.xml").read_text().replace(">17<", ">18<")
+            (journey / "other.xml").write_text(other)
+    results = [plan if source == "plan" else Path(source)]
+    options = sfera.SferaOptions(**changes)
+    error = refused(InputError, said, write_sfera, results, journey, tmp_path / "x.xml", options)
+    assert error.remedy
+    assert not (tmp_path / "x.xml").exists()
+
+
+def test_the_command_writes_the_next_version(wil, plan, tmp_path, works):
+    file = tmp_path / "advised.xml"
+    assert "advised speeds" in works("sfera", plan, "--journey", wil, "-o", file)
+    assert checked(file.read_bytes()).text("JP_Version") == "2"
+    assert DEPARTURE.year == 2026

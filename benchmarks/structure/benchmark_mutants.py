@@ -49,7 +49,7 @@ NEAREST = {
     "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
     " trajectory_answers",
     "analysis/trajectory/instructions.py": "trajectory_advice driver_advice advice_obeyed",
-    "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest live",
+    "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest_recorders live",
 }
 """Modules, and the tests that a fault in them should fail, the quickest first."""
 
@@ -62,8 +62,8 @@ WIDER = {
     "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",
     "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
     "analysis/trajectory/bound.py": "trajectory_curves trajectory_limits",
-    "analysis/trajectory/instructions.py": "sfera_out optimise_command trajectory_journey",
-    "trainlog/ingest/clock.py": "ingest_recorders ingest_formats golden",
+    "analysis/trajectory/instructions.py": "sfera optimise_command trajectory_journey",
+    "trainlog/ingest/clock.py": "ingest_formats golden",
 }
 
 COMPARISONS = {
