@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from contents import put
 from ingest_logs import plain_profile
 from refusals import refused
 from satellite_trips import winding
@@ -230,15 +231,24 @@ def test_fixes_of_one_coordinate_have_no_place(driven, tmp_path):
     assert "/estimates/state" not in trip
 
 
-def test_fixes_that_all_lie_further_from_the_line_than_they_say_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (("v,lat,lon,acc", "12,47.42,9.37,1", "12,47.4197,9.3697,1422"), "none of 2 fixes lies as"),
+        (
+            ("v,lat,lon", "12,47.416176,9.366504", "12.1,47.413755,9.360936"),
+            "1 of 2 fixes were set aside",
+        ),
+    ],
+)
+def test_two_fixes_that_lie_apart_from_the_line_or_each_other_are_refused(tmp_path, rows, said):
+    """Further than they say from the line; or so that no train lies between them."""
     line = read_line(sample("CH_StGallen_Wil.line.json"))
-    path = tmp_path / "two.csv"
-    path.write_text(
-        "t,lat,lon,acc\n2024-05-01T06:00:00Z,47.42,9.37,1\n2024-05-01T06:00:01Z,47.4197,9.3697,1422\n"
-    )
-    columns = {name: each for name, each in COLUMNS.items() if name.startswith("/gnss")}
-    given = plain_profile(columns=columns)
-    refused(InputError, "none of 2 fixes lies as near", ingest, path, given, line=line)
+    times = ("t", "2024-05-01T06:00:00Z", "2024-05-01T06:00:01Z")
+    path = put(tmp_path / "two.csv", [",".join(each) for each in zip(times, rows, strict=True)])
+    columns = {name: each for name, each in COLUMNS.items() if each["column"] in rows[0].split(",")}
+    given = plain_profile(columns=columns, repair={"spikes": False, "contradicted": False})
+    refused(InputError, said, ingest, path, given, line=line)
 
 
 @pytest.mark.parametrize("count", [2, 30])
@@ -251,20 +261,6 @@ def test_some_seconds_of_fixes_without_a_speed_give_a_chainage(driven, tmp_path,
     line = LINE if driven.metadata["direction"] == "forward" else LINE.reversed()
     trip = ingest(tmp_path / "run.csv", plain_profile(columns=columns), line=line)
     assert trip["/estimates/state"]["position"].notna().all()
-
-
-def test_two_fixes_that_no_train_lies_between_are_refused(tmp_path):
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    path = tmp_path / "two.csv"
-    path.write_text(
-        "t,v,lat,lon\n2024-05-01T06:00:00Z,12,47.416176,9.366504\n"
-        "2024-05-01T06:00:01Z,12.1,47.413755,9.360936\n"
-    )
-    columns = {
-        name: each for name, each in COLUMNS.items() if each["column"] in ("v", "lat", "lon")
-    }
-    given = plain_profile(columns=columns, repair={"spikes": False, "contradicted": False})
-    refused(InputError, "1 of 2 fixes were set aside", ingest, path, given, line=line)
 
 
 @pytest.mark.parametrize("every", [1, 2])

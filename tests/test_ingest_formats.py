@@ -16,14 +16,13 @@ import pyarrow.parquet
 import pytest
 from contents import put
 from hypothesis import given, settings, strategies as st
-from ingest_logs import PLAIN, clean_run, plain_profile, plain_text, write
+from ingest_logs import PLAIN, clean_run, plain_profile, write
 from refusals import refused
 
 from trainlog.errors import InputError
-from trainlog.ingest import RULES, Profile, formats, ingest, profile_of, report_of
+from trainlog.ingest import RULES, formats, ingest, profile_of, report_of
 from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions, parse_profile
 from trainlog.ingest.registry import format_by_profile
-from trainlog.trip import Trip
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "ingest.md").read_text("utf-8")
@@ -34,24 +33,6 @@ def _fresh_registry() -> Iterator[None]:
     formats.cache_clear()
     yield
     formats.cache_clear()
-
-
-@pytest.mark.parametrize("typed", [True, False])
-def test_parquet_gives_what_csv_gives(tmp_path, typed):
-    run = clean_run(200, 0.1)
-    text = ingest(write(tmp_path / "run.csv", run.rows()), profile=plain_profile())
-    stamps = pd.DatetimeIndex(run.time, tz="UTC")
-    table = pa.table(
-        {
-            "v": pa.array(run.speed, pa.float64() if typed else None),
-            "other": pa.array(["x"] * 200),
-            "s": run.position if typed else [f"{s:.2f}" for s in run.position],
-            "t": pa.array(stamps if typed else stamps.strftime("%Y-%m-%dT%H:%M:%S.%fZ")),
-        }
-    )
-    pa.parquet.write_table(table, tmp_path / "run.parquet")
-    trip = ingest(tmp_path / "run.parquet", profile=plain_profile())
-    pd.testing.assert_frame_equal(trip["/train/state"], text["/train/state"])
 
 
 def test_parquet_that_does_not_fit_is_refused(tmp_path):
@@ -284,11 +265,6 @@ def test_every_key_is_in_the_page(options):
         assert f"`{each.name}`" in PAGE
 
 
-def read(tmp_path: Path, rows: list[str], header: str, profile: Profile | None = None) -> Trip:
-    path = put(tmp_path / "run.csv", plain_text(rows, header))
-    return ingest(path, profile=profile or plain_profile())
-
-
 @settings(max_examples=25)
 @given(st.data())
 def test_empty_cells_at_the_end_make_no_difference(tmp_path, data):
@@ -301,7 +277,8 @@ def test_empty_cells_at_the_end_make_no_difference(tmp_path, data):
     rows = [
         mark.join([*row.split(","), *drawn[i % len(drawn)]]) for i, row in enumerate(run.rows())
     ]
-    trip = read(tmp_path, rows, header, plain_profile(file={"delimiter": mark}))
+    path = write(tmp_path / "run.csv", rows, header)
+    trip = ingest(path, profile=plain_profile(file={"delimiter": mark}))
     report = report_of(trip)
     assert report.findings == ()
     assert (report.rows_read, report.rows_kept) == (60, 60)

@@ -495,18 +495,6 @@ def test_counters_that_count_down_after_the_train_turned(tmp_path, rate, with_sp
     assert "counted down" in "".join(report_of(trip).lines())
 
 
-def test_a_wrong_unit_is_not_taken_for_a_counter(tmp_path):
-    """A counter that wraps beside a speed in km/h that is called m/s."""
-    seconds, speed, distance = motion(700.0)
-    wrapped = (distance + 9_000.0) % 10_000.0
-    sound = report_of(read_rows(tmp_path, rows_of(seconds, speed, wrapped)))
-    assert "1 times started anew or wrapped" in "".join(sound.lines())
-    with pytest.raises(InputError, match=r"moves 1\d{4} m, .* gives \d+ m; check the units"):
-        read_rows(tmp_path, rows_of(seconds, 3.6 * speed, wrapped))
-    with pytest.raises(InputError, match=r"/train/state.position falls by .* set sign = -1"):
-        read_rows(tmp_path, rows_of(seconds, speed, 50_000.0 - distance))
-
-
 @pytest.mark.parametrize("size", [+2_500.0, -2_500.0, +300.0])
 def test_steps_of_unknown_cause_stay_and_are_reported(tmp_path, size):
     seconds, speed, distance = motion(700.0)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from contents import put
 from killed import PATIENCE
-from recorder_files import drive, gpx, gpx_text
+from recorder_files import gpx
 from refusals import refused
 from simulated_line import level_line
 
@@ -336,21 +336,16 @@ def test_what_would_come_out_otherwise_is_made_again(what, tmp_path, monkeypatch
     assert len(names) == (2 if what == "content" else 1), "other content has a log of its own"
 
 
-def test_equal_content_under_two_names_is_one_trip(tmp_path):
-    for name in ("a.csv", "b.csv"):
-        (tmp_path / name).write_bytes(sample("gnss.csv").read_bytes())
-    result = ingest_all([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "logs")
+def test_a_file_copied_renamed_or_given_twice_is_one(tmp_path):
+    logs = tmp_path / "logs"
+    recording = put(tmp_path / "a.csv", sample("gnss.csv").read_bytes())
+    assert len(files_of([recording, tmp_path, recording], logs)) == 1
+    result = ingest_all([recording, put(tmp_path / "b.csv", recording.read_bytes())], logs)
     assert states(result) == {"a.csv": "repaired", "b.csv": "unchanged"}
-    assert result.outcomes[1].reason == f"of the same content as {tmp_path / 'a.csv'}"
-    assert [log.name for log in (tmp_path / "logs").iterdir()] == ["a.mcap"]
-
-
-def test_a_file_renamed_or_given_twice_is_one(tmp_path):
-    recording = put(tmp_path / "gnss.csv", sample("gnss.csv").read_bytes())
-    assert len(files_of([recording, tmp_path, recording], tmp_path / "logs")) == 1
-    ingest_all(recording, tmp_path / "logs")
+    assert result.outcomes[1].reason == f"of the same content as {recording}"
     renamed = recording.rename(tmp_path / "ride.csv")
-    assert states(ingest_all(renamed, tmp_path / "logs")) == {"ride.csv": "unchanged"}
+    assert states(ingest_all(renamed, logs)) == {"ride.csv": "unchanged"}
+    assert [log.name for log in logs.iterdir()] == ["a.mcap"]
 
 
 def test_a_log_of_something_else_is_not_overwritten(tmp_path):
@@ -374,20 +369,6 @@ def test_a_recording_that_has_grown_takes_its_logs_place(tmp_path):
     assert states(ingest_all(recording, logs)) == {"gnss.csv": "repaired"}
     assert [log.name for log in logs.iterdir()] == ["gnss.mcap"]
     assert len(read_log(logs / "gnss.mcap")["/gnss/fix"]) == 6847
-
-
-def test_of_a_file_with_several_recordings_each_is_listed(tmp_path):
-    text = gpx_text(drive(60, 1.0, 1), parts=[[np.arange(30)], [np.arange(30, 60)]])
-    logs = tmp_path / "logs"
-    path = put(tmp_path / "day.gpx", text)
-    assert states(ingest_all(path, logs)) == {"day-1": "made", "day-2": "made"}
-    # The second track loses its times: no trip, and its earlier log stays.
-    head, middle, tail = text.partition("</trk>")
-    path.write_text(head + middle + tail.replace("<time>", "<at>").replace("</time>", "</at>"))
-    again = ingest_all(path, logs)
-    assert [each.state for each in again.of("refused")] == ["refused"]
-    assert len(again.of("made", "repaired")) == 1
-    assert {"day-1.mcap", "day-2.mcap"} <= {log.name for log in logs.iterdir()}
 
 
 def test_a_reader_that_breaks_stops_no_other_file(campaign, tmp_path, monkeypatch):

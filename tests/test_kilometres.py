@@ -73,9 +73,6 @@ def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
 
 
-Counted = tuple[Path, Line, Callable[[float], float]]
-
-
 def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(counted, shell):
     folder, _, expected = counted
     log, out = folder / "trip.mcap", folder / "part.mcap"

@@ -241,18 +241,6 @@ def test_any_json_is_read_or_counted(value):
     assert len(found.frames["/any"]) + sum(item.messages for item in broken) == 2
 
 
-def test_of_a_damaged_file_what_is_readable_comes(tmp_path):
-    path = json_log(tmp_path / "json.mcap", "/things", [{"x": row} for row in range(30_000)])
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.warns(DamageWarning) as caught:
-        found = frames_of(path)
-    rows = len(found.frames["/things"])
-    assert 0 < rows < 30_000
-    assert found.frames["/things"]["x"].tolist() == list(range(rows))
-    assert caught[0].message.account.messages == rows
-
-
 def every_encoding(path):
     """A file with messages of every encoding, in several chunks."""
     log = ForeignLog(path)
