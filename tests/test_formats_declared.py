@@ -23,14 +23,7 @@ from refusals import refused
 from simulated_line import level_line, steps
 
 from trainlog import Edge, InputError, Line, LogError, Network, Node, Trip, polach_curve, sample
-from trainlog.declaration import (
-    NOT_NEGATIVE,
-    Quantity,
-    check_plausible,
-    entries,
-    example,
-    meanings,
-)
+from trainlog.declaration import NOT_NEGATIVE, Quantity, check_plausible, entries, example, meanings
 from trainlog.formats import railway
 from trainlog.formats.characteristic import CharacteristicFile
 from trainlog.formats.declared import (
@@ -42,17 +35,19 @@ from trainlog.formats.declared import (
 )
 from trainlog.formats.files import plain, read_bytes, read_json
 from trainlog.formats.mapfile import read_map, whole_file, write_map
-from trainlog.formats.railway import (
-    read_journey,
-    read_line,
-    read_line_table,
-    read_train,
-    write_template,
-)
 from trainlog.ingest import ingest, read_profile
-from trainlog.railway import RunningResistance, StepProfile
+from trainlog.railway import (
+    Configuration,
+    CreepCurve,
+    CurvatureProfile,
+    RunningResistance,
+    Station,
+    StepProfile,
+    Train,
+    Tunnel,
+)
 from trainlog.railway.condition import ConditionLayer
-from trainlog.railway.train import BrakingCurves, Configuration, Consist, ParameterSet, Train
+from trainlog.railway.train import BrakingCurves, Consist, ParameterSet
 from trainlog.railway.trajectory import Journey, TimingPoint, Trajectory
 
 pytestmark = pytest.mark.usefixtures("remembered")
@@ -595,12 +590,11 @@ def test_a_new_field_is_one_entry(tmp_path):
 tables = settings(max_examples=20, suppress_health_check=list(HealthCheck))
 
 
-@pytest.mark.parametrize(
-    ("kind", "read"), [(Line, read_line), (Train, read_train), (Journey, read_journey)]
-)
-def test_a_template_is_valid_as_it_is(tmp_path, kind, read):
-    path = write_template(kind.__name__.lower(), tmp_path / "mine.toml")
-    assert_same(read(path), example(kind), ROUNDING)
+@pytest.mark.parametrize("kind", [Line, Train, Journey])
+def test_a_template_is_valid_as_it_is(tmp_path, kind):
+    name = kind.__name__.lower()
+    path = railway.write_template(name, tmp_path / "mine.toml")
+    assert_same(getattr(railway, f"read_{name}")(path), example(kind), ROUNDING)
     text = path.read_text("utf-8")
     assert text.startswith("# A ")
     assert text.count("\n#") > 2
@@ -613,7 +607,7 @@ def test_what_a_template_offers_besides_is_valid_too(tmp_path, kind):
     plain = "\n".join(line.removeprefix("# ") for line in offered.splitlines() if line != "#")
     path = tmp_path / "whole.toml"
     path.write_text(railway.template(kind).split("\n# What may")[0] + "\n" + plain, "utf-8")
-    found = read_line(path) if kind == "line" else read_train(path)
+    found = railway.read_line(path) if kind == "line" else railway.read_train(path)
     if isinstance(found, Line):
         assert found.curvature(1000.0) == pytest.approx(1.0 / 500.0)
         assert found.tunnels[0].cross_section == 45.0
@@ -631,7 +625,7 @@ def test_every_key_of_a_template_is_explained(kind):
 
 def test_the_profiles_template_reads_what_it_describes(tmp_path):
     """Its optional columns may be missing, the others not."""
-    path = write_template("profile", tmp_path / "mine.profile.toml")
+    path = railway.write_template("profile", tmp_path / "mine.profile.toml")
     profile = read_profile(path)
     rows = [f"01.05.2024 08:00:{i:02d}.0;{0.02 * i:.2f};72;{50 - 2 * i}" for i in range(40)]
     cells = [row.replace(";0.", ";0,") for row in rows]
@@ -651,15 +645,15 @@ def test_the_profiles_template_reads_what_it_describes(tmp_path):
 )
 def test_nothing_is_overwritten(tmp_path, kind, name, message):
     (tmp_path / "there.toml").write_text("edited")
-    refused(InputError, message, write_template, kind, tmp_path / name)
+    refused(InputError, message, railway.write_template, kind, tmp_path / name)
     assert (tmp_path / "there.toml").read_text() == "edited"
 
 
 def test_a_train_is_not_made_from_a_table(tmp_path):
     with pytest.raises(InputError, match="a train cannot be made from a table"):
-        write_template("train", tmp_path / "a.toml", table=tmp_path / "b.csv")
+        railway.write_template("train", tmp_path / "a.toml", table=tmp_path / "b.csv")
     with pytest.raises(InputError, match=r"'trainlog ingest .*b\.csv -o FOLDER' proposes one"):
-        write_template("profile", tmp_path / "a.toml", table=tmp_path / "b.csv")
+        railway.write_template("profile", tmp_path / "a.toml", table=tmp_path / "b.csv")
 
 
 def test_a_table_becomes_a_line(tmp_path):
@@ -676,7 +670,7 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
 24,3;;;Chur;;47,44;9,43
 """,
     )
-    line = read_line_table(path)
+    line = railway.read_line_table(path)
     assert (line.name, line.length) == ("A-B", 12_000.0)
     assert line.source == "table A-B.csv; position 0 is km 12.300 of the table"
     assert [s.name for s in line.stations] == ["Aach", "Berg", "Chur"]
@@ -699,7 +693,7 @@ def test_a_table_whose_kilometres_fall(tmp_path):
         cells = [f"{km};{rest}" for km, rest in zip(kilometres, rows, strict=True)]
         head = "km;gradient [permil];limit [km/h];station;radius [m]"
         path = put(tmp_path / "table.csv", [head, *cells])
-        made.append(read_line_table(path, name="A-B"))
+        made.append(railway.read_line_table(path, name="A-B"))
     rising, falling = made
     assert falling.length == 4_000.0
     assert falling.kilometre([0.0, 1_000.0, 4_000.0]).tolist() == [204e3, 203e3, 200e3]
@@ -723,7 +717,7 @@ def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
     ]
     rows[-1] = f"{at[-1] / 1000:.3f}"
     path = put(tmp_path / "A-B.csv", ["km\tgradient [permil]\tlimit [km/h]", *rows])
-    line = read_line_table(path)
+    line = railway.read_line_table(path)
     held = slopes[0], limits[0]
     for row in range(at.size - 1):
         held = held if empty[row] else (slopes[row], limits[row])
@@ -766,6 +760,99 @@ def test_a_written_table_gives_the_line_again(tmp_path, steps, data):
 )
 def test_tables_that_are_no_line(tmp_path, text, message):
     path = put(tmp_path / "A-B.csv", text)
-    caught = refused(InputError, message, read_line_table, path)
+    caught = refused(InputError, message, railway.read_line_table, path)
     assert str(caught).startswith(str(path))
     assert "\n" not in str(caught)
+
+
+LINE = level_line(
+    1000.0,
+    name="test",
+    speed_limits=steps((0.0, 20.0), (400.0, 30.0)),
+    gradients=steps((0.0, 0.01), (250.0, -0.02), (500.0, 0.0)),
+    curvatures=CurvatureProfile(
+        np.array([0.0, 100.0, 200.0]), np.array([0.0, 0.0, 0.002]), np.array([0.0, 0.002, 0.002])
+    ),
+    tunnels=(Tunnel(300.0, 200.0, 40.0),),
+    altitude=500.0,
+)
+
+TRAIN = Train(
+    name="test",
+    mass=100_000.0,
+    rotating_mass_factor=0.1,
+    resistance=RunningResistance(2000.0, 50.0, 10.0),
+    max_tractive_effort=200e3,
+    max_traction_power=2e6,
+    tunnel_resistance=((24.0, 15.0), (40.0, 7.0)),
+)
+
+
+def test_the_axles_of_a_train_are_not_shown_as_its_length():
+    rows = dict(line.split(maxsplit=1) for line in str(TRAIN).splitlines()[1:])
+    assert rows["axles"] == "4 powered axles"
+    assert "length" not in rows
+
+
+def test_profiles_take_lists_and_refuse_what_is_no_number():
+    made = StepProfile([0.0, 400.0], [20.0, 30.0])
+    assert made == LINE.speed_limits
+    refused(InputError, "values must be numbers", StepProfile, [0.0], ["fast"])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "at", "expected"),
+    [
+        # A step holds from its position to the next.
+        (LINE.speed_limit, [0.0, 399.9, 400.0, 999.0], [20, 20, 30, 30]),
+        (LINE.altitudes, [0.0, 250.0, 400.0, 1000.0], [500, 502.5, 499.5, 497.5]),
+        # Linear in transitions and constant in arcs.
+        (LINE.curvature, [50.0, 150.0, 600.0], [0.0, 0.001, 0.002]),
+        (LINE.track_acceleration, [10.0, 600.0], [0.0981 / np.hypot(1.0, 0.01), 9.81 * 0.0012]),
+        (TRAIN.tunnel_coefficient, [24.0, 30.0, 40.0, 0.0], [15.0, 11.0, 7.0, 0.0]),
+        (TRAIN.tractive_effort_limit, [0.0, 5.0, 20.0], [200e3, 200e3, 100e3]),
+    ],
+)
+def test_quantities_are_those_that_a_hand_calculation_gives(quantity, at, expected):
+    np.testing.assert_allclose(quantity(at), expected)
+
+
+@given(st.floats(0.001, 999.9))
+def test_the_reversed_line_is_the_same_line(position):
+    other = LINE.reversed()
+    if np.min(np.abs(LINE.breakpoints - position)) < 1e-6:
+        return
+    there = LINE.length - position
+    assert other.speed_limit(there) == LINE.speed_limit(position)
+    assert other.gradient(there) == -LINE.gradient(position)
+    assert other.curvature(there) == pytest.approx(-LINE.curvature(position), abs=1e-15)
+    assert other.tunnel_cross_section(there) == LINE.tunnel_cross_section(position)
+    assert other.altitudes(there) == pytest.approx(LINE.altitudes(position))
+
+
+def test_nonsensical_lines_and_trains_are_refused_with_the_place():
+    line = partial(level_line, 1000.0)
+    for words, changes in (
+        (
+            r"speed limit at km 0\.400 is not positive",
+            {"speed_limits": ((0.0, 20.0), (400.0, 0.0))},
+        ),
+        ("steeper than 200 per mille", {"gradients": ((0.0, 11.9),)}),
+        ("beyond the line's end", {"speed_limits": ((0.0, 20.0), (1500.0, 30.0))}),
+    ):
+        refused(InputError, words, line, **{name: steps(*rows) for name, rows in changes.items()})
+    # Just the steepest gradient stays one where its mean over a distance is rounded up.
+    line(gradients=steps((0.0, 0.06), (66.3, -0.2)))
+    refused(InputError, "not in the order", line, stations=(Station("B", 900.0), Station("A", 0.0)))
+    refused(InputError, "leaves the line", line, tunnels=(Tunnel(900.0, 200.0, 40.0),))
+    for length, section in ((-200.0, 40.0), (0.0, 40.0), (200.0, 0.0), (200.0, np.nan)):
+        refused(InputError, "is not positive and finite", Tunnel, 300.0, length, section)
+    said = r"values\[2\]: position 5 m follows 10 m; positions must increase"
+    refused(InputError, said, StepProfile, np.array([0.0, 10.0, 5.0]), np.zeros(3))
+    refused(InputError, "finite", StepProfile, np.array([0.0]), np.array([np.nan]))
+    # Curves that do not rise from zero, and resistance that is negative at some speed.
+    for curve in ((1.2, 0.54, 1.0, 1.0), (0.5, 1.2, 1.0, 0.9), (-0.1, 1.0, 1.0, 1.0)):
+        refused(InputError, "creep curve", CreepCurve, *curve)
+    negative = RunningResistance(1000.0, -200.0, 0.1)
+    said = "running resistance is negative at"
+    refused(InputError, said, Configuration, "c", 1e5, 1e4, negative, 1e6)
