@@ -517,19 +517,9 @@ def test_a_block_that_fails_leaves_the_older_file(tmp_path):
 
 DATA = Path(__file__).parent / "data"
 
-FILES = {
-    # Chunks of ten seconds, the row as sequence number.
-    "log_version_1.mcap": "1",
-    # Chunks of a minute, sequence numbers that count by chunk.
-    "log_version_1_minutes.mcap": "1",
-}
+# Chunks of ten seconds, the row as sequence number; of a minute, numbers that count by chunk.
+FILES = ("log_version_1.mcap", "log_version_1_minutes.mcap")
 """Each is `kept_trip` as its version of the table of topics wrote it; none is written again."""
-
-
-@pytest.fixture(params=FILES)
-def kept(request: pytest.FixtureRequest) -> Path:
-    return DATA / str(request.param)
-
 
 # What version 1 held, in full: the table of topics may grow, these columns may not go.
 COLUMNS = {
@@ -581,9 +571,10 @@ def kept_trip() -> Trip:
     return Trip(frames, KEPT, KEPT_STEPS, KEPT_ATTACHMENTS)
 
 
+@pytest.mark.parametrize("kept", FILES)
 def test_fields_keep_their_numbers(kept):
     """A field that moves in the table would be misread by programs with an older descriptor."""
-    summary = SeekingReader(BytesIO(kept.read_bytes())).get_summary()
+    summary = SeekingReader(BytesIO((DATA / kept).read_bytes())).get_summary()
     for channel in summary.channels.values():
         topic = TOPICS[channel.topic]
         if topic.foxglove:
@@ -594,9 +585,10 @@ def test_fields_keep_their_numbers(kept):
             assert channel.metadata[f"unit.{field.name}"] == topic.field(field.name).unit
 
 
+@pytest.mark.parametrize("kept", FILES)
 def test_a_kept_file_opens_with_the_values_that_todays_writer_writes(kept, tmp_path):
     write_log(kept_trip(), tmp_path / "today.mcap")
-    found = read_log(kept)
+    found = read_log(DATA / kept)
     assert_same(found, read_log(tmp_path / "today.mcap"))
     assert list(found.topics) == [name for name in TOPICS if name in COLUMNS]
     for name, columns in COLUMNS.items():

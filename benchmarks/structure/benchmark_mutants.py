@@ -63,7 +63,7 @@ WIDER = {
     "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
     "analysis/trajectory/bound.py": "trajectory_curves trajectory_limits",
     "analysis/trajectory/instructions.py": "sfera optimise_command trajectory_journey",
-    "trainlog/ingest/clock.py": "ingest_formats golden",
+    "trainlog/ingest/clock.py": "golden",
 }
 
 COMPARISONS = {
