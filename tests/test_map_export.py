@@ -322,7 +322,7 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(tmp_path, w
     assert found["last_evidence"] == "2024-10-07"
     assert found["evidence_ends"] == "2024-10-08T00:00:00+00:00"
     lowest = found["lowest"][0]
-    assert lowest["near"] == "at Flawil"
+    assert lowest["near"] == "0.9 km after Uzwil"
     assert lowest["expected_low"] < lowest["expected"] < lowest["expected_high"]
     shown = " ".join(works(*words, "--picture", tmp_path / "wet.png").split())
     assert "states no zone: taken for UTC" in shown
