@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, strategies as st
 from refusals import refused
-from report_folder import SCRIPT, hostile_trip, planned
+from report_folder import SCRIPT, hostile_trip, make_folder, planned
 from rich.console import Console
 
 from analysis import ReportOptions, TripView, adhesion_map, coast_down, fit, report, write_report
@@ -40,6 +43,9 @@ from trainlog.mcap import read_log, write_log
 from trainlog.presentation import kwh, new_table
 from trainlog.railway import RunningResistance
 from trainlog.trip import SCENARIO_ATTACHMENT
+
+sys.path.append(str(Path(__file__).parents[1] / "docs" / "tools"))
+from screenshot import browser_page, chromium
 
 pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
@@ -504,3 +510,185 @@ def test_a_drive_counts_once_and_its_copies_beside_it(tmp_path):
     trip = read_log(sample("stopping.mcap"))
     write_log(trip.between(None, "2024-10-07T08:15"), place / "copy.mcap")
     assert report(place).rows[0][1] == "2 trips, 0.7 h; 1 recording more of these drives"
+
+
+PAGE_WIDTH, PAGE_HEIGHT = 688, 1009
+"""What A4 has within the margins [px], 96 to the inch."""
+
+CANVASES = """() => {
+    const found = [];
+    const walk = (root) => {
+        for (const each of root.querySelectorAll("*")) {
+            if (each.tagName === "CANVAS" && each.width > 0) found.push(each);
+            if (each.shadowRoot) walk(each.shadowRoot);
+        }
+    };
+    walk(document);
+    return found.map((canvas) => {
+        const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+        const colours = new Set();
+        for (let i = 0; i < data.length; i += 4 * 37) colours.add(data.slice(i, i + 4).join(","));
+        return {width: canvas.width, height: canvas.height, colours: colours.size,
+                corner: [...data.slice(12 * canvas.width + 12, 12 * canvas.width + 16)]};
+    });
+}"""
+"""Of each canvas: its size, the colours in it, and the colour near its corner."""
+
+TOOLTIP = """() => {
+    const texts = [];
+    const walk = (root) => {
+        for (const each of root.querySelectorAll("*")) {
+            if (each.classList.contains("bk-Tooltip") && each.getClientRects().length)
+                texts.push(each.shadowRoot ? each.shadowRoot.textContent : each.textContent);
+            if (each.shadowRoot) walk(each.shadowRoot);
+        }
+    };
+    walk(document);
+    return texts.join(" ");
+}"""
+
+
+class Opened:
+    """A report in the browser, with all that it complained of and asked for."""
+
+    def __init__(self, browser: Any, file: Path, scheme: str) -> None:
+        self.page = browser.new_page(viewport={"width": 1200, "height": 900}, color_scheme=scheme)
+        self.complaints, self.requests = list[str](), list[str]()
+        self.page.on("console", lambda said: self._heard(said.type, said.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda asked: self.requests.append(asked.url))
+        self.page.goto(file.as_uri())
+        self.page.wait_for_selector("html.drawn", timeout=30_000)
+        self.page.wait_for_timeout(300)
+
+    def _heard(self, kind: str, words: str) -> None:
+        # How fast BokehJS reads its canvases back is not ours to say.
+        if kind in ("error", "warning") and not words.startswith("Canvas2D: Multiple readback"):
+            self.complaints.append(words)
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory, remembered: None) -> Path:
+    """The report on a folder with results of every kind, and a file that is none."""
+    del remembered
+    folder = make_folder(tmp_path_factory.mktemp("browser") / "results")
+    write_report(folder, folder.parent / "report.html")
+    return folder.parent / "report.html"
+
+
+@pytest.fixture(scope="module")
+def light(page_file: Path) -> Iterator[Opened]:
+    with browser_page() as page:
+        yield Opened(page.context.browser, page_file, "light")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
+class TestBrowser:
+    """Drawn, light and dark, under the pointer and printed; no network."""
+
+    def test_every_picture_is_drawn_light_and_dark_and_nothing_is_asked_for(self, light, page_file):
+        dark = Opened(light.page.context.browser, page_file, "dark")
+        assert SCRIPT in light.page.inner_text("main"), "a name that is a script is only shown"
+        grounds = {}
+        for name, opened in (("light", light), ("dark", dark)):
+            assert opened.complaints == []
+            assert opened.requests == [page_file.as_uri()]
+            sizes = opened.page.locator("figure svg, figure img").evaluate_all(
+                "all => all.filter(each => !each.closest('.still'))"
+                ".map(each => [each.getBoundingClientRect().width,"
+                " each.tagName === 'IMG' ? each.naturalHeight : each.getBBox().height])"
+            )
+            assert all(width > 200 and height > 50 for width, height in sizes)
+            canvases = opened.page.evaluate(CANVASES)
+            plots = opened.page.locator(".plot").count()
+            assert len(sizes) + plots >= 9
+            # Above each chart lies one for what the pointer shows, which is empty as yet.
+            charts = [each for each in canvases if each["height"] > 80 and each["corner"][3]]
+            assert len(charts) >= plots
+            assert all(each["colours"] >= 3 for each in charts)
+            grounds[name] = {tuple(each["corner"]) for each in charts}
+        # A chart has the ground of its page.
+        assert grounds["light"] == {(255, 255, 255, 255)}
+        assert grounds["dark"] == {(22, 24, 28, 255)}
+
+    def test_the_pointer_shows_values_and_a_name_in_the_legend_hides_its_curve(self, light):
+        plot = light.page.locator(".plot").first
+        plot.scroll_into_view_if_needed()
+        box = plot.bounding_box()
+        assert light.page.evaluate(TOOLTIP) == ""
+        for share in (0.4, 0.5):
+            light.page.mouse.move(box["x"] + share * box["width"], box["y"] + 0.5 * box["height"])
+        light.page.wait_for_timeout(300)
+        shown = light.page.evaluate(TOOLTIP)
+        assert re.search(r"\d km/h", shown)
+        assert "kN" in shown
+        key = light.page.locator(".key", has_text="permitted speed").first
+        visible = """() => [...Bokeh.documents].flatMap(each => [...each._all_models.values()])
+            .filter(each => each.name === "permitted speed").map(each => each.visible)"""
+        before = light.page.evaluate(visible)
+        key.click()
+        assert light.page.evaluate(visible).count(False) == 1
+        key.click()
+        assert light.page.evaluate(visible) == before
+
+    def test_printed_pages_cut_no_row_and_no_picture(self, light):
+        light.page.set_viewport_size({"width": PAGE_WIDTH, "height": PAGE_HEIGHT})
+        light.page.emulate_media(media="print")
+        whole = light.page.locator("figure, tr").evaluate_all(
+            "all => all.map(each => [getComputedStyle(each).breakInside,"
+            " each.getBoundingClientRect().height])"
+        )
+        assert {rule for rule, _ in whole} == {"avoid"}
+        assert max(height for _, height in whole) <= PAGE_HEIGHT
+        wide = light.page.locator(".table").evaluate_all(
+            "all => all.filter(each => each.scrollWidth > each.clientWidth + 1).length"
+        )
+        assert wide == 0
+        stills = light.page.locator(".still").evaluate_all(
+            "all => all.map(each => each.getBoundingClientRect().height)"
+        )
+        assert min(stills) > 100
+        assert light.page.locator(".plot").first.is_hidden()
+        shown = light.page.locator("thead").first.evaluate("each => getComputedStyle(each).display")
+        assert shown == "table-header-group"
+        pdf = light.page.pdf(prefer_css_page_size=True)
+        boxes = re.findall(rb"/MediaBox\s*\[0 0 ([\d.]+) ([\d.]+)\]", pdf)
+        assert len(boxes) >= 8
+        # A4, in points.
+        assert {(round(float(a)), round(float(b))) for a, b in boxes} <= {(595, 842), (596, 842)}
+        light.page.emulate_media(media="screen")
+        light.page.set_viewport_size({"width": 1200, "height": 900})
+
+    def test_on_a_narrow_screen_tables_scroll_and_charts_are_drawn_to_the_width(self, light):
+        light.page.set_viewport_size({"width": 390, "height": 800})
+        details = light.page.locator("details")
+        details.evaluate_all("all => all.forEach(each => each.open = true)")
+        light.page.wait_for_timeout(1_500)
+        try:
+            assert light.page.evaluate("() => document.documentElement.scrollWidth") <= 390
+            wide = light.page.locator(".table").evaluate_all(
+                "all => all.filter(each => each.scrollWidth > each.clientWidth + 1)"
+                ".map(each => getComputedStyle(each).overflowX)"
+            )
+            assert set(wide) == {"auto"}
+            charts = [each for each in light.page.evaluate(CANVASES) if each["height"] > 80]
+            assert charts
+            assert all(200 < each["width"] <= 390 for each in charts)
+        finally:
+            details.evaluate_all("all => all.forEach(each => each.open = false)")
+            light.page.set_viewport_size({"width": 1200, "height": 900})
+            light.page.wait_for_timeout(500)
+
+    def test_details_are_folded_on_a_screen_and_open_in_print(self, light):
+        seen = "all => all.map(each => each.checkVisibility())"
+        folded = light.page.locator("details .inner")
+        assert not any(folded.evaluate_all(seen))
+        light.page.emulate_media(media="print")
+        printed = folded.evaluate_all(seen)
+        light.page.emulate_media(media="screen")
+        assert all(printed)
+        # The contents lead into what is folded, and open it.
+        light.page.locator("nav a").last.click()
+        light.page.wait_for_timeout(200)
+        assert folded.evaluate_all(seen)[-1]
