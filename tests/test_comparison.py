@@ -134,11 +134,11 @@ def test_a_trip_is_not_compared_with_itself_beside_others(forward):
 
 
 def test_a_gap_in_the_recording_is_stated_and_loses_no_time():
+    first, last = (stopping().start + pd.Timedelta(each) for each in ("150s", "190s"))
+
     def gap(frame: pd.DataFrame) -> pd.DataFrame:
-        within = (frame.index > frame.index[0] + pd.Timedelta("150s")) & (
-            frame.index < frame.index[0] + pd.Timedelta("190s")
-        )
-        return frame[~within] if len(frame) > 2000 else frame
+        inside = (frame.index > first) & (frame.index < last)
+        return frame[~inside] if len(frame) > 2000 else frame
 
     holed = altered(stopping(), gap, trip="holed")
     found = compare([stopping(), holed], stopping()).trip("holed")

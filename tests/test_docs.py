@@ -36,17 +36,15 @@ PAINTED = Figure.savefig
 LINK = re.compile(r"\]\(([^)#\s]+)")
 
 
-def with_code() -> list[object]:
-    """Pages with Python or commands."""
-    found = [page for page in PAGES if pages.blocks_of(page.read_text("utf-8"))]
-    return [
-        pytest.param(page, marks=[pytest.mark.long] if page.name in LONG else [], id=page.name)
-        for page in found
-    ]
-
-
 @pytest.mark.usefixtures("unpainted_page")
-@pytest.mark.parametrize("page", with_code())
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.long] if page.name in LONG else [], id=page.name)
+        for page in PAGES
+        if pages.blocks_of(page.read_text("utf-8"))
+    ],
+)
 def test_code_runs(page, tmp_path, monkeypatch):
     """Of the pictures that a page writes, those that it shows are painted, too."""
     shown, unpainted = LINK.findall(page.read_text("utf-8")), Figure.savefig
@@ -68,13 +66,10 @@ def test_code_runs(page, tmp_path, monkeypatch):
             if target.endswith((".png", ".html")) and not (page.parent / target).is_file():
                 assert (tmp_path / target).stat().st_size > 5_000, target
     if page == TUTORIAL:
-        for title in TITLES:
+        kinds = "Trip ", "Line ", "Train ", "Track-condition map ", "Running res", "Trajectory "
+        for title in kinds:
             begins = re.compile(rf"<div><b>{title}|<table><caption[^>]*><b>{title}")
             assert any(begins.match(output.html) for output in outputs), title
-
-
-TITLES = ("Trip ", "Line ", "Train ", "Track-condition map ", "Running res", "Trajectory ")
-"""Of the objects that the developer's tutorial shows."""
 
 
 def test_the_notebook_is_the_tutorial():
@@ -179,7 +174,6 @@ def test_names_of_the_code_exist():
 
 
 STUDIES = {"H": "hauck_2023", "A": "amirhosseini_2024", "C": "cunillera_2022", "Z": "zhao_2025"}
-RESULTS = ("as printed", "corrected", "reached", "differs", "not run")
 
 
 def test_every_part_of_a_paper_names_code_that_is_there_and_a_result():
@@ -191,7 +185,7 @@ def test_every_part_of_a_paper_names_code_that_is_there_and_a_result():
         first, _, rest = where.strip("`").partition(".")
         study = f"analysis.studies.{STUDIES.get(first)}.{rest}"
         resolved(study if first in STUDIES else where.strip("`"))
-        assert result in RESULTS, part
+        assert result in ("as printed", "corrected", "reached", "differs", "not run"), part
         assert why or result in ("as printed", "reached"), part
 
 

@@ -43,28 +43,6 @@ def content(path: Path) -> Content:
         )
 
 
-def check_killed(found: dict[str, Any], kills: int) -> None:
-    """What killed processes had acknowledged must be there, once.
-
-    Each was given recordings of its own, some that others were given, too, and recordings of one
-    drive that replace each other.
-    """
-    assert found["killed"] >= kills
-    stated = [seed for one in found["stated"] for seed in one]
-    assert len(set(stated)) > kills // 2
-    assert all(len(set(one)) == len(one) for one in found["stated"])
-    path, again = Path(found["map"]), Path(found["map"]).with_name("again.map")
-    with MapFile(path) as file:
-        names = [row.known.name for row in file.trips()]
-    assert len(set(names)) == len(names), "a trip is there twice"
-    assert {f"trip-{seed}" for seed in stated} <= set(names), "an acknowledged trip is missing"
-    # The map is that of the recordings which it holds, whatever happened on the way.
-    with MapFile(again, empty_map(LINE)) as file:
-        for name in sorted(names, reverse=True):
-            file.append(killed_updaters.recording_of(int(name.removeprefix("trip-"))))
-    assert content(path) == content(again)
-
-
 @pytest.fixture(scope="module")
 def appended(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Of five updaters that begin one map at once and end, and of such that are killed."""
@@ -74,7 +52,26 @@ def appended(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 class TestProcesses:
     def test_killed_updaters_lose_nothing_that_they_acknowledged(self, appended):
-        check_killed(appended[1], kills=3)
+        """What killed processes had acknowledged must be there, once.
+
+        Each was given recordings of its own, some that others were given, too, and recordings of
+        one drive that replace each other.
+        """
+        found = appended[1]
+        assert found["killed"] >= 3
+        stated = [seed for one in found["stated"] for seed in one]
+        assert len(set(stated)) > 1
+        assert all(len(set(one)) == len(one) for one in found["stated"])
+        path, again = Path(found["map"]), Path(found["map"]).with_name("again.map")
+        with MapFile(path) as file:
+            names = [row.known.name for row in file.trips()]
+        assert len(set(names)) == len(names), "a trip is there twice"
+        assert {f"trip-{seed}" for seed in stated} <= set(names), "an acknowledged trip is missing"
+        # The map is that of the recordings which it holds, whatever happened on the way.
+        with MapFile(again, empty_map(LINE)) as file:
+            for name in sorted(names, reverse=True):
+                file.append(killed_updaters.recording_of(int(name.removeprefix("trip-"))))
+        assert content(path) == content(again)
 
     def test_updaters_that_begin_one_map_at_once_lose_nothing(self, appended):
         """Before, two at once lost a trip in ten of ten tries."""

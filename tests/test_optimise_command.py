@@ -24,6 +24,7 @@ pytestmark = pytest.mark.usefixtures("remembered", "few_rounds", "unpainted", "u
 
 SAMPLES = ("--line", "sample", "--train", "sample")
 MAP = ("--map", sample("CH_StGallen_Wil.map"))
+LINE, TRAIN = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
 
 
 @pytest.fixture(scope="module")
@@ -44,25 +45,23 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
 
 
 def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(observed, tmp_path):
-    line = read_line(sample(DEFAULT_LINE))
     found = asked(observed, tmp_path, "--reverse", "--km", "25:")
-    assert (found.positions[0], found.positions[-1]) == (25_000.0, line.length)
+    assert (found.positions[0], found.positions[-1]) == (25_000.0, LINE.length)
     assert found.direction == "reverse"
     assert found.speeds[:, [0, -1]] == pytest.approx(0.0)
 
 
 def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(observed, tmp_path):
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     reserve = ("--km", ":6", "--reserve", 1)
     front = asked(observed, tmp_path, *reserve)
     whole = asked(observed, tmp_path, *reserve, "--set", "protect=train")
-    assert whole.provenance["settings"]["protected_length"] == train.length
+    assert whole.provenance["settings"]["protected_length"] == TRAIN.length
 
     def over(found: Trajectory) -> float:
         """Most speed over what is permitted at the train's end."""
-        places = np.arange(train.length, 6_000.0, 5.0)
+        places = np.arange(TRAIN.length, 6_000.0, 5.0)
         speeds = np.sqrt(np.interp(places, found.positions, found.speeds[0] ** 2))
-        return float((speeds - line.speed_limit(places - train.length)).max())
+        return float((speeds - LINE.speed_limit(places - TRAIN.length)).max())
 
     assert over(whole) <= 1e-3 < 0.1 < over(front)
     assert max(whole.certificate["least_time"]) > max(front.certificate["least_time"])
@@ -82,65 +81,60 @@ def test_a_map_read_with_more_caution_or_less_risk_leaves_less_adhesion(observed
 
 
 def test_the_risk_of_a_run_is_that_of_what_it_asks_for():
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     track = read_map(sample("CH_StGallen_Wil.map"))
-    alone = (Configuration.of(train),)
-    seen = int(np.flatnonzero(track.layer("wet").observed)[0])
+    alone, layer = (Configuration.of(TRAIN),), track.layer("wet")
+    seen = int(np.flatnonzero(layer.observed)[0])
     places = np.array([seen, seen + 1, seen + 2]) * track.bin_length
-    expected = track.layer("wet").expected()
-    at_risk = float(expected.quantile(0.05)[seen])
-    for direction, own in (("forward", places), ("reverse", line.length - places[::-1])):
-        pull = np.array([at_risk * train.adhesive_weight(), 0.0])
+    at_risk = float(layer.expected().quantile(0.05)[seen])
+    pull = np.array([at_risk * TRAIN.adhesive_weight(), 0.0])
+    for direction, course, own, pulls in (
+        ("forward", LINE, places, pull),
+        ("reverse", LINE.reversed(), LINE.length - places[::-1], pull[::-1]),
+    ):
         drive = Trajectory(
-            line.name, train.name, own, alone, np.zeros((1, 3)), np.zeros((1, 3)),
-            pull if direction == "forward" else pull[::-1], np.zeros((1, 2)), 100.0,
-            direction=direction,
+            LINE.name, TRAIN.name, own, alone, np.zeros((1, 3)), np.zeros((1, 3)), pulls,
+            np.zeros((1, 2)), 100.0, direction=direction,
         )  # fmt: skip
-        course = line if direction == "forward" else line.reversed()
         run = TrajectoryProblem(
-            course, train, alone, condition_map=track, risk=0.05, direction=direction
+            course, TRAIN, alone, condition_map=track, risk=0.05, direction=direction
         )
         demand = adhesion_demand(run, drive)
         assert demand[seen] == pytest.approx(at_risk)
-        assert (
-            "somewhere, as expected right after the last evidence: 5 % to"
-            in (adhesion_words(run, drive)[2])
-        )
+        said = "somewhere, as expected right after the last evidence: 5 % to"
+        assert said in adhesion_words(run, drive)[2]
 
 
 def test_the_dynamic_brake_asks_its_adhesion_of_the_powered_axles():
     """Up to its effort and to what a map leaves it; friction gives the rest on all axles."""
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    track, alone = read_map(sample("CH_StGallen_Wil.map")), (Configuration.of(train),)
+    track, alone = read_map(sample("CH_StGallen_Wil.map")), (Configuration.of(TRAIN),)
     places = np.array([0.0, 500.0, 1_000.0])
     for brake in (90e3, 300e3):
-        run = TrajectoryProblem(line, train, alone, end=1_000.0)
+        run = TrajectoryProblem(LINE, TRAIN, alone, end=1_000.0)
         drive = Trajectory(
-            line.name, train.name, places, alone, np.array([[10.0, 10.0, 0.0]]), np.zeros((1, 3)),
+            LINE.name, TRAIN.name, places, alone, np.array([[10.0, 10.0, 0.0]]), np.zeros((1, 3)),
             np.zeros(2), np.array([[0.0, brake]]), 100.0,
         )  # fmt: skip
-        powered = min(brake, train.max_dynamic_braking_effort) / train.adhesive_weight()
+        powered = min(brake, TRAIN.max_dynamic_braking_effort) / TRAIN.adhesive_weight()
         assert f"0.000 in traction, {powered:.3f} in braking" in adhesion_words(run, drive)[0]
         mapped = TrajectoryProblem(
-            line, train, alone, end=1_000.0, condition_map=track, assumed_adhesion=0.1
+            LINE, TRAIN, alone, end=1_000.0, condition_map=track, assumed_adhesion=0.1
         )
         asked_for = adhesion_demand(mapped, drive)[track.bin_of(np.array([750.0]))[0]]
         left = min(powered, float(mapped.adhesion(places)[1]))
-        whole = brake / (GRAVITY * train.mass)
+        whole = brake / (GRAVITY * TRAIN.mass)
         assert asked_for == pytest.approx(max(left, whole))
 
 
 def test_a_train_file_alone_is_planned_for_and_the_result_states_it(tmp_path, works):
     output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
-    train = read_train(sample(DEFAULT_TRAIN))
     rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
     works("plan", *rail, "--set", "load=8t", "--km", ":4", "--set", "cells=40", "-o", output)
     found = read_trajectory(output)
-    assert found.configurations == (Configuration.of(train, 8_000.0),)
+    assert found.configurations == (Configuration.of(TRAIN, 8_000.0),)
     assert found.planned_for in repr(found)
     assert "without a band" in found.planned_for
     # The same in Python, and the trajectory can be followed.
-    asked_for = TrajectoryProblem.nominal(read_line(rail[3]), train, load=8e3, end=4e3)
+    asked_for = TrajectoryProblem.nominal(LINE, TRAIN, load=8e3, end=4e3)
     assert asked_for.configurations == found.configurations
     works("simulate", "follow", output, *SAMPLES, "-o", trips)
     assert (trips / "driven-nominal.mcap").is_file()

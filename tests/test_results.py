@@ -40,7 +40,6 @@ from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
 from trainlog.display import text_of_cell
-from trainlog.formats.samples import folder
 from trainlog.ingest import ingest_all, propose_profile
 from trainlog.mcap import read_log, write_log
 from trainlog.mcap.reader import rows_of_log
@@ -163,11 +162,18 @@ def presented() -> list[type]:
     return [each for each in found if not issubclass(each, Declared)]
 
 
+def printed(width: int, *shown: object) -> str:
+    """What a terminal of `width` columns shows."""
+    console = Console(width=width, file=io.StringIO())
+    console.print(*shown, sep="\n")
+    return str(console.file.getvalue())
+
+
 def test_every_result_is_looked_at(results):
     assert not {each.__qualname__ for each in presented()} - {each.__qualname__ for each in results}
 
 
-def test_every_result_prints_few_lines_and_is_json_of_its_schema_and_equals_its_copy(results):
+def test_every_result_prints_few_lines_is_json_of_its_schema_equals_its_copy_and_is_drawn(results):
     for kind, result in results.items():
         lines = repr(result).splitlines()
         assert 1 <= len(lines) <= 10, kind
@@ -175,15 +181,14 @@ def test_every_result_prints_few_lines_and_is_json_of_its_schema_and_equals_its_
         html = result._repr_html_()
         assert html.startswith("<div><b>"), kind
         assert len(html) < 100_000, kind
-        console = Console(width=60, file=io.StringIO())
-        with console.capture() as captured:
-            console.print(*result.shown(), sep="\n")
-        assert max(map(len, captured.get().splitlines())) <= 60, kind
+        assert max(map(len, printed(60, *result.shown()).splitlines())) <= 60, kind
         assert pickle.loads(pickle.dumps(result)) == result, kind
         assert result != 1, kind
         document = json.loads(as_json_text(result.data()))
         assert document, kind
         jsonschema.validate(document, result.schema())
+        if kind.charts_by:
+            assert all(each.has_data() for each in result.plot().axes), kind
 
 
 def test_every_table_of_a_result_is_the_same_read_again_from_csv(results):
@@ -198,12 +203,6 @@ def test_every_table_of_a_result_is_the_same_read_again_from_csv(results):
                         assert float(row[key]) == value, (kind, table.name, key)
                     elif isinstance(value, str):
                         assert text_of_cell(row[key]) == value, (kind, table.name, key)
-
-
-def test_every_result_with_charts_has_a_figure_with_data(results):
-    for kind, result in results.items():
-        if kind.charts_by:
-            assert all(each.has_data() for each in result.plot().axes), kind
 
 
 RUN_COLUMNS = (
@@ -249,9 +248,7 @@ def test_short_cells_are_whole_where_columns_that_stand_closer_have_space(width)
         "2999b8a2", "flirt-01-2026-11-20-0614", "flirt-01", "Weissegg - Buchburg",
         "2026-11-20 06:14 UTC", "21:58 min", "0.0 to 29.6", "frost", "11.4",
     )  # fmt: skip
-    console = Console(file=io.StringIO(), width=width)
-    console.print(table)
-    said = console.file.getvalue()
+    said = printed(width, table)
     assert "0.0 to 29.6" in said
     assert all(word in said for word in ("2999b8a2", "flirt-01-2026-11-20-0614"))
     assert max(map(len, said.splitlines())) <= width
@@ -280,12 +277,10 @@ def test_csv_and_frame_hold_the_rows_in_si_units():
     refused(KeyError, "no table 'days'; it has runs", found.to_csv, name="days")
 
 
-def test_a_fit_states_the_band_that_its_picture_has(fitted):
+def test_a_fit_states_the_band_that_its_picture_has_and_a_doubt_of_several_trips_once(fitted):
     low, high = fitted.common.band(80.0 / 3.6)
     assert f"wider: {low / 1e3:.4g} to {high / 1e3:.4g} kN at 80 km/h" in fitted.notes[0]
-
-
-def test_trips_of_one_doubt_share_a_sentence(fitted):
+    # Trips of one doubt share a sentence.
     first = replace(fitted.trips[0], notes=("no wheel is recorded",))
     both = replace(fitted, trips=(first, replace(first, trip="other")))
     assert f"{first.trip}, other: no wheel is recorded" in both.notes
@@ -294,10 +289,7 @@ def test_trips_of_one_doubt_share_a_sentence(fitted):
 def test_names_are_broken_before_numbers():
     table = new_table("", Column("train"), Column("at 80 km/h"), Column("note"))
     table.add_cells("one more train", "9.47 ± 0.33", "not compared with any other")
-    console = Console(width=38, file=io.StringIO())
-    with console.capture() as captured:
-        console.print(table)
-    assert "9.47 ± 0.33" in captured.get()
+    assert "9.47 ± 0.33" in printed(38, table)
 
 
 def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_names_them():
@@ -307,24 +299,16 @@ def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_names_them
         (34, "80.0 ± 2.0", "not shown in 34 columns: adhesion"),
         (24, "72.0", "mass, t, adhesion"),
     ):
-        console = Console(width=width, file=io.StringIO())
-        with console.capture() as captured:
-            console.print(table)
-        words = " ".join(captured.get().split())
+        words = " ".join(printed(width, table).split())
         assert shown in words
         assert left_out in words
         assert ("not shown" in words) == (width < 80)
 
 
 @pytest.fixture(scope="module")
-def nonstop() -> Path:
-    return folder() / "nonstop.mcap"
-
-
-@pytest.fixture(scope="module")
-def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def there_and_back(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample trip twice, an hour apart, as one recording."""
-    trip = read_log(nonstop)
+    trip = read_log(LOG)
     path = tmp_path_factory.mktemp("long") / "long.mcap"
     with LogWriter(path) as writer:
         writer.add(trip)
@@ -333,8 +317,8 @@ def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 @pytest.mark.parametrize("call", [fit, adhesion_map, coast_down, geometry_of])
-def test_infinite_numbers_are_refused_by_every_analysis(nonstop, call):
-    trip = read_log(nonstop)
+def test_infinite_numbers_are_refused_by_every_analysis(call):
+    trip = read_log(LOG)
     for name in ("/train/state", "/gnss/motion"):
         frame = trip[name].copy()
         frame.iloc[100:105, frame.columns.get_loc("speed")] = np.inf
@@ -342,8 +326,8 @@ def test_infinite_numbers_are_refused_by_every_analysis(nonstop, call):
         refused(LogError, said, call, [trip.with_topic(frame)])
 
 
-def test_the_chainage_of_satellites_serves_where_none_is_recorded(nonstop):
-    trip = read_log(nonstop)
+def test_the_chainage_of_satellites_serves_where_none_is_recorded():
+    trip = read_log(LOG)
     state = trip["/train/state"]
     position = state["position"].to_numpy()
     known = {"position": position, "position_std": np.full(len(position), 2.0)}
@@ -372,25 +356,23 @@ def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(there_and_back):
         assert max(sum(map(len, part.topics.values())) for part in parts) < 1.5 * rows
 
 
-def test_maps_and_coasting_take_all_parts_of_a_long_log(there_and_back, nonstop, monkeypatch):
-    alone = adhesion_map(nonstop).track
-    coasted = coast_down(nonstop)
+def test_maps_and_coasting_take_all_parts_of_a_long_log(there_and_back, monkeypatch):
+    alone = adhesion_map(LOG).track
+    coasted = coast_down(LOG)
     monkeypatch.setattr(
-        module, "ROWS", rows_of_log(nonstop, (*slip_module.TOPICS, "/environment")) + 1_000
+        module, "ROWS", rows_of_log(LOG, (*slip_module.TOPICS, "/environment")) + 1_000
     )
     both = adhesion_map(there_and_back).track
     assert [each["trip"] for each in both.trips] == ["trip-01"]
     for name, layer in alone.layers.items():
         np.testing.assert_array_equal(both.layers[name].events, 2 * layer.events)
-    monkeypatch.setattr(module, "ROWS", rows_of_log(nonstop, motion_module.TOPICS) + 1_000)
+    monkeypatch.setattr(module, "ROWS", rows_of_log(LOG, motion_module.TOPICS) + 1_000)
     twice = coast_down(there_and_back)
     assert len(twice.trips) == 2 * len(coasted.trips)
 
 
-def test_estimates_of_a_long_log_keep_what_was_recorded(
-    there_and_back, nonstop, monkeypatch, tmp_path
-):
-    monkeypatch.setattr(module, "ROWS", rows_of_log(nonstop) + 1_000)
+def test_estimates_of_a_long_log_keep_what_was_recorded(there_and_back, monkeypatch, tmp_path):
+    monkeypatch.setattr(module, "ROWS", rows_of_log(LOG) + 1_000)
     assert estimate_log(there_and_back, tmp_path / "parts.mcap") == ()
     parts, recorded = read_log(tmp_path / "parts.mcap"), read_log(there_and_back)
     assert parts.name == recorded.name
@@ -416,9 +398,9 @@ def test_a_long_log_without_positions_is_parted_by_its_speed(there_and_back, tmp
     refused(LogError, "knows neither position nor speed", next, parts)
 
 
-def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path, nonstop):
+def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path):
     """Out and back, with falling chainage on the way back: two runs, not one every few metres."""
-    trip = read_log(nonstop, [TRAIN_STATE.name])
+    trip = read_log(LOG, [TRAIN_STATE.name])
     state = trip[TRAIN_STATE.name]
     length = float(state["position"].iloc[-1])
     back = state.assign(position=length - state["position"])
