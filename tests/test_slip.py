@@ -162,6 +162,16 @@ def test_train_speed_under_slipping_wheels(trips):
         assert np.max(np.abs(error)) < 0.8
 
 
+@pytest.mark.parametrize("every", [1, 5, 10])
+def test_train_speed_is_that_of_its_time(trips, every):
+    """Satellites give several speeds between two slow samples of the axles."""
+    for each in trips:
+        found = slip(slower(each.trip, every)).speed - each.speed[::every]
+        acceleration = np.gradient(each.speed[::every], 0.1 * every)
+        assert abs(found @ acceleration / (acceleration @ acceleration)) < 0.05  # s
+        assert np.sqrt(np.mean(found**2)) < 0.12
+
+
 def test_every_slip_is_found_and_nothing_else(trips):
     found = score(trips)
     assert found.true > 100

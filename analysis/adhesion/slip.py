@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.axles import PASSAGE_STD, SLOW, SLOW_STD, PoweredAxles, powered_axles
+from analysis.adhesion.axles import SLOW, PoweredAxles, powered_axles
 from analysis.resistance.passport import passport
 from analysis.view import Given, TripView, one_way, view_of
 from estimators.adhesion import (
@@ -645,7 +645,10 @@ def _brake_is_known(trip: Trip) -> bool:
 
 
 def _reference(trip: Trip, axles: PoweredAxles) -> tuple[FloatArray, FloatArray]:
-    """Speed that does not come from the powered wheels, at the axles' nearest samples, else NaN."""
+    """Speed that does not come from the powered wheels, at the axles' nearest samples, else NaN.
+
+    Several values around a sample are their mean, so that none is of a later or an earlier time.
+    """
     clock = axles.clock
     speed, std = np.full(len(clock), np.nan), np.full(len(clock), np.nan)
     for topic, column in REFERENCES.items():
@@ -656,10 +659,13 @@ def _reference(trip: Trip, axles: PoweredAxles) -> tuple[FloatArray, FloatArray]
         # What lies before, behind or in a gap of the axles' samples belongs to none of them.
         reach = pd.Timedelta(np.median(np.diff(clock.asi8)), "ns")
         at = clock.get_indexer(pd.DatetimeIndex(known.index), method="nearest", tolerance=reach)
-        known, at = known[at >= 0], at[at >= 0]
-        speed[at] = known["speed"].to_numpy()
-        std[at] = known[column].fillna(SATELLITE_STD).to_numpy()
-        return speed, np.maximum(std, 1e-2)
+        variance = np.maximum(known[column].fillna(SATELLITE_STD), 1e-2) ** 2
+        values = pd.DataFrame({"speed": known["speed"], "variance": variance})[at >= 0]
+        each = values.groupby(at[at >= 0])
+        found = each.mean()
+        speed[found.index] = found["speed"]
+        std[found.index] = np.sqrt(found["variance"] / each.size())
+        return speed, std
     state = trip.topics.get("/train/state")
     if state is not None and state["speed"].notna().any():
         recorded = interpolated(state, "speed", clock)
@@ -931,7 +937,7 @@ def _energy_of(
         work(noise * loads, np.abs(slip_speed)),
         work(np.abs(force), motion.speed_std[rows]),
         axles.gain_std * energy,
-        np.hypot(SLOW_STD, PASSAGE_STD) * axles.sampling * energy * (axles.sampling >= SLOW),
+        axles.passage_std * energy,
         np.sqrt(np.mean((np.array(others) - energy) ** 2)) if others else 0.0,
         work(np.abs(force), np.full(time.size, motion.creep_std)),
         energy - work(force, slip_speed, 2),

@@ -112,11 +112,12 @@ def stopped(scenario: Scenario, speed: float, deceleration: float) -> Stop:
 
 
 def used(scenario: Scenario, places: list[float], speeds: list[float], demand: float) -> float:
-    """Deceleration over what the rail gives, where it gives less than is asked for."""
+    """Force between wheels and rail over what the rail gives, where it gives less than is asked.
+
+    The brakes themselves slow what turns: it asks nothing of the rail.
+    """
     at, v = np.array(places), np.array(speeds)
-    mass = scenario.mass
-    found: FloatArray = -np.diff(v) / PERIOD * (mass + scenario.train.rotating_mass) / mass
-    found -= scenario.resistance(v[:-1]) / mass
+    found: FloatArray = -np.diff(v) / PERIOD - scenario.resistance(v[:-1]) / scenario.mass
     offered = scenario.maximum_adhesion(at[:-1]) * GRAVITY
     scarce = (offered < demand) & (v[:-1] > 5.0 / KMH)
     return float(found[scarce].sum() / offered[scarce].sum()) if scarce.any() else np.nan
