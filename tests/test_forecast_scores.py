@@ -417,16 +417,9 @@ def first_scored() -> Score:
     return score_rolling(first_days())
 
 
-@pytest.fixture(scope="module")
-def rolling() -> tuple[Score, list[tuple[int, int]]]:
-    """The month scored day by day, and the days that were reported meanwhile."""
-    days: list[tuple[int, int]] = []
-    return score_rolling(month(), None, lambda *each: days.append(each)), days
-
-
-def test_each_day_is_forecast_from_the_days_before_alone(rolling, first_scored):
-    found, days = rolling
-    long = found.layers["wet"]
+def test_each_day_is_forecast_from_the_days_before_alone(first_scored):
+    days: list[tuple[int, int]] = []  # which are reported meanwhile
+    long = score_rolling(month(), None, lambda *each: days.append(each)).layers["wet"]
     assert list(dict.fromkeys(days)) == [(day, 11) for day in range(1, 12)]
     short = first_scored.layers["wet"]
     # What came later does not change how a day was forecast; only the demand uses all days.

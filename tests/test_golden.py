@@ -117,15 +117,6 @@ def path_of(name: str, log: str) -> Path:
     return GOLDEN / f"{name.replace(' ', '_')}.{log}.json"
 
 
-def replayed(run: Callable[[Trip], Figures], log: str) -> dict[str, object]:
-    """A digest of each figure, or why it is refused."""
-    try:
-        figures = run(trip_of(log))
-    except TrainlogError as error:
-        return {"refused": re.sub(r"[0-9.]+", "#", str(error))}
-    return {name: digest(values) for name, values in figures.items()}
-
-
 def digest(values: ArrayLike) -> dict[str, object]:
     """Shape, how many are unknown, and of each column largest and mean size and some rows."""
     array = np.asarray(values, dtype=np.float64)
@@ -148,10 +139,14 @@ def digest(values: ArrayLike) -> dict[str, object]:
 @pytest.mark.parametrize("log", LOGS)
 @pytest.mark.parametrize("name", REPLAYS)
 def test_replay_gives_what_it_gave(name, log, request, tmp_path):
+    """A digest of each figure, or why it is refused."""
     renew, path = request.config.getoption("--renew-golden"), path_of(name, log)
     made = path if renew else tmp_path / path.name
     run, tolerance = REPLAYS[name]
-    found = replayed(run, log)
+    try:
+        found = {name: digest(values) for name, values in run(trip_of(log)).items()}
+    except TrainlogError as error:
+        found = {"refused": re.sub(r"[0-9.]+", "#", str(error))}
     made.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
     assert path.exists(), f"no reference: pytest {Path(__file__).name} --renew-golden"
     changed = first_difference(made, path, tolerance)

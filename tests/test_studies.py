@@ -357,12 +357,8 @@ def fewer_nodes() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def prepared(fewer_nodes: None) -> hauck.Setup:
-    return hauck.prepared(seed=1, sections=1)
-
-
-@pytest.fixture(scope="module")
-def known(prepared: hauck.Setup) -> hauck.Setup:
+def known(fewer_nodes: None) -> hauck.Setup:
+    prepared = hauck.prepared(seed=1, sections=1)
     return replace(prepared, rails={**prepared.rails, "bad": SLIPPERY})
 
 
