@@ -247,19 +247,6 @@ def test_the_map_of_other_weather_is_not_shown(trip, tmp_path):
             assert static(path, dots, "SeriesPoints:names") == legend
 
 
-def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path):
-    plan = trajectory_of()
-    path = tmp_path / "plan.rrd"
-    write_replay([made_trip(), made_trip("again")], path, trajectory=plan)
-    middle = curve(path, "/trajectory/speed", "Measurements:values")[:, 0]
-    half = np.sqrt(curve(path, "/trajectory/speed", "Measurements:variances")[:, 0])
-    assert middle + half == pytest.approx(plan.speeds.max(axis=0) * 3.6)
-    assert middle - half == pytest.approx(plan.speeds.min(axis=0) * 3.6, abs=1e-9)
-    found = rows(path, "/trajectory/speed")
-    assert (found["position_m"][1:] == np.rint(plan.positions)).all()
-    assert found["elapsed"][1:] / 1e9 == pytest.approx(plan.times.mean(axis=0))
-
-
 def test_a_trip_is_compared_with_what_is_planned_unless_it_followed_or_ran_backwards(
     trip, tmp_path
 ):
@@ -435,21 +422,27 @@ def test_the_reference_is_the_trip_that_is_chosen(tmp_path):
     refused(InputError, "no trip 5", write_replay, trips, path, options=ReplayOptions(reference=4))
 
 
-def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path):
+def test_a_trajectory_is_a_band_and_the_reference_of_trips_in_its_direction(tmp_path):
     path, plan = tmp_path / "plan.rrd", trajectory_of()
     trip = unlike("up", 20.0)
     made = write_replay([trip, made_trip("down", "reverse")], path, trajectory=plan)
-    assert made.references == (
-        f"the trajectory (configuration {plan.configurations[plan.latest].name})",
-    )
+    named = f"the trajectory (configuration {plan.configurations[plan.latest].name})"
+    assert made.references == (named,)
     found = rows(path, "/trips/up/behind/speed")
     place = found["position_m"][1:].astype(float)
     middle = np.isin(place, (600.0, 1000.0, 1400.0))
     planned = plan.speed_at(plan.latest, place[middle])
-    assert found["Scalars:scalars"][1:, 0][middle] == pytest.approx(
-        3.6 * (20.0 - planned), abs=0.02
-    )
+    shown = found["Scalars:scalars"][1:, 0]
+    assert shown[middle] == pytest.approx(3.6 * (20.0 - planned), abs=0.02)
     assert "/trips/down/behind/time" not in entities(path)
+    # From the slowest to the fastest configuration.
+    centre = curve(path, "/trajectory/speed", "Measurements:values")[:, 0]
+    half = np.sqrt(curve(path, "/trajectory/speed", "Measurements:variances")[:, 0])
+    assert centre + half == pytest.approx(plan.speeds.max(axis=0) * 3.6)
+    assert centre - half == pytest.approx(plan.speeds.min(axis=0) * 3.6, abs=1e-9)
+    found = rows(path, "/trajectory/speed")
+    assert (found["position_m"][1:] == np.rint(plan.positions)).all()
+    assert found["elapsed"][1:] / 1e9 == pytest.approx(plan.times.mean(axis=0))
 
 
 @settings(max_examples=100)

@@ -191,9 +191,6 @@ column = "t"
     assert wild["raw_time"] == "2024-05-01T06:00:03.000000Z"
 
 
-CHECKOUT = Path(__file__).parents[1]
-
-
 @pytest.fixture
 def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TRAINLOG_SETTINGS", str(tmp_path / "settings.toml"))
@@ -210,6 +207,8 @@ def test_settings_are_set_shown_and_taken_back(settings, shell, works):
     assert "mph" in shown
     shell("settings", "--unset", "speed")
     assert read_settings() == Settings(results="out")
+    page = (Path(__file__).parents[1] / "docs" / "command-line.md").read_text("utf-8")
+    assert all(f"| `{key}` |" in page and meaning in page for key, meaning in MEANINGS.items())
 
 
 @pytest.mark.parametrize(
@@ -260,8 +259,3 @@ def test_units_and_zone_change_what_is_shown_and_no_file(settings, tmp_path, she
         set_setting("zone", zone)
         _, out, _ = shell("show", log)
         assert f"2024-10-07 08:00:00.000 to 2024-10-07 08:19:43.100 {shown_as}" in out
-
-
-def test_the_page_lists_the_settings():
-    page = (CHECKOUT / "docs" / "command-line.md").read_text("utf-8")
-    assert all(f"| `{key}` |" in page and meaning in page for key, meaning in MEANINGS.items())

@@ -24,15 +24,13 @@ MEANT = (
 )
 """Where such a word is the right one: a position in a file, the doors of a train."""
 
-PATTERNS = ("*.md", "docs/**/*.md", *(f"{name}/**/*.py" for name in ("trainlog", "analysis")))
-FOLDERS = ("estimators", "benchmarks", "docs", "sample_logs", "tests")
-
 
 @cache
 def files() -> dict[Path, str]:
     """Texts by path."""
-    found = [path for pattern in PATTERNS for path in CHECKOUT.glob(pattern)]
-    found += [path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py")]
+    folders = "trainlog", "analysis", "estimators", "benchmarks", "docs", "sample_logs", "tests"
+    patterns = "*.md", "docs/**/*.md", *(f"{folder}/**/*.py" for folder in folders)
+    found = [path for pattern in patterns for path in CHECKOUT.glob(pattern)]
     kept = sorted(path for path in found if path.name != Path(__file__).name)
     return {path: path.read_text("utf-8") for path in kept}
 
