@@ -408,11 +408,9 @@ def _file(number, first, minutes, *, path="", source="", **values):
     known = {"start": start, "end": end, "duration": 60.0 * minutes, "samples": 600 * minutes}
     blocks = np.arange(first, first + minutes, dtype=np.uint64) + np.uint64(values.pop("moved", 0))
     ends = (pd.Timestamp(each, tz="UTC") for each in (start, end))
-    entry = replace(
-        base.entry,
-        values={**base.entry.values, "messages": 1000, **known, **values},
-        identity=TripIdentity(*ends, known["samples"], blocks, source),
-    )
+    identity = TripIdentity(*ends, known["samples"], blocks, source)
+    values = {**base.entry.values, "messages": 1000, **known, **values}
+    entry = replace(base.entry, values=values, identity=identity)
     return replace(base, path=path or base.path, entry=entry)
 
 

@@ -458,10 +458,8 @@ print(sorted({{'pandas', 'scipy', 'cvxpy', 'pyarrow'}} & set(sys.modules)))
 
 def typed(words: list[str], folder: Path, until: str = "") -> SimpleNamespace:
     """What a person sees of a command in a terminal; presses Ctrl-C as soon as `until` is seen."""
-    posix = "pseudo-terminals are those of POSIX"
-    fcntl, pty, termios = (
-        pytest.importorskip(name, reason=posix) for name in ("fcntl", "pty", "termios")
-    )
+    why = "pseudo-terminals are those of POSIX"
+    fcntl, pty, termios = (pytest.importorskip(x, reason=why) for x in ("fcntl", "pty", "termios"))
     process, terminal = pty.fork()
     if process == 0:  # the child
         os.chdir(folder)

@@ -235,13 +235,9 @@ def free() -> Trip:
 def test_a_temporary_limit_costs_what_it_costs():
     limits = LINE.speed_limits
     before, rest = limits.positions < 11_000.0, limits.positions > 12_500.0
-    places, values = (
-        np.concatenate((each[before], inserted, each[rest]))
-        for each, inserted in (
-            (limits.positions, [11_000.0, 12_500.0]),
-            (limits.values, [60 / 3.6, limits(12_500.0)]),
-        )
-    )
+    at, permitted = limits.positions, limits.values
+    places = np.concatenate((at[before], [11_000.0, 12_500.0], at[rest]))
+    values = np.concatenate((permitted[before], [60 / 3.6, limits(12_500.0)], permitted[rest]))
     lower = StepProfile(places, values)
     slowed = simulate(scenario(replace(LINE, speed_limits=lower), "slowed"))
     attached = {**slowed.attachments, LINE_ATTACHMENT: line_to_bytes(LINE)}
@@ -346,18 +342,13 @@ def trip(name: str = "t", effort: float = 50_000.0, stop: bool = False, **metada
     position = np.concatenate(([0.0], np.cumsum(speed[:-1]) * 0.1))
     running = speed > 0.0
     efforts = {"tractive_effort": effort * running, "dynamic_braking_effort": 1e4 * running}
+    state = frame_of(schema.TRAIN_STATE, time, {"speed": speed, "position": position})
+    controls = frame_of(schema.TRAIN_CONTROLS, time, efforts)
+    files = {LINE_ATTACHMENT: DEFAULT_LINE, TRAIN_ATTACHMENT: DEFAULT_TRAIN}
     return Trip(
-        {
-            "/train/state": frame_of(
-                schema.TRAIN_STATE, time, {"speed": speed, "position": position}
-            ),
-            "/train/controls": frame_of(schema.TRAIN_CONTROLS, time, efforts),
-        },
+        {"/train/state": state, "/train/controls": controls},
         {"trip": name, "direction": "forward", "load": "10000", **metadata},
-        attachments={
-            LINE_ATTACHMENT: sample(DEFAULT_LINE).read_bytes(),
-            TRAIN_ATTACHMENT: sample(DEFAULT_TRAIN).read_bytes(),
-        },
+        attachments={name: sample(file).read_bytes() for name, file in files.items()},
     )
 
 

@@ -49,16 +49,16 @@ def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> P
     return made_once(f"demo-{request.param}", make) / "results"
 
 
-def count_of(results: Path, folder: str = "trips") -> int:
-    return len(list((results / folder).glob("*.mcap")))
+def logs(results: Path, folder: str = "trips") -> list[Path]:
+    return sorted((results / folder).glob("*.mcap"))
 
 
 def test_every_result_is_there_and_says_what_it_was_made_from(results):
     assert {p.stem for p in (results / "recorded").glob("*.mcap")} == {"recorder", "gnss"}
-    assert count_of(results, "driven") == (12 if count_of(results) == 12 else 1)
+    assert len(logs(results, "driven")) == (12 if len(logs(results)) == 12 else 1)
     for name in ("parameters.json", "trajectory.json"):
         assert json.loads((results / name).read_text("utf-8"))["provenance"]
-    assert len(read_map(results / "wil.map").trips) == count_of(results)
+    assert len(read_map(results / "wil.map").trips) == len(logs(results))
     for log in results.glob("*/*.mcap"):
         assert describe(log).provenance
     trajectory = read_trajectory(results / "trajectory.json")
@@ -72,9 +72,9 @@ def test_every_result_is_there_and_says_what_it_was_made_from(results):
 
 def test_the_observed_set_holds_the_truth(results):
     found = read_parameters(results / "parameters.json")
-    truths = {log.stem: truth_of(trainlog.read(log)) for log in (results / "trips").glob("*.mcap")}
+    truths = {log.stem: truth_of(trainlog.read(log)) for log in logs(results)}
     known = [truth for truth in truths.values() if truth is not None]
-    assert len(found.configurations) >= count_of(results) - 1
+    assert len(found.configurations) >= len(logs(results)) - 1
     for configuration in found.configurations:
         truth = truths[configuration.name]
         assert curve_error(configuration.resistance, [truth]) <= 0.08
@@ -85,7 +85,7 @@ def test_the_observed_set_holds_the_truth(results):
 
 def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results):
     track = read_map(results / "wil.map")
-    truths = [truth_of(trainlog.read(log)) for log in (results / "trips").glob("*.mcap")]
+    truths = [truth_of(trainlog.read(log)) for log in logs(results)]
     error, bins = map_error(track, [truth for truth in truths if truth is not None])
     assert bins >= 10
     assert error <= 0.03
@@ -97,10 +97,7 @@ def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results):
 
 
 def test_driving_it_saves_energy_against_the_drivers(results):
-    trips, driven = (
-        [trainlog.read(log) for log in sorted((results / folder).glob("*.mcap"))]
-        for folder in ("trips", "driven")
-    )
+    trips, driven = ([trainlog.read(x) for x in logs(results, y)] for y in ("trips", "driven"))
     pairs = compare_groups(trips, driven).pairs
     assert len(pairs) >= min(2, len(driven))
     saved = sum(pair.traction for pair in pairs) / sum(pair.driver.traction for pair in pairs)
@@ -125,7 +122,7 @@ def test_readme_states_what_the_demo_shows(results):
     saved = compare_groups(results / "trips", results / "driven").saved_words
     shares = re.findall(r"[\d.]+% (?:at the wheel rims|from the line)", saved)
     assert len(shares) == 2
-    blind = punctuality(sorted((results / "driven-blind").glob("*.mcap"))).slips
+    blind = punctuality(logs(results, "driven-blind")).slips
     for share in shares:
         assert share in readme
         assert share in validation
@@ -133,16 +130,13 @@ def test_readme_states_what_the_demo_shows(results):
 
 
 def test_with_the_map_trips_are_on_time_and_hardly_slip(results):
-    known, blind = (
-        punctuality(sorted((results / folder).glob("*.mcap")))
-        for folder in ("driven", "driven-blind")
-    )
-    assert known.trips == blind.trips == count_of(results, "driven")
+    known, blind = (punctuality(logs(results, each)) for each in ("driven", "driven-blind"))
+    assert known.trips == blind.trips == len(logs(results, "driven"))
     # The one that is off most; a train that stops two metres short creeps for a second or two.
     assert abs(known.late) <= 2.5
     # A map of three trips knows less than one of twelve.
-    assert known.slips <= (0.1 if count_of(results) == 12 else 0.5) * blind.slips
-    for log in (results / "driven").glob("*.mcap"):
+    assert known.slips <= (0.1 if len(logs(results)) == 12 else 0.5) * blind.slips
+    for log in logs(results, "driven"):
         trip = trainlog.read(log)
         truth, line = trip["/truth"], line_of(trip)
         assert np.max(truth.speed - line.speed_limit(np.minimum(truth.position, line.length))) <= 0

@@ -36,11 +36,8 @@ def content(path: Path) -> Content:
     """All that a map is made from: its header, its rows, and the evidence of each layer."""
     with MapFile(path) as file:
         rows = file.trips()
-        return (
-            repr(file.empty),
-            rows,
-            {name: each for name, (each, _) in file.summed(rows).evidence.items()},
-        )
+        evidence = {name: each for name, (each, _) in file.summed(rows).evidence.items()}
+        return repr(file.empty), rows, evidence
 
 
 @pytest.fixture(scope="module")

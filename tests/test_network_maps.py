@@ -43,14 +43,10 @@ pytestmark = pytest.mark.usefixtures("remembered", "few_rounds")
 
 def network() -> Network:
     """The sample line as two edges, the second counted the other way."""
-    return Network(
-        "cut",
-        (Node("East"), Node("Mid", "junction"), Node("West")),
-        (
-            Edge("east", WHOLE.section(0.0, CUT), "East", "Mid"),
-            Edge("west/old", WHOLE.section(CUT, WHOLE.length).reversed(), "West", "Mid"),
-        ),
-    )
+    nodes = Node("East"), Node("Mid", "junction"), Node("West")
+    east = Edge("east", WHOLE.section(0.0, CUT), "East", "Mid")
+    west = Edge("west/old", WHOLE.section(CUT, WHOLE.length).reversed(), "West", "Mid")
+    return Network("cut", nodes, (east, west))
 
 
 def on_line(name: str, line: Line, path: Path, days: float = 0.0) -> Path:

@@ -70,12 +70,8 @@ def test_examples_use_only_public_names_and_what_they_import():
         parts = doctest.DocTestParser().get_examples(inspect.cleandoc(text))
         code = symtable.symtable("".join(each.source for each in parts), name, "exec")
         known = {*vars(builtins), *importlib.import_module(name.split(".")[0]).__all__}
-        used = {
-            symbol.get_name()
-            for table in (code, *code.get_children())
-            for symbol in table.get_symbols()
-            if symbol.is_referenced() and symbol.is_global()
-        }
+        symbols = [each for table in (code, *code.get_children()) for each in table.get_symbols()]
+        used = {each.get_name() for each in symbols if each.is_referenced() and each.is_global()}
         bound = {each.get_name() for each in code.get_symbols() if each.is_assigned()}
         bound |= {each.get_name() for each in code.get_symbols() if each.is_imported()}
         unknown = used - known - bound
@@ -349,14 +345,9 @@ def install(python: Path, *arguments: str, timeout: float) -> None:
 
 
 def trainlog(python: Path, *arguments: str, cwd: Path) -> str:
-    done = subprocess.run(
-        [python.with_name("trainlog" + python.suffix), *arguments],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=300,
-        env=OUTSIDE,
-    )
+    command = [python.with_name("trainlog" + python.suffix), *arguments]
+    where = {"cwd": cwd, "timeout": 300, "env": OUTSIDE}
+    done = subprocess.run(command, capture_output=True, text=True, **where)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

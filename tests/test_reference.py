@@ -118,11 +118,9 @@ def test_a_train_that_stalls_is_refused_with_the_place():
 def test_the_fastest_run_bounds_every_reference_and_is_slower_with_more_mass():
     planned = section(200.0, slope=0.01)
     assert fastest_unweighed(planned).duration < fastest(planned).duration
-    light, heavy = (
-        fastest_unweighed(planned, mass) for mass in (PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy)
-    )
+    light, heavy = (fastest_unweighed(planned, mass) for mass in (LIGHT, HEAVY))
     assert light.duration < heavy.duration
-    assert light.duration < fastest_unweighed(planned, PUBLISHED_TRAIN.light, 4_800.0).duration
+    assert light.duration < fastest_unweighed(planned, LIGHT, 4_800.0).duration
 
 
 def test_what_the_lightest_train_may_do_bounds_the_fastest_run():

@@ -312,11 +312,7 @@ def _drawn(path: Path) -> dict[str, dict[str, int]]:
     drawn: dict[str, dict[str, int]] = {}
     for chunk in RrdReader(path).stream().to_chunks():
         for row in chunk.to_record_batch().to_pylist():
-            said = {
-                name: value
-                for name, value in row.items()
-                if "RowId" not in name and "row_id" not in name
-            }
+            said = {n: value for n, value in row.items() if not re.search("RowId|row_id", n)}
             found = drawn.setdefault(chunk.entity_path, {})
             found[repr(said)] = found.get(repr(said), 0) + 1
     return drawn
@@ -341,10 +337,8 @@ def spotted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     dry = condition.layers["dry"]
     layer = Layer(dry.log_mean, dry.log_std, dry.observed, evidence=dry.evidence, spots=spots)
     path, options = tmp_path_factory.mktemp("spots") / "map.rrd", ReplayOptions(tiles=True)
-    both, track = (
-        [made_trip(), made_trip("down", "reverse")],
-        replace(condition, layers={"dry": layer}),
-    )
+    both = [made_trip(), made_trip("down", "reverse")]
+    track = replace(condition, layers={"dry": layer})
     write_replay(both, path, condition_map=track, options=options)
     return path
 

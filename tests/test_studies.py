@@ -232,12 +232,9 @@ def test_the_prediction_is_the_motion_also_on_steep_creep_curves(peak_slip):
 def test_steep_creep_curves_are_driven_at_their_peak(peak_slip, axles):
     """Dry, then wet, then half of the axles wet: the adhesion in use is what the rail gives."""
     four = zhao.LOCOMOTIVE_85_T
-    locomotive = replace(
-        four,
-        mass=four.mass / 4 * axles,
-        axle_loads=four.axle_loads[:1] * axles,
-        total_torque=four.total_torque / 4 * axles,
-    )
+    mass, torque = (each / 4 * axles for each in (four.mass, four.total_torque))
+    loads = four.axle_loads[:1] * axles
+    locomotive = replace(four, mass=mass, axle_loads=loads, total_torque=torque)
     controller = CooperativeController(locomotive, Tuning())
     dry, wet = (np.tile(steep(peak_slip, each.peak), (axles, 1)) for each in (DRY, WET))
     half = np.where(np.arange(axles)[:, None] < axles // 2, dry, wet)

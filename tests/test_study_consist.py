@@ -68,15 +68,9 @@ def test_the_command_runs_a_file(tmp_path):
 
 
 FRICTIONLESS = RunningResistance(0.0, 0.0, 0.0)
-WAGON = Vehicle(
-    "wagon",
-    mass=43_750.0,
-    length=25.0,
-    resistance=RunningResistance(261.0, 4.9, 0.084),
-    rotating_mass=2_000.0,
-    max_tractive_effort=31_250.0,
-    max_braking_effort=40_000.0,
-)
+DRAG = RunningResistance(261.0, 4.9, 0.084)
+EFFORTS = {"max_tractive_effort": 31_250.0, "max_braking_effort": 40_000.0}
+WAGON = Vehicle("wagon", mass=43_750.0, length=25.0, resistance=DRAG, rotating_mass=2e3, **EFFORTS)
 COUPLER = Coupler(stiffness=10e6, nonlinearity=200.0, damping=200e3)
 
 
@@ -160,13 +154,9 @@ def test_the_track_acts_under_each_vehicle():
 
 def test_curves_and_tunnels_resist_as_equation_6_says():
     length, radius = 800.0, 400.0
-    bent = replace(
-        level_line(5_000.0),
-        curvatures=CurvatureProfile(
-            np.array([0.0]), np.array([1.0 / radius]), np.array([1.0 / radius])
-        ),
-        tunnels=(Tunnel(1_000.0, length, 40.0),),
-    )
+    curved = CurvatureProfile(*np.array([[0.0], [1.0 / radius], [1.0 / radius]]))
+    tunnels = (Tunnel(1_000.0, length, 40.0),)
+    bent = replace(level_line(5_000.0), curvatures=curved, tunnels=tunnels)
     plant = ConsistPlant(train(1, resistance=FRICTIONLESS), bent, step=0.001)
     for position, expected in ((500.0, 0.6 / radius), (1_200.0, 0.6 / radius + 1.3e-7 * length)):
         state = plant.at(position, 10.0)
