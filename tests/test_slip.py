@@ -349,6 +349,23 @@ class TestWhatTheRecorderLacks:
         assert any("slips below" in note for note in found.notes)
         assert not found.complete
 
+    def test_the_efforts_of_axles_but_not_their_total(self):
+        """Where the rail does not change within 10 m: at a spot's edge either side may count."""
+        errors, scores = [], []
+        for scenario in draw_scenarios(hilly_line(), flirt(), 4, seed=2):
+            found = slip(total_only(recorded(scenario, drive(scenario))))
+            shown = found.events[found.events["measured"]]
+            places = shown["position"].to_numpy()
+            around = [scenario.maximum_adhesion(places + off) for off in (-10.0, 0.0, 10.0)]
+            clear = np.ptp(around, axis=0) < 0.1 * around[1]
+            error = (shown["adhesion"] / around[1] - 1.0)[clear]
+            std = np.hypot(shown["adhesion_std"] / shown["adhesion"], found.common_std)[clear]
+            errors.extend(error)
+            scores.extend(np.abs(error) / std)
+        assert len(errors) > 15
+        assert np.sqrt(np.mean(np.square(errors))) < 0.1
+        assert np.mean(np.array(scores) < 1.96) > 0.94
+
     def test_levels_of_slow_samples_hold_their_band(self, wet):
         """Of each passage of a place; the axles of one err alike, so that they count once."""
         every = []

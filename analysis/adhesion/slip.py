@@ -117,11 +117,12 @@ LEAST_SPEED = 3.0
 """Train speed [m/s] below which small slips are not looked for in braking: electric brakes fade
 out there."""
 
-SHARED_STD = 0.13
-"""Relative standard deviation of an axle's effort that is known as a share of the total."""
+SHARED_STD = 0.13, 0.2
+"""Relative standard deviation of an axle's effort that is known as a share of the total, and of
+what each second between two samples adds."""
 
-SHARED_TIME = 0.5
-"""Time before a slip in which the share of the total effort gives its level [s]."""
+SHARED_TIME = 0.1
+"""Time before a slip from which on the share of the total effort gives its level [s]."""
 
 FALLEN = 0.8, 0.2
 """Adhesion while an axle slips over that at the onset, where its own effort is not recorded: mean
@@ -458,7 +459,7 @@ def _slip(view: TripView) -> SlipAnalysis:
         adhesion = _mean_force(axles) / loads
         # The effort of wheels that slip turns them, not the train.
         adhesion[slipping.any(axis=1)] = np.nan
-        adhesion_std = SHARED_STD * np.abs(adhesion)
+        adhesion_std = _shared_std(axles) * np.abs(adhesion)
         later = tuple((_mean_force(each) / loads, None) for each in axles.at_other_delays())
     if later:
         squares = [(each - adhesion) ** 2 for each, _ in later]
@@ -511,6 +512,12 @@ def _loads(
     acceleration = np.where(moving, (every.sum(axis=1) + other) / inertia, 0.0)
     specific = acceleration + GRAVITY * gradient
     return axle_loads(transfer, axles.axle_load, every, specific)[:, axles.numbers]
+
+
+def _shared_std(axles: PoweredAxles) -> float:
+    """Relative standard deviation of an axle's effort that is known as a share of the total."""
+    lasting, between = SHARED_STD
+    return math.hypot(lasting, between * axles.sampling)
 
 
 def _mean_force(axles: PoweredAxles) -> FloatArray:
@@ -928,7 +935,7 @@ def _energy_of(
         sign = 1.0 if found["kind"] == "traction" else -1.0
         mean, spread = FALLEN
         most = work(sign * found["adhesion"] * loads, slip_speed)
-        relative = np.hypot(spread / mean, SHARED_STD)
+        relative = np.hypot(spread / mean, _shared_std(axles))
         return mean * most, float(mean * abs(most) * np.hypot(relative, axles.gain_std))
     force = motion.adhesion[rows, axle] * loads
     energy = work(force, slip_speed)
@@ -964,7 +971,7 @@ def _onset_of(
     # Whether the effort is known before the onset, up to the largest slip.
     first = int(np.searchsorted(axles.time, axles.time[min(at, peak)] - CUT_TIME))
     shown = bool(axles.shown[first : peak + 1, axle].all())
-    spread = SHARED_STD * abs(adhesion) if motion.share is not None else 0.0
+    spread = _shared_std(axles) * abs(adhesion) if motion.share is not None else 0.0
     spread_by_transfer = 0.0 if motion.transfer_known else TRANSFER * adhesion**2
     delayed = np.sqrt(np.mean((np.array(others) - adhesion) ** 2)) if others else 0.0
     return at, {
@@ -995,9 +1002,9 @@ def _level(
     top, fell = onset(used, noise)
     if share is None:
         return first + int(top[top.size // 2]), float(used[top].mean()), fell
-    # When whose effort is cut is not known: the level is what the axle used just before.
+    # When whose effort is cut is not known: the level is what the axle used up to the largest slip.
     before = int(np.searchsorted(time, time[start] - SHARED_TIME))
-    return start, float((direction * share[before : start + 1, axle]).max()), fell
+    return start, float((direction * share[before : max(start, peak) + 1, axle]).max()), fell
 
 
 def onset(adhesion: FloatArray, noise: float) -> tuple[IntArray, bool]:
