@@ -386,6 +386,7 @@ TWIST = schema_text(
     geometry_msgs__Twist="geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
     geometry_msgs__Vector3="float64 x\nfloat64 y\nfloat64 z",
 )
+ODO = {"/train/state.speed": {"column": "/odo:v", "unit": "m/s"}}
 
 
 def stamp(row, shift=0):
@@ -505,9 +506,8 @@ def test_time_can_be_that_of_the_log_or_of_the_message(tmp_path, column, shift):
 def test_time_as_a_number_in_the_message(tmp_path):
     messages = [{"t": 1_600_000_000_000 + 500 * row, "v": row} for row in range(9)]
     path = json_log(tmp_path / "odo.mcap", "/odo", messages)
-    wanted = {"/train/state.speed": {"column": "/odo:v", "unit": "m/s"}}
     time = {"column": "t", "format": "epoch", "unit": "ms"}
-    trip = ingest(path, profile=profile(wanted, time=time))
+    trip = ingest(path, profile=profile(ODO, time=time))
     assert trip["/train/state"].index[1] == pd.Timestamp(1_600_000_000.5, unit="s", tz="UTC")
 
 
@@ -535,12 +535,11 @@ def test_messages_that_cannot_be_decoded_are_counted(tmp_path):
     messages = [{"v": row} for row in range(9)]
     messages[4:5] = [b"{", b"[1]"]
     path = json_log(tmp_path / "odo.mcap", "/odo", messages)
-    wanted = {"/train/state.speed": {"column": "/odo:v", "unit": "m/s"}}
-    report = report_of(ingest(path, profile=profile(wanted)))
+    report = report_of(ingest(path, profile=profile(ODO)))
     assert (report.rows_read, report.rows_kept) == (10, 8)
     assert report.count("damaged_messages") == 2
     assert "it is not JSON" in report.findings[0].note
-    strict = profile(wanted, repair={"damaged_messages": False})
+    strict = profile(ODO, repair={"damaged_messages": False})
     refused(InputError, "2 times 'damaged_messages'", ingest, path, profile=strict)
 
 
@@ -554,8 +553,7 @@ def test_absent_fields_and_what_cannot_be_mapped_are_refused(tmp_path):
     ):
         given = profile({"/train/state.speed": {"column": column, **speed}})
         refused(InputError, problem, ingest, path, profile=given)
-    known = {"/train/state.speed": {"column": "/odo:v", **speed}}
-    timed = profile(known, time={"column": "stamp"})
+    timed = profile(ODO, time={"column": "stamp"})
     refused(InputError, "no time 'stamp'", ingest, path, profile=timed)
     axles = profile({"/train/axles.wheel_speed": {"columns": ["/odo:v", "/other:w"], **speed}})
     refused(InputError, "fields of several topics", ingest, path, profile=axles)
@@ -599,9 +597,8 @@ def test_a_damaged_file_gives_what_is_readable_and_says_so(tmp_path):
     path = json_log(tmp_path / "odo.mcap", "/odo", [{"v": row % 7} for row in range(40_000)])
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])
-    wanted = {"/train/state.speed": {"column": "/odo:v", "unit": "m/s"}}
     with pytest.warns(DamageWarning) as caught:
-        trip = ingest(path, profile=profile(wanted))
+        trip = ingest(path, profile=profile(ODO))
     rows = len(trip["/train/state"])
     assert 0 < rows < 40_000
     assert trip["/train/state"]["speed"].tolist() == [row % 7 for row in range(rows)]
