@@ -78,6 +78,11 @@ def _flip_in_head(random: Random, data: bytes) -> bytes:
     return _put(data, at, at + 1, bytes([data[at] ^ 1 << random.randrange(8)]))
 
 
+def _forged_length(random: Random, data: bytes) -> bytes:
+    at, most = _pick(random, data).start + 1, random.choice((2**64, len(data)))
+    return _put(data, at, at + 8, struct.pack("<Q", random.randrange(most)))
+
+
 def _zero_page(random: Random, data: bytes) -> bytes:
     page = random.choice((16, 512, 4096))
     start = random.randrange(len(data)) // page * page
@@ -140,6 +145,7 @@ MUTATIONS: dict[str, Callable[[Random, bytes], bytes]] = {
     "front lost": lambda random, data: MAGIC + data[_inside(random, data) :],
     "bits flipped": _flip_bits,
     "bit flipped in a head": _flip_in_head,
+    "length forged": _forged_length,
     "page zeroed": _zero_page,
     "page of noise": _noise_page,
     # A file system after a loss of power: the length is right, the last pages were not written.

@@ -283,15 +283,6 @@ def test_a_receiver_at_rest_keeps_its_rate(tmp_path, seed, again):
     np.testing.assert_allclose(trip["/gnss/fix"].index.as_unit("ns").asi8, made.truth.time)
 
 
-@pytest.mark.parametrize("times", [2, 3])
-def test_rows_that_are_each_written_several_times_count_once(tmp_path, times):
-    truth = drive(5 * 120, 5.0, 3)
-    rows = [row for row in mtk_rows(truth) for _ in range(times)]
-    trip = read_ublox(tmp_path, "\n".join([MTK_HEADER, *rows]) + "\n")
-    assert report_of(trip).counts["duplicates"] == (times - 1) * len(truth)
-    np.testing.assert_allclose(trip["/gnss/fix"].index.as_unit("ns").asi8, truth.time)
-
-
 METRE = 1.0 / 111_195.0
 
 

@@ -31,7 +31,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from hypothesis import given, settings, strategies as st
 from mcap.reader import SeekingReader, make_reader
 from mcap.records import ChunkIndex
-from mcap_mutations import mutated, records_of
+from mcap_mutations import mutated
 from mcap_protobuf.schema import build_file_descriptor_set
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros1.decoder import DecoderFactory as Ros1DecoderFactory
@@ -147,7 +147,7 @@ def test_an_index_that_contradicts_its_chunk_is_not_followed(trip, data, tmp_pat
 def test_files_that_are_no_log(content, said, tmp_path):
     (tmp_path / "trip.mcap").write_bytes(content)
     for read in (read_log, describe):
-        refused(LogError, said, read, tmp_path / "trip.mcap")
+        assert refused(LogError, said, read, tmp_path / "trip.mcap").file == tmp_path / "trip.mcap"
 
 
 @pytest.mark.parametrize(
@@ -175,26 +175,6 @@ def test_any_part_of_a_file_is_read_as_it_stands(parts):
                 assert source.read(offset, length) == data[offset : offset + length]
                 assert source.read(offset, length % 99) == data[offset : offset + length % 99]
             assert source.checksum(7, 190_000) == zlib.crc32(data[7:190_000])
-
-
-@pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
-@settings(max_examples=25)
-@given(drawn=st.data())
-def test_forged_lengths_and_cuts_cost_rows_and_change_none(trip, data, tmp_path, drawn):
-    """A record whose length is any number, in a log that ends at any byte."""
-    record = drawn.draw(st.sampled_from(records_of(data)))
-    forged = bytearray(data)
-    length = drawn.draw(st.integers(0, 2**64 - 1) | st.integers(0, len(data)))
-    struct.pack_into("<Q", forged, record.start + 1, length)
-    path = tmp_path / "forged.mcap"
-    path.write_bytes(forged[: drawn.draw(st.just(len(data)) | st.integers(0, len(data)))])
-    try:
-        found, named = read_log(path).topics, path
-    except LogError as error:
-        found, named = {}, error.file
-    assert named == path
-    for name, frame in found.items():
-        assert frame.equals(trip[name].loc[frame.index, list(frame)])
 
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"

@@ -698,7 +698,7 @@ class _Scan:
                 attachment_at(self._source, at)
             self._found.attachments.append((at, end))
         except LogError as error:
-            if not follows(self._source, end):
+            if not follows(self._source, end) or search(self._source, at + 1, end) < end:
                 raise
             self._lose(at, end, error.problem, 0)
 
