@@ -398,16 +398,24 @@ def reported(words: str, error: pytest.ExceptionInfo[InfeasibleError]) -> float:
     return float(found.group(1))
 
 
-def test_too_little_time_names_the_slowest_and_what_is_missing():
-    with pytest.raises(InfeasibleError, match=r"configuration 'x1\.1' needs at least") as error:
-        optimised(hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), running_time=200.0)
-    least = reported(r"at least (\d+\.\d) s", error)
-    missing = reported(r"(\d+\.\d) s are missing", error)
-    assert least == pytest.approx(200.0 + missing, abs=0.11)
-    found = optimised(
-        hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), running_time=1.01 * least
-    )
-    assert found.certificate["audit"]["passed"]
+def test_too_little_time_names_the_slowest_and_a_time_that_is_accepted():
+    asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1))
+    least = fastest_run(TrajectoryProblem(*asked)).times.max()
+    named = set()
+    for share in (0.5, 1.0 + 1e-7):
+        with pytest.raises(InfeasibleError, match=r"configuration 'x1\.1'") as error:
+            optimised(*asked, running_time=share * least, cells=40)
+        named.add(error.value.remedy or "")
+        needed, missing = (
+            reported(words, error)
+            for words in (r"at least (\d+\.\d) s", r"(\d+\.\d) s are missing")
+        )
+        assert needed == pytest.approx(share * least + missing, abs=0.11)
+    (remedy,) = named
+    time = re.fullmatch(r"allow at least (\d+) s", remedy)
+    assert time
+    found = optimised(*asked, running_time=float(time[1]), cells=40)
+    assert found.certificate["audit"]["lateness"] <= 1e-4
 
 
 def test_trains_too_different_for_one_brake_are_refused_whatever_the_time():
@@ -421,48 +429,41 @@ def test_trains_too_different_for_one_brake_are_refused_whatever_the_time():
     assert found.certificate["audit"]["passed"]
 
 
+COMMON = (level_line(), VIRM6, observed(VIRM6, 0.97, 1.0, 1.03))
+OPTIONS = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 50}
+
+
 def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can():
-    options = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 50}
-    configurations = observed(VIRM6, 0.97, 1.0, 1.03)
     with pytest.raises(InfeasibleError, match="with one braking effort for all") as error:
-        optimised(level_line(), VIRM6, configurations, final_speed=0.0, **options)
+        optimised(*COMMON, **OPTIONS)
     assert not isinstance(error.value, UnprovenError)
     reachable = reported(r"the lowest speed found is (\d+\.\d) km/h", error) / KMH
     assert 5.0 < reachable < 10.0
     with pytest.raises(InfeasibleError):
-        optimised(level_line(), VIRM6, configurations, final_speed=reachable - 0.3, **options)
-    found = optimised(level_line(), VIRM6, configurations, final_speed=reachable + 0.1, **options)
+        optimised(*COMMON, final_speed=reachable - 0.3, **OPTIONS)
+    found = optimised(*COMMON, final_speed=reachable + 0.1, **OPTIONS)
     assert found.certificate["audit"]["passed"]
 
 
-def test_a_common_brake_that_ends_too_fast_is_a_proof_where_solvers_do_not_settle(monkeypatch):
-    """Asked for a stop the relaxation has no inside; left to end as it may it never stops."""
+@pytest.mark.parametrize("settles", ["nowhere", "at the stop"])
+def test_a_common_brake_that_ends_too_fast_is_a_proof_where_solvers_do_not_settle(
+    settles, monkeypatch
+):
+    """Asked for a stop the relaxation has no inside; left to end as it may it never stops.
 
-    def unsettled(relaxation):
-        raise NoSolutionError("infeasible_inaccurate")
-
-    monkeypatch.setattr(Relaxation, "least_time", unsettled)
-    question = {"running_time": 1541.0, "initial_speed": 1.0, "braking": "common", "cells": 50}
-    with pytest.raises(InfeasibleError, match=r"cannot all end at 0\.0 km/h") as error:
-        optimised(level_line(), VIRM6, observed(VIRM6, 0.97, 1.0, 1.03), **question)
-    assert not isinstance(error.value, UnprovenError)
-
-
-def test_a_time_that_no_solver_found_is_not_asked_for(monkeypatch):
-    """The speed at the end is proven out of reach; that more time would help is not."""
+    That more time would help is not proven: none is asked for.
+    """
     least_time = Relaxation.least_time
 
-    def without_end(relaxation: Relaxation) -> float:
-        if relaxation.problem.final > 1.0:
-            raise NoSolutionError("user_limit")
+    def unsettled(relaxation: Relaxation) -> float:
+        if settles == "nowhere" or relaxation.problem.final > 1.0:
+            raise NoSolutionError("infeasible_inaccurate")
         return least_time(relaxation)
 
-    monkeypatch.setattr(Relaxation, "least_time", without_end)
+    monkeypatch.setattr(Relaxation, "least_time", unsettled)
     with pytest.raises(InfeasibleError, match=r"cannot all end at 0\.0 km/h") as error:
-        optimised(
-            level_line(), VIRM6, observed(VIRM6, 0.97, 1.0, 1.03), running_time=1541.0,
-            initial_speed=1.0, final_speed=0.0, braking="common", cells=50,
-        )  # fmt: skip
+        optimised(*COMMON, **OPTIONS)
+    assert not isinstance(error.value, UnprovenError)
     assert "inf" not in str(error.value)
 
 
@@ -557,21 +558,6 @@ def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(monkeypatch):
     assert "verbose" not in str(refusal.value)
 
 
-def test_the_time_that_a_refusal_names_is_accepted():
-    asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.1))
-    least = max(optimised(*asked, reserve=0.0, cells=40).certificate["least_time"])
-    named = set()
-    for share in (0.5, 1.0 + 1e-7):
-        with pytest.raises(InfeasibleError) as refusal:
-            optimised(*asked, running_time=share * least, cells=40)
-        named.add(refusal.value.remedy or "")
-    (words,) = named
-    time = re.fullmatch(r"allow at least (\d+) s", words)
-    assert time
-    found = optimised(*asked, running_time=float(time[1]), cells=40)
-    assert found.certificate["audit"]["lateness"] <= 1e-4
-
-
 def test_a_refusal_without_a_proof_names_a_time_and_remains_one(monkeypatch):
     def not_found(*_: Any) -> None:
         raise UnprovenError("no trajectory was found")
@@ -606,9 +592,9 @@ def test_a_search_that_the_time_limit_ends_is_refused_without_a_proof(braking, m
         return active_set.searched(problem, *given)
 
     monkeypatch.setattr(optimiser, "searched", seen)
-    question = {"initial_speed": 1.0, "braking": braking, "cells": 50, "time_limit": 1e-6}
-    question |= {"running_time": 1541.0} if braking == "common" else {"reserve": 1e-9}
-    configurations = observed(VIRM6, 0.97, 1.0, 1.03)
+    question = {**OPTIONS, "time_limit": 1e-6}
+    if braking == "recourse":
+        question |= {"running_time": None, "reserve": 1e-9, "braking": braking}
     words = "none was proven impossible: the relaxation is stopped by the time limit"
-    refused(InfeasibleError, words, optimised, level_line(), VIRM6, configurations, **question)
+    refused(InfeasibleError, words, optimised, *COMMON, **question)
     assert max(grids) == grids[0]
