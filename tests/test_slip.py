@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,34 +50,22 @@ def seen(scenario: Scenario) -> Seen:
     return Seen(scenario, trip, slip(trip), speed, wheels - speed[:, None])
 
 
-@dataclass
-class Score:
-    """Slips reported and true; those within 0.15 m/s of the threshold may be either."""
+def rates(trips: Sequence[Seen], margin: float = 0.15) -> tuple[float, float, int]:
+    """Shares of true slips that are reported and of reported that are true; how many are true.
 
-    true: int = 0
-    missed: int = 0
-    reported: int = 0
-    false: int = 0
-
-    def count(self, each: Seen, margin: float = 0.15) -> None:
+    Slips whose size is within the margin [m/s] of the threshold may be either.
+    """
+    found, right = list[bool](), list[bool]()
+    for each in trips:
         truly = SlipDetector(each.slip.shape[1], 0.0).update(each.slip)
         for axle in range(each.slip.shape[1]):
             size, reported = np.abs(each.slip[:, axle]), each.found.slipping[:, axle]
             for a, b in runs_of(truly[:, axle]):
                 if size[a:b].max() > 1.5 + margin:
-                    self.true += 1
-                    self.missed += not reported[a:b].any()
+                    found.append(reported[a:b].any())
             for a, b in runs_of(reported):
-                self.reported += 1
-                self.false += bool(size[max(a - 1, 0) : b + 1].max() < 1.5 - margin)
-
-    @property
-    def recall(self) -> float:
-        return 1.0 - self.missed / max(self.true, 1)
-
-    @property
-    def precision(self) -> float:
-        return 1.0 - self.false / max(self.reported, 1)
+                right.append(size[max(a - 1, 0) : b + 1].max() >= 1.5 - margin)
+    return float(np.mean(found)), float(np.mean(right)), len(found)
 
 
 def onset_errors(each: Seen) -> FloatArray:
@@ -103,41 +91,6 @@ class Fine:
     trip: Trip
     power: FloatArray
 
-    @staticmethod
-    def of(scenario: Scenario) -> Fine:
-        every = FINE // scenario.sensors.rate
-        run = drive(replace(scenario, sensors=replace(scenario.sensors, rate=FINE)))
-        coarse = Run(run.seconds[::every], run.samples[::every], run.demands[::every])
-        power = slip_power(scenario, run.seconds, run.samples)
-        return Fine(scenario, recorded(scenario, coarse), power)
-
-    def heats(self, spoilt: Callable[[Trip], Trip] = lambda trip: trip) -> pd.DataFrame:
-        """Energy, its standard deviation and the truth of each event of the trip as recorded."""
-        found = slip(spoilt(self.trip))
-        events = found.events.copy()
-        begin = pd.DatetimeIndex(self.trip["/train/axles"].index)[0]
-        last, start, onset = (
-            np.round((events[name] - begin).dt.total_seconds().to_numpy() * FINE).astype(int)
-            for name in ("release", "start", "onset")
-        )
-        first = np.minimum(start, onset)
-        events["truth"] = [
-            np.trapezoid(self.power[a : b + 1, axle - 1], dx=1.0 / FINE)
-            for a, b, axle in zip(first, last, events["axle"], strict=True)
-        ]
-        return events
-
-
-def slip_power(scenario: Scenario, seconds: FloatArray, samples: FloatArray) -> FloatArray:
-    """Force between wheel and rail times slip speed [W], (n, axles)."""
-    names = scenario.plant().columns
-    wheels, efforts = (
-        samples[:, [i for i, name in enumerate(names) if name.startswith(kind)]]
-        for kind in ("wheel_speed_", "wheel_effort_")
-    )
-    force = efforts - scenario.train.axles.rotating_mass * np.gradient(wheels, seconds, axis=0)
-    return np.asarray(force * (wheels - samples[:, [names.index("speed")]]))
-
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -146,13 +99,6 @@ pytestmark = pytest.mark.usefixtures("remembered")
 def trips() -> list[Seen]:
     """Dry and wet, forward and reverse."""
     return [seen(scenario) for scenario in draw_scenarios(hilly_line(), flirt(), 4, seed=1)]
-
-
-def score(trips: list[Seen]) -> Score:
-    total = Score()
-    for each in trips:
-        total.count(each)
-    return total
 
 
 def test_train_speed_under_slipping_wheels(trips):
@@ -173,10 +119,10 @@ def test_train_speed_is_that_of_its_time(trips, every):
 
 
 def test_every_slip_is_found_and_nothing_else(trips):
-    found = score(trips)
-    assert found.true > 100
-    assert found.recall > 0.997
-    assert found.precision > 0.997
+    recall, precision, count = rates(trips)
+    assert count > 100
+    assert recall > 0.997
+    assert precision > 0.997
 
 
 def test_onsets_measure_the_maximum_adhesion(trips):
@@ -197,13 +143,10 @@ def test_onsets_measure_the_maximum_adhesion(trips):
 )
 def test_with_less_recorded_it_still_works(trips, missing, limit):
     """Without satellites the creep of the wheels, up to a metre a second, cannot be seen."""
-    found = Score()
-    for each in trips[1:3]:
-        less = slip(without(each.trip, *missing))
-        assert np.sqrt(np.mean((less.speed - each.speed) ** 2)) < limit
-        found.count(replace(each, found=less), margin=0.75)
-    assert found.recall > 0.95
-    assert found.precision > 0.95
+    less = [replace(each, found=slip(without(each.trip, *missing))) for each in trips[1:3]]
+    for each in less:
+        assert np.sqrt(np.mean((each.found.speed - each.speed) ** 2)) < limit
+    assert min(rates(less, margin=0.75)[:2]) > 0.95
 
 
 def of_efforts(trip: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], *topics: str) -> Trip:
@@ -268,26 +211,23 @@ def quick() -> Seen:
     return seen(QuickProtection(**known))
 
 
-class TestSmallSlips:
-    def peaks(self, each: Seen) -> list[tuple[int, int, int]]:
-        """Axle, first and last sample of each true slip beyond the maximum of the creep curve."""
-        row = each.scenario.plant().rail
-        place = interpolated(each.trip["/truth"], "position", each.found.time)
-        a, b = row[np.searchsorted(row[:, 0], place, side="right") - 1, 2:4].T
-        beyond = np.abs(each.slip) > 1.2 * (np.log(b / a) / (b - a))[:, None]
-        return [
-            (axle, *span) for axle in range(beyond.shape[1]) for span in runs_of(beyond[:, axle])
-        ]
-
-    def test_they_are_found_and_measure_the_maximum(self, quick):
-        true = self.peaks(quick)
-        assert len(true) > 50
-        assert np.max(np.abs(quick.slip)) < 1.5
-        hits = [quick.found.slipping[max(a - 3, 0) : b + 3, axle].any() for axle, a, b in true]
-        assert np.mean(hits) > 0.95
-        errors = off(quick, quick.found)
-        assert errors.size > 50
-        assert abs(np.median(errors)) < 0.05
+def test_small_slips_are_found_and_measure_the_maximum(quick):
+    row = quick.scenario.plant().rail
+    place = interpolated(quick.trip["/truth"], "position", quick.found.time)
+    a, b = row[np.searchsorted(row[:, 0], place, side="right") - 1, 2:4].T
+    # Beyond the maximum of the creep curve.
+    beyond = np.abs(quick.slip) > 1.2 * (np.log(b / a) / (b - a))[:, None]
+    hits = [
+        quick.found.slipping[max(start - 3, 0) : end + 3, axle].any()
+        for axle in range(beyond.shape[1])
+        for start, end in runs_of(beyond[:, axle])
+    ]
+    assert len(hits) > 50
+    assert np.max(np.abs(quick.slip)) < 1.5
+    assert np.mean(hits) > 0.95
+    errors = off(quick, quick.found)
+    assert errors.size > 50
+    assert abs(np.median(errors)) < 0.05
 
 
 class TestWhatTheRecorderLacks:
@@ -340,12 +280,9 @@ class TestWhatTheRecorderLacks:
         assert any("axles 2, 4 are not known" in note for note in found.notes)
 
     def test_noise_of_the_wheel_speeds(self, heavy):
-        generator, total = np.random.default_rng(4), Score()
-        noise = 0.32 * generator.standard_normal((len(heavy.trip["/train/axles"]), 4))
+        noise = 0.32 * np.random.default_rng(4).standard_normal((len(heavy.speed), 4))
         found = slip(of_speeds(heavy.trip, lambda speeds: speeds + noise))
-        total.count(replace(heavy, found=found), margin=0.4)
-        assert total.precision > 0.97
-        assert total.recall > 0.97
+        assert min(rates([replace(heavy, found=found)], margin=0.4)[:2]) > 0.97
         assert any("slips below" in note for note in found.notes)
         assert not found.complete
 
@@ -402,29 +339,53 @@ def slower(trip: Trip, every: int) -> Trip:
 
 @pytest.fixture(scope="module")
 def wet() -> list[Fine]:
-    return [Fine.of(each) for each in draw_scenarios(hilly_line(), flirt(), 4, seed=1)[2:]]
+    return [fine(each) for each in draw_scenarios(hilly_line(), flirt(), 4, seed=1)[2:]]
 
 
-class TestEnergyOfSlip:
-    """Against the works that the plant integrates, on recorders that are not all good."""
-
-    @pytest.mark.parametrize(
-        "change",
-        [
-            pytest.param(of_unknown_load, id="no load"),
-            pytest.param(lambda t: of_efforts(t, lambda values: 1.1 * values), id="gain"),
-            pytest.param(lambda t: of_efforts(t, lambda values: late(values, 0.2)), id="late"),
-            pytest.param(lambda t: without(t, "/gnss/motion"), id="no satellites"),
-            pytest.param(lambda t: slower(t, 5), id="2 Hz"),
-            pytest.param(lambda t: slower(t, 10), id="1 Hz"),
-            pytest.param(total_only, id="total effort only"),
-        ],
+def fine(scenario: Scenario) -> Fine:
+    every = FINE // scenario.sensors.rate
+    run = drive(replace(scenario, sensors=replace(scenario.sensors, rate=FINE)))
+    names = scenario.plant().columns
+    wheels, efforts = (
+        run.samples[:, [i for i, name in enumerate(names) if name.startswith(kind)]]
+        for kind in ("wheel_speed_", "wheel_effort_")
     )
-    def test_its_band_holds_for_poor_recorders(self, wet, change):
-        found = pd.concat([each.heats(change) for each in wet]).dropna(subset=["energy"])
-        assert len(found) > 20
-        score = (found["energy"] - found["truth"]) / found["energy_std"]
-        assert np.mean(np.abs(score) < 1.96) > 0.93
+    force = efforts - scenario.train.axles.rotating_mass * np.gradient(wheels, run.seconds, axis=0)
+    power = force * (wheels - run.samples[:, [names.index("speed")]])
+    coarse = Run(run.seconds[::every], run.samples[::every], run.demands[::every])
+    return Fine(scenario, recorded(scenario, coarse), power)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(of_unknown_load, id="no load"),
+        pytest.param(lambda t: of_efforts(t, lambda values: 1.1 * values), id="gain"),
+        pytest.param(lambda t: of_efforts(t, lambda values: late(values, 0.2)), id="late"),
+        pytest.param(lambda t: without(t, "/gnss/motion"), id="no satellites"),
+        pytest.param(lambda t: slower(t, 5), id="2 Hz"),
+        pytest.param(lambda t: slower(t, 10), id="1 Hz"),
+        pytest.param(total_only, id="total effort only"),
+    ],
+)
+def test_the_band_of_the_energy_of_slip_holds_for_poor_recorders(wet, change):
+    """Against the works that the plant integrates."""
+    scores = []
+    for each in wet:
+        events = slip(change(each.trip)).events.dropna(subset=["energy"])
+        begin = pd.DatetimeIndex(each.trip["/train/axles"].index)[0]
+        last, start, onset = (
+            np.round((events[name] - begin).dt.total_seconds().to_numpy() * FINE).astype(int)
+            for name in ("release", "start", "onset")
+        )
+        truth = [
+            np.trapezoid(each.power[a : b + 1, axle - 1], dx=1.0 / FINE)
+            for a, b, axle in zip(np.minimum(start, onset), last, events["axle"], strict=True)
+        ]
+        scores.append((events["energy"] - truth) / events["energy_std"])
+    score = pd.concat(scores)
+    assert len(score) > 20
+    assert np.mean(np.abs(score) < 1.96) > 0.93
 
 
 def test_efforts_of_axles_may_be_written_without_their_sign(trips):
@@ -631,39 +592,38 @@ def uneven() -> Seen:
     return seen(draw_scenarios(hilly_line(), with_geometry(), 3, seed=1)[2])
 
 
-class TestAnalysis:
-    def errors(self, each: Seen, geometry: AxleGeometry | None) -> tuple[FloatArray, ...]:
-        """Relative errors at measured onsets, their stated deviations, and the axles.
+def errors(each: Seen, geometry: AxleGeometry | None) -> tuple[FloatArray, ...]:
+    """Relative errors at measured onsets, their stated deviations, and the axles.
 
-        Not where the rail changes within the 10 m to which the place of an onset is known.
-        """
-        events = slip(of_train(each.trip, with_geometry(geometry))).events
-        events = events[events["measured"]]
-        places = events["position"].to_numpy()
-        around = [each.scenario.maximum_adhesion(places + off) for off in (-10.0, 0.0, 10.0)]
-        clear = np.ptp(around, axis=0) < 0.1 * around[1]
-        events, truth = events[clear], around[1][clear]
-        used, std = events["adhesion"].to_numpy(), events["adhesion_std"].to_numpy()
-        whole = np.hypot(std, events["transfer_std"].to_numpy())
-        return used / truth - 1.0, std / truth, whole / truth, events["axle"].to_numpy()
+    Not where the rail changes within the 10 m to which the place of an onset is known.
+    """
+    events = slip(of_train(each.trip, with_geometry(geometry))).events
+    events = events[events["measured"]]
+    places = events["position"].to_numpy()
+    around = [each.scenario.maximum_adhesion(places + off) for off in (-10.0, 0.0, 10.0)]
+    clear = np.ptp(around, axis=0) < 0.1 * around[1]
+    events, truth = events[clear], around[1][clear]
+    used, std = events["adhesion"].to_numpy(), events["adhesion_std"].to_numpy()
+    whole = np.hypot(std, events["transfer_std"].to_numpy())
+    return used / truth - 1.0, std / truth, whole / truth, events["axle"].to_numpy()
 
-    def apart(self, error: FloatArray, axle: FloatArray) -> float:
-        """By how much the leading axle is known less right than the last."""
-        return float(np.median(error[axle == 4]) - np.median(error[axle == 1]))
 
-    def test_geometry_makes_it_as_good_as_without_transfer(self, uneven, trips):
-        error, std, whole, axle = self.errors(uneven, GEOMETRY)
-        best, _, _, of_axle = self.errors(trips[2], None)
-        assert error.size > 100
-        assert np.sqrt(np.mean(error**2)) < 1.1 * np.sqrt(np.mean(best**2))
-        assert abs(self.apart(error, axle) - self.apart(best, of_axle)) < 0.02
-        assert np.mean(np.abs(error) < 1.96 * std) > 0.95
-        np.testing.assert_array_equal(std, whole)
+def apart(error: FloatArray, axle: FloatArray) -> float:
+    """By how much the leading axle is known less right than the last."""
+    return float(np.median(error[axle == 4]) - np.median(error[axle == 1]))
 
-    def test_without_it_the_band_allows_for_the_transfer(self, uneven, trips):
-        error, std, whole, axle = self.errors(uneven, None)
-        best, _, _, of_axle = self.errors(trips[2], None)
-        assert self.apart(error, axle) > self.apart(best, of_axle) + 0.05
-        assert np.sqrt(np.mean(error**2)) > 1.2 * np.sqrt(np.mean(best**2))
-        assert np.median(np.sqrt(whole**2 - std**2)) > 0.02
-        assert np.mean(np.abs(error) < 1.96 * whole) > 0.97
+
+def test_transfer_is_taken_out_by_the_geometry_and_allowed_for_without_it(uneven, trips):
+    best, _, _, of_axle = errors(trips[2], None)
+    least, usual = np.sqrt(np.mean(best**2)), apart(best, of_axle)
+    error, std, whole, axle = errors(uneven, GEOMETRY)
+    assert error.size > 100
+    assert np.sqrt(np.mean(error**2)) < 1.1 * least
+    assert abs(apart(error, axle) - usual) < 0.02
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.95
+    np.testing.assert_array_equal(std, whole)
+    error, std, whole, axle = errors(uneven, None)
+    assert apart(error, axle) > usual + 0.05
+    assert np.sqrt(np.mean(error**2)) > 1.2 * least
+    assert np.median(np.sqrt(whole**2 - std**2)) > 0.02
+    assert np.mean(np.abs(error) < 1.96 * whole) > 0.97
