@@ -17,7 +17,7 @@ from analysis import OptimiserOptions, TrajectoryProblem, energy_against_time, j
 from analysis.reports.results import write_driver_advice
 from analysis.trajectory.advice import time_of_day, with_advice, with_times
 from analysis.trajectory.instructions import LETTERS, Cap, Instruction, Phase, _Plan, instructions
-from trainlog import frame_of, read_line, read_train, read_trajectory, sample, write_trajectory
+from trainlog import frame_of, read_line, read_trajectory, sample, write_trajectory
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railway import line_of_plan, line_to_bytes
 from trainlog.mcap import read_log, write_log
@@ -175,9 +175,8 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(sections, lin
 
 def test_a_plan_has_its_stations_and_limits_without_the_lines_file(sections, line, tmp_path, shell):
     named = replace(line.reversed(), name="elsewhere")
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
     asked = {"end": 9_469.4, "direction": "reverse", "cells": 60}
-    plan = optimised(named, train, [Configuration.of(train)], **asked)
+    plan = optimised(named, FLIRT, [Configuration.of(FLIRT)], **asked)
     write_trajectory(plan, tmp_path / "plan.json")
     kept = line_of_plan(read_trajectory(tmp_path / "plan.json"))
     assert line_to_bytes(kept) == line_to_bytes(named)
@@ -208,10 +207,8 @@ def hilly() -> Trajectory:
 
 
 @pytest.fixture(scope="module")
-def sampled() -> Trajectory:
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    return optimised(line, train, [Configuration.of(train)], reserve=0.1, cells=100)
+def sampled(line: Line) -> Trajectory:
+    return optimised(line, FLIRT, [Configuration.of(FLIRT)], reserve=0.1, cells=100)
 
 
 def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly):
@@ -237,12 +234,15 @@ def test_advice_goes_with_the_chainage_of_satellites(sampled):
     pd.testing.assert_frame_equal(located["/reference"], recorded)
 
 
+BRAKES = {"H": 30e3, "B": 60e3}
+
+
 def _with_phases(letters: str, speeds: Sequence[float]) -> Trajectory:
     """A trajectory of given phases, 20 s a cell; speeds in km/h at the nodes."""
     n, speed = len(letters), np.array(speeds) / 3.6
     efforts = [
         np.array([sizes.get(each, 0.0) for each in letters])
-        for sizes in ({"T": 60e3, "P": 10e3}, {"B": 60e3, "H": 30e3})
+        for sizes in ({"T": 60e3, "P": 10e3}, BRAKES)
     ]
     return Trajectory(
         "L", "T", 300.0 * np.arange(n + 1), (Configuration.of(FLIRT),), speed[None],
@@ -251,11 +251,23 @@ def _with_phases(letters: str, speeds: Sequence[float]) -> Trajectory:
     )  # fmt: skip
 
 
+def _of_two(letters: str, others: str, speeds: list[float], more: list[float]) -> Trajectory:
+    """A plan of one configuration, and another that is so much faster at each place [km/h]."""
+    plan, phases = _with_phases(letters, [*speeds, 0.0]), [letters, others]
+    every = np.column_stack((np.array([speeds, np.add(speeds, more)]) / 3.6, np.zeros(2)))
+    one = plan.configurations[0]
+    return replace(
+        plan, configurations=(one, replace(one, name="faster")), speeds=every,
+        times=np.stack((plan.times[0], plan.times[0] - 1e-3)), certificate={"phases": phases},
+        braking_effort=np.array([[BRAKES.get(x, 0.0) for x in each] for each in phases]),
+    )  # fmt: skip
+
+
 FREE = StepProfile(np.array([0.0]), np.array([200.0 / 3.6]))  # no limit that a train reaches [m/s]
 
 
-def words_of(trajectory: Trajectory) -> list[str]:
-    return [each.words() for each in instructions(trajectory, FREE)]
+def words_of(trajectory: Trajectory, limits: StepProfile = FREE) -> list[str]:
+    return [each.words() for each in instructions(trajectory, limits)]
 
 
 def test_at_one_speed_the_advice_is_to_hold_it():
@@ -303,21 +315,10 @@ def test_a_short_full_brake_to_a_lower_speed_is_advice():
 
 def test_braking_is_advised_only_where_a_configuration_brakes():
     """One coasts below a limit that the other has to brake for; further on both coast below one."""
-    slow = np.array([0, 100, 92, 88, 80, 70, 0]) / 3.6
-    fast = np.array([0, 100, 100, 90, 84, 75, 0]) / 3.6
-    one = Configuration.of(FLIRT)
-    given = _with_phases("TCCCCB", (3.6 * slow).tolist())
-    plan = replace(
-        given,
-        configurations=(one, replace(one, name="light")),
-        speeds=np.stack((slow, fast)),
-        times=np.stack((given.times[0], given.times[0] - 1e-3)),
-        braking_effort=np.array([[0, 0, 0, 0, 0, 60e3], [0, 0, 50e3, 0, 0, 60e3]]),
-        certificate={"phases": ["TCCCCB", "TCBCCB"]},
-    )
+    speeds, more = [0.0, 100.0, 92.0, 88.0, 80.0, 70.0], [0.0, 0.0, 8.0, 2.0, 4.0, 5.0]
+    plan = _of_two("TCCCCB", "TCBCCB", speeds, more)
     limits = StepProfile(np.array([0.0, 900.0, 1_200.0]), np.array([120.0, 90.0, 85.0]) / 3.6)
-    found = [each.words() for each in instructions(plan, limits)]
-    assert found == [
+    assert words_of(plan, limits) == [
         "full traction to 100 km/h",
         "coast to km 0.600: speed falls to 92 km/h; at most 100 km/h at km 0.600",
         "brake, if faster, to 90 km/h by km 0.900",
@@ -329,19 +330,11 @@ def test_braking_is_advised_only_where_a_configuration_brakes():
 
 def test_a_speed_is_held_only_where_the_plan_drives_or_brakes():
     """Downhill one brakes for a limit below which the other coasts: nobody is to drive."""
-    slow = np.array([0, 104, 107, 109.6, 109.7, 109.8, 109.9, 110, 110, 60, 0]) / 3.6
-    fast = np.array([0, 104, 108, 109.9, 110, 110, 110, 110, 110, 60, 0]) / 3.6
-    given = _with_phases("TCCCCCPPCB", (3.6 * slow).tolist())
-    plan = replace(
-        given,
-        configurations=(given.configurations[0], replace(given.configurations[0], name="heavy")),
-        speeds=np.stack((slow, fast)),
-        times=np.stack((given.times[0], given.times[0] - 1e-3)),
-        braking_effort=1e3 * np.array([[0] * 9 + [60], [0, 0, 0, 4, 4, 4, 0, 0, 0, 60]]),
-        certificate={"phases": ["TCCCCCPPCB", "TCCHHHPPCB"]},
-    )
+    speeds = [0.0, 104.0, 107.0, 109.6, 109.7, 109.8, 109.9, 110.0, 110.0, 60.0]
+    more = [0.0, 0.0, 1.0, 0.3, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0]
+    plan = _of_two("TCCCCCPPCB", "TCCHHHPPCB", speeds, more)
     line = level_line(3_000.0, (0.0, 120.0), (600.0, 110.0))
-    assert [each.words() for each in instructions(plan, line.speed_limits)][:4] == [
+    assert words_of(plan, line.speed_limits)[:4] == [
         "full traction to 104 km/h",
         "coast to km 0.900: speed rises to 110 km/h",
         "brake, if faster, to 110 km/h by km 1.800",
@@ -349,7 +342,6 @@ def test_a_speed_is_held_only_where_the_plan_drives_or_brakes():
     ]
 
 
-BRAKES = {"H": 30e3, "B": 60e3}
 STEPS = {"T": (-9, 40), "P": (-2, 4), "C": (-9, 5), "H": (-8, 1), "B": (-40, -5)}
 """By how much the speed changes in a cell of each phase [km/h]."""
 
@@ -371,18 +363,6 @@ def drawn_plans(draw: st.DrawFn) -> tuple[Trajectory, StepProfile]:
     values = [fastest[pieces == each].max() + slack[each] / 3.6 for each in np.unique(pieces)]
     starts = np.flatnonzero(np.diff(pieces, prepend=-1))
     return plan, StepProfile(plan.positions[starts], np.array(values))
-
-
-def _of_two(letters: str, others: str, speeds: list[float], more: list[float]) -> Trajectory:
-    """A plan of one configuration, and another that is so much faster at each place [km/h]."""
-    plan, phases = _with_phases(letters, [*speeds, 0.0]), [letters, others]
-    every = np.column_stack((np.array([speeds, np.add(speeds, more)]) / 3.6, np.zeros(2)))
-    one = plan.configurations[0]
-    return replace(
-        plan, configurations=(one, replace(one, name="faster")), speeds=every,
-        times=np.stack((plan.times[0], plan.times[0] - 1e-3)), certificate={"phases": phases},
-        braking_effort=np.array([[BRAKES.get(x, 0.0) for x in each] for each in phases]),
-    )  # fmt: skip
 
 
 @settings(max_examples=200)
