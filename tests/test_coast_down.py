@@ -19,7 +19,7 @@ from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.railway import CoastDownResult, line_to_bytes, train_of
 from trainlog.formats.samples import sample
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import Line, StepProfile
+from trainlog.railway import Line, RunningResistance, StepProfile
 from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of, seconds
 
@@ -39,12 +39,12 @@ PLACES = np.arange(300)
 HILLY = line_of_gradients(6e-3 * np.sin(PLACES * 1.7) + 3e-3 * np.cos(PLACES * 0.61))
 
 
-def coasting_down(time: FloatArray, start: float, curve: tuple[float, float, float]) -> FloatArray:
+def coasting_down(time: FloatArray, start: float, curve: RunningResistance) -> FloatArray:
     """Speed [m/s] after coasting for `time` [s] on level track, in closed form.
 
     dv/dt = -(c0 + c1 v + c2 v²), for all three signs of c1² - 4 c0 c2.
     """
-    c0, c1, c2 = curve
+    c0, c1, c2 = curve.coefficients
     discriminant = c1**2 - 4.0 * c0 * c2
     slope = 2.0 * c2 * start + c1
     if abs(discriminant) < 1e-15:
@@ -62,7 +62,7 @@ def coasting_down(time: FloatArray, start: float, curve: tuple[float, float, flo
 def driven(line, curve, efforts, *, start=0.0, speed=10.0):
     """Time, position, speed and effort over inertia of a drive, every `STEP`; see `DRIVE`."""
     grid = line.track_acceleration(np.arange(0.0, line.length + 100.0, 1.0))
-    c0, c1, c2 = curve
+    c0, c1, c2 = curve.coefficients.tolist()
     rows = []
     v, s, t = speed, start, 0.0
     for duration, wanted in efforts:
@@ -98,7 +98,7 @@ def recorded(time, position, speed, line=None, every=2, noise=0.05, seed=1, name
     )
 
 
-CURVE = (0.014, 4e-4, 6e-5)
+CURVE = RunningResistance(0.014, 4e-4, 6e-5)
 
 DRIVE = [
     *((60.0, 0.5), (70.0, 0.0), (40.0, 0.35), (20.0, np.nan), (80.0, 0.0), (25.0, -0.2)),
@@ -106,24 +106,24 @@ DRIVE = [
 ]  # durations [s] and efforts over inertia [m/s²]; NaN holds the speed
 
 
-def c(curve: tuple[float, float, float], speed: np.ndarray) -> np.ndarray:
-    return curve[0] + curve[1] * speed + curve[2] * speed**2
-
-
-def inside(found: CoastDown, curve: tuple[float, float, float]) -> bool:
+def inside(found: CoastDown, curve: RunningResistance) -> bool:
     speed = np.linspace(*found.curve.supported, 31)
     low, high = found.curve.band(speed)
-    return bool(np.all((low <= c(curve, speed)) & (c(curve, speed) <= high)))
+    return bool(np.all((low <= curve(speed)) & (curve(speed) <= high)))
 
 
-def error(found: CoastDown, curve: tuple[float, float, float]) -> float:
+def error(found: CoastDown, curve: RunningResistance) -> float:
     speed = np.linspace(*found.curve.supported, 31)
-    return float(np.sqrt(np.mean((found.curve(speed) / c(curve, speed) - 1.0) ** 2)))
+    return float(np.sqrt(np.mean((found.curve(speed) / curve(speed) - 1.0) ** 2)))
 
 
 @pytest.mark.parametrize(
     "curve",
-    [(0.012, 1e-4, 2.5e-5), (0.012, 1.5e-3, 2.0e-5), (0.012, 1.2e-3, 3.0e-5)],
+    [
+        RunningResistance(0.012, 1e-4, 2.5e-5),
+        RunningResistance(0.012, 1.5e-3, 2.0e-5),
+        RunningResistance(0.012, 1.2e-3, 3.0e-5),
+    ],
     ids=["negative discriminant", "positive discriminant", "no discriminant"],
 )
 def test_closed_form_of_coasting_down_is_found_again(curve):
@@ -136,7 +136,7 @@ def test_closed_form_of_coasting_down_is_found_again(curve):
     found = coast_down([recorded(at, position, speed, line=LEVEL, every=1, noise=0.02)])
     assert error(found, curve) < 0.01
     assert inside(found, curve)
-    z = (found.curve.theta[1:] - curve) / np.sqrt(np.diag(found.curve.covariance)[1:])
+    z = (found.curve.theta[1:] - curve.coefficients) / np.sqrt(np.diag(found.curve.covariance)[1:])
     assert np.all(np.abs(z) < 4.0)
     # On level track the rotating mass makes no difference and cannot be identified.
     assert found.ratio.source == "any train"
@@ -149,7 +149,7 @@ def test_gradients_that_vary_tell_the_rotating_mass():
     assert found.ratio.source == "data"
     assert abs(found.ratio.value - RATIO) < 3.0 * found.ratio.std < 0.03
     weight, std = found.curve.per_weight(25.0)
-    assert abs(weight - c(CURVE, 25.0) / RATIO / 9.81) < 4.0 * std
+    assert abs(weight - CURVE(25.0) / RATIO / 9.81) < 4.0 * std
 
 
 @pytest.mark.parametrize("efforts", [(0.05, 0.09), (0.03, -0.04), (np.nan, np.nan)])
@@ -209,14 +209,23 @@ def satellites_only(trip: Trip) -> Trip:
 @pytest.mark.parametrize("satellites", [False, True], ids=["wheels", "satellites"])
 def test_a_simulated_trip_gives_its_true_curve(satellites):
     trip = sample_trip("nonstop.mcap")
-    found = coast_down([satellites_only(trip) if satellites else trip])
-    truth = truth_of(trip)
-    inertia = truth.mass + train_of(trip).rotating_mass
-    speed = np.linspace(*(found.curve.supported or (0.0, 0.0)), 31)
-    true = truth.resistance(speed) / inertia
-    low, high = found.curve.band(speed)
-    assert np.sqrt(np.mean((found.curve(speed) / true - 1.0) ** 2)) < 0.05
-    assert np.all((low < true) & (true < high))
+    shown = satellites_only(trip) if satellites else trip
+    found, truth = coast_down([shown]), truth_of(trip)
+    true = truth.resistance.scaled(1.0 / (truth.mass + train_of(trip).rotating_mass))
+    assert error(found, true) < 0.05
+    assert inside(found, true)
+    # It has used what truly was coasting.
+    controls = trip["/train/controls"]
+    time = seconds(controls, motion_of(shown).start)
+    names = ["tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort"]
+    coasting = np.all(controls[names].to_numpy() < 1.0, axis=1)
+    marked = np.zeros(time.size, dtype=bool)
+    for segment in found.trips[0].segments:
+        marked |= (time >= segment.start) & (time <= segment.end)
+    assert np.mean(coasting[marked]) > 0.9
+    assert satellites or marked.sum() > 0.8 * np.count_nonzero(
+        coasting & (trip["/truth"]["speed"] > 5.0)
+    )
 
 
 def test_speeds_that_begin_late_have_the_scale_of_all():
@@ -227,20 +236,6 @@ def test_speeds_that_begin_late_have_the_scale_of_all():
     assert (late.source, late.scale.source) == ("/train/state", "GNSS speed")
     assert late.scale.factor == pytest.approx(whole.scale.factor, abs=1e-5)
     assert late.scale.std == pytest.approx(whole.scale.std, rel=0.01)
-
-
-def test_segments_of_a_simulated_trip_are_where_it_truly_coasted():
-    trip = sample_trip("nonstop.mcap")
-    fit = coast_down([trip]).trips[0]
-    controls = trip["/train/controls"]
-    time = seconds(controls, motion_of(trip).start)
-    names = ["tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort"]
-    coasting = np.all(controls[names].to_numpy() < 1.0, axis=1)
-    marked = np.zeros(time.size, dtype=bool)
-    for segment in fit.segments:
-        marked |= (time >= segment.start) & (time <= segment.end)
-    assert np.mean(coasting[marked]) > 0.9
-    assert marked.sum() > 0.8 * np.count_nonzero(coasting & (trip["/truth"]["speed"] > 5.0))
 
 
 def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path):
@@ -289,12 +284,12 @@ def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more()
     change = np.array([33.0 - 20.0, 33.0**2 - 20.0**2])
     stated = change @ [result["c1"].value, result["c2"].value]
     std = np.sqrt(change @ result.covariance @ change)
-    true = change @ CURVE[1:]
+    true = change @ CURVE.coefficients[1:]
     assert abs(stated - true) < 3.0 * std < 0.3 * true
     sums = np.array([piece["deceleration"] for piece in result.pieces])
     stds = np.array([piece["std"] for piece in result.pieces])
     ends = np.array([piece["position"] for piece in result.pieces])
-    true_sums = CURVE[0] + RATIO * 9.81 * HILLY.gradients.mean(ends[:, 0], ends[:, 1])
+    true_sums = CURVE.r0 + RATIO * 9.81 * HILLY.gradients.mean(ends[:, 0], ends[:, 1])
     assert np.all(np.abs(sums - true_sums) < 4.0 * stds)
     assert thing_from_bytes(CoastDownResult, thing_to_bytes(result))["c0"] == result["c0"]
 
@@ -302,7 +297,7 @@ def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more()
 def test_both_ways_over_unknown_gradients_tell_all_of_it():
     trips, spans = coasting_over(8, both=True)
     result = coast_down_without_gradient(trips, HILLY, spans)
-    true = c(CURVE, result.curve.speeds)
+    true = CURVE(result.curve.speeds)
     assert np.all((result.curve.low < true) & (true < result.curve.high))
     assert np.max(np.abs(result.curve.deceleration / true - 1.0)) < 0.05
     assert {piece["quantity"] for piece in result.pieces} == {"gradient"}

@@ -22,7 +22,7 @@ from analysis.resistance.noise import build_windows
 from analysis.resistance.recording import prepare
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import read_line, read_train, train_to_bytes
-from trainlog.formats.samples import sample
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import RunningResistance
 from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.resistance import basis
@@ -33,13 +33,14 @@ from trainlog.trip import TRAIN_ATTACHMENT, Trip, frame_of, seconds
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
+LINE = read_line(sample(DEFAULT_LINE))
+FLIRT = read_train(sample(DEFAULT_TRAIN))
+
 
 @pytest.fixture(scope="module")
 def simulated() -> list[Trip]:
     """Three simulated trips: dry, dry back, wet."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    return [simulate(scenario) for scenario in draw_scenarios(line, train, 3, seed=1)]
+    return [simulate(scenario) for scenario in draw_scenarios(LINE, FLIRT, 3, seed=1)]
 
 
 @pytest.fixture(scope="module")
@@ -124,15 +125,10 @@ def test_wrong_wheels_are_found_by_satellites_and_charged_without_them():
     assert blind.std(top) > 2.0 * calibrated.std(top)
 
 
-FLIRT = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-
-
 @pytest.mark.parametrize("lever", [1.0, 0.8])
 def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(lever):
-    train, share = FLIRT, 0.93
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    (scenario,) = draw_scenarios(line, train, 1, seed=2)
-    power = share * train.max_traction_power
+    (scenario,) = draw_scenarios(LINE, FLIRT, 1, seed=2)
+    power = 0.93 * FLIRT.max_traction_power
     habits = replace(scenario.habits, lever=lever)
     made = simulate(replace(scenario, max_power=power, habits=habits))
     absent = np.full(len(made["/train/controls"]), np.nan)
@@ -241,9 +237,7 @@ def test_columns_of_one_table_may_be_recorded_more_seldom_than_others(
 
 def test_slip_is_masked_where_no_axle_speeds_are_recorded():
     """Wheels of another adhesion than any estimator knows slip; the effort alone shows it."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
-    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    wet = replace(draw_scenarios(line, train, 4, seed=2)[3], characteristic=polach_curve("wet"))
+    wet = replace(draw_scenarios(LINE, FLIRT, 4, seed=2)[3], characteristic=polach_curve("wet"))
     trip = simulate(wet)
     state, wheels, truth = trip["/train/state"], trip["/train/axles"], trip["/truth"]
     names = [name for name in wheels if name.startswith("wheel_speed")]
@@ -257,7 +251,7 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded():
         return float(np.sqrt(np.mean(change**2))), float(windows.duration.sum())
 
     bare = without(trip, TRAIN_AXLES.name)
-    speeds = np.tile(state["speed"].to_numpy()[:, None], (1, train.axles.count))
+    speeds = np.tile(state["speed"].to_numpy()[:, None], (1, FLIRT.axles.count))
     # Axles that turn as the train moves hide slip from masks.
     hidden = bare.with_topic(frame_of(TRAIN_AXLES, state.index, {"wheel_speed": speeds}))
     unseen, all_time = left(hidden)
@@ -272,8 +266,8 @@ def test_slips_of_a_locomotive_are_used_where_all_its_wheels_are_recorded():
 
     Masked, slip leaves 11 % of uncertainty at 36 km/h and the trip is refused.
     """
-    line, train = read_line(sample("CH_StGallen_Wil.line.json")), kinds()["traxx"]
-    wet = draw_scenarios(line, train, 4, seed=1)[3]
+    train = kinds()["traxx"]
+    wet = draw_scenarios(LINE, train, 4, seed=1)[3]
     trip = simulate(replace(wet, characteristic=polach_curve("wet")))
     for share in (0.7, 1.0, 1.3):
         axles = replace(train.axles, rotating_mass=share * train.axles.rotating_mass)
@@ -329,9 +323,7 @@ def test_an_offset_of_efforts_while_pulling_is_stated_and_left_to_itself(
     assert 0.7 < 1e3 * float(said[1]) / abs(offset) < 1.3
     true = truth(simulated[number])[0]
     assert curve_error(fit, true) < 0.06
-    speed = np.linspace(5.0, fit.asked[1], 31)
-    low, high = fit.band(speed)
-    assert np.all((low <= true(speed)) & (true(speed) <= high))
+    assert in_band(fit, true)
 
 
 def test_a_large_offset_of_efforts_while_pulling_is_refused(simulated):

@@ -409,6 +409,13 @@ def drawn(
     return fits, true
 
 
+def rows(count: int = 6, seed: int = 1) -> pd.DataFrame:
+    """Summaries of made-up trips, each with a digest."""
+    fits, _ = drawn(count, 0.05, (150.0, 60.0, 100.0), seed)
+    digests = {fit.trip: f"{seed:02d}{number:062d}" for number, fit in enumerate(fits)}
+    return summarised(fits, digests=digests)
+
+
 def test_band_of_the_common_curve_covers():
     inside = []
     for seed in range(15):
@@ -474,14 +481,9 @@ def test_logs_to_parameters_and_pictures(tmp_path):
     for name, refusal in (("dull", dull), ("blind", blind)):
         draw_charts(refused_chart("dull", refusal), tmp_path / f"{name}.png")
     assert all((tmp_path / f"{name}.png").is_file() for name in ("fits", "dull", "blind"))
-
-
-def test_logs_that_say_nothing_are_refused_together(tmp_path):
-    write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
-    with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as stated:
-        fit([tmp_path / "dull.mcap"])
-    pictures = trips_charts((), stated.value.refused)
-    assert draw_all(pictures, tmp_path) == [tmp_path / "dull.png"]
+    # Logs that say nothing are refused together.
+    stated = refused(AllRefusedError, "no trip determines .* vary too little", fit, logs[3:])
+    assert draw_all(trips_charts((), stated.refused), tmp_path) == [tmp_path / "dull.png"]
     refused(NotIdentifiableError, r"^no log was given; give logs, folders of logs, or", fit, [])
 
 
@@ -596,9 +598,8 @@ def test_the_set_differs_as_much_as_the_trips_do():
 
 
 def test_the_set_says_where_each_configuration_comes_from():
-    fits, _ = drawn(60, 0.05, (150.0, 60.0, 100.0), seed=7)
-    digests = {fit.trip: f"{number:064x}" for number, fit in enumerate(fits)}
-    summaries = summarised(fits, digests=digests)
+    summaries = rows(60, seed=7)
+    digests = dict(zip(summaries["trip"], summaries["sha256"], strict=True))
     found = parameter_set(summaries)
     assert len(found.configurations) < 60
     assert found.cover["trips"] == 60
@@ -619,22 +620,10 @@ def test_the_set_says_where_each_configuration_comes_from():
 
 
 def test_trips_of_one_name_become_configurations_of_two_names():
-    fits, _ = drawn(4, 0.05, (150.0, 60.0, 100.0), seed=8)
-    one, other = (
-        summarised(fits, digests={fit.trip: f"{k}{number:063x}" for number, fit in enumerate(fits)})
-        for k in (1, 2)
-    )
-    shifted = other.assign(mass=other["mass"] + 5e3)
-    names = [c.name for c in parameter_set(pd.concat([one, shifted])).configurations]
+    both = pd.concat([rows(4, seed=18), rows(4, seed=28)])
+    names = [each.name for each in parameter_set(both).configurations]
     assert len(set(names)) == 8
-    assert "trip-000 10000000" in names
-
-
-def rows(count: int = 6, seed: int = 1) -> pd.DataFrame:
-    """Summaries of made-up trips, each with a digest."""
-    fits, _ = drawn(count, 0.05, (150.0, 60.0, 100.0), seed)
-    digests = {fit.trip: f"{seed:02d}{number:062d}" for number, fit in enumerate(fits)}
-    return summarised(fits, digests=digests)
+    assert "trip-000 18000000" in names
 
 
 def test_a_summary_says_what_the_fit_says():
@@ -674,16 +663,17 @@ def test_order_and_pieces_do_not_matter(order, cut):
         np.testing.assert_array_equal(one.betas, other.betas)
 
 
-def test_summaries_survive_their_file(tmp_path):
-    every = rows()
-    write_summaries(every, tmp_path / "one.parquet")
+def test_summaries_survive_their_file_and_no_other_file_is_read(tmp_path):
+    every, path = rows(300), tmp_path / "one.parquet"
+    write_summaries(every, path)
     write_summaries(every.iloc[::-1], tmp_path / "other.parquet")
-    pd.testing.assert_frame_equal(read_summaries(tmp_path / "one.parquet"), every, check_exact=True)
-    assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "other.parquet").read_bytes()
-
-
-def test_what_is_no_file_of_summaries_is_refused(tmp_path):
-    path = tmp_path / "no.parquet"
+    pd.testing.assert_frame_equal(read_summaries(path), every, check_exact=True)
+    data = bytearray(path.read_bytes())
+    assert data == (tmp_path / "other.parquet").read_bytes()
+    for place in range(2000, len(data) // 2, 400):
+        data[place] ^= 0xFF
+    path.write_bytes(bytes(data))
+    refused(InputError, "damaged", read_summaries, path)
     path.write_bytes(b"PAR1 and nothing more")
     refused(InputError, "not a Parquet file", read_summaries, path)
     rows().to_parquet(path)
@@ -705,16 +695,6 @@ def test_a_row_that_would_spoil_all_trips_is_refused(column, value, tmp_path):
     refused(InputError, said, write_summaries, bad, tmp_path / "bad.parquet")
     for together in (combine, parameter_set, fleet_resistance):
         refused(InputError, said, together, bad)
-
-
-def test_a_damaged_file_is_refused(tmp_path):
-    path = tmp_path / "damaged.parquet"
-    write_summaries(rows(300), path)
-    data = bytearray(path.read_bytes())
-    for place in range(2000, len(data) // 2, 400):
-        data[place] ^= 0xFF
-    path.write_bytes(bytes(data))
-    refused(InputError, "damaged", read_summaries, path)
 
 
 def test_known_logs_are_not_read_again_and_nothing_changes(tmp_path):
