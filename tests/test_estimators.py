@@ -221,22 +221,18 @@ def test_a_trip_is_valid_where_its_speed_varies(speed, valid, settings):
     assert estimator.result().valid is valid
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"prior_std": [1.0, -1.0]}, "prior_std"),
-        ({"prior_std": [1.0, np.nan]}, "prior_std"),
-        ({"prior_std": [1.0], "forgetting": 0.0}, "forgetting"),
-        ({"prior_std": [1.0], "forgetting": 1.1}, "forgetting"),
-        ({"prior_std": [1.0], "random_walk_std": [-1.0]}, "random_walk_std"),
-        ({"prior_std": [1.0, 1.0], "prior_mean": [0.0]}, "one value a parameter"),
-    ],
-)
-def test_bad_settings_are_refused(arguments, message):
-    refused(InputError, message, RecursiveLeastSquares, **arguments)
-
-
-def test_bad_samples_are_refused_and_change_nothing():
+def test_bad_settings_and_samples_are_refused_and_change_nothing():
+    for message, wrong in (
+        ("prior_std", {"prior_std": [1.0, -1.0]}),
+        ("prior_std", {"prior_std": [1.0, np.nan]}),
+        ("forgetting", {"prior_std": [1.0], "forgetting": 0.0}),
+        ("forgetting", {"prior_std": [1.0], "forgetting": 1.1}),
+        ("random_walk_std", {"prior_std": [1.0], "random_walk_std": [-1.0]}),
+        ("one value a parameter", {"prior_std": [1.0, 1.0], "prior_mean": [0.0]}),
+    ):
+        refused(InputError, message, RecursiveLeastSquares, **wrong)
+    refused(InputError, "increase", edges_crossed, [10.0, 5.0], [1.0])
+    refused(InputError, "period", periods_elapsed, 0.0, [1.0])
     estimator = RecursiveLeastSquares(PRIOR)
     before = estimator.state()
     for rows, values, variance in (
@@ -251,6 +247,8 @@ def test_bad_samples_are_refused_and_change_nothing():
         refused(InputError, "", estimator.update, rows, values, variance)
     for nowhere in ([3], [-1], [0, 7]):
         refused(InputError, "cannot reset", estimator.reset, nowhere)
+    shorter = estimator, [True], np.ones((2, 3)), np.ones(2)
+    refused(InputError, "do not fit", record_with_resets, *shorter)
     assert estimator.state() == before
 
 
@@ -311,13 +309,6 @@ def test_a_trip_at_once_equals_sample_by_sample(parameters):
         np.testing.assert_allclose(result.covariance, covariances[k], rtol=1e-9, atol=1e-12)
     assert whole.state() == single.state()
     assert whole.result().resets == np.count_nonzero(due) == 3
-
-
-def test_what_cannot_be_is_refused():
-    refused(InputError, "increase", edges_crossed, [10.0, 5.0], [1.0])
-    refused(InputError, "period", periods_elapsed, 0.0, [1.0])
-    given = RecursiveLeastSquares(PRIOR), [True], np.ones((2, 3)), np.ones(2)
-    refused(InputError, "do not fit", record_with_resets, *given)
 
 
 CURVE = np.array([2.0, -0.5])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from refusals import refused
 from scipy.integrate import solve_ivp
+from simulated_line import level_line, steps
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.control.follow import following_scenarios
@@ -34,7 +35,6 @@ from trainlog.railway import (
     CurvatureProfile,
     Line,
     RunningResistance,
-    Station,
     StepProfile,
     Train,
     Trajectory,
@@ -52,11 +52,6 @@ FREIGHT = Train(
 )  # fmt: skip
 
 
-def line_of(gradients: StepProfile, length: float, limit: float = 25.0) -> Line:
-    ends = (Station("A", 0.0), Station("B", length))
-    return Line("survey", length, ends, StepProfile([0.0], [limit]), gradients)
-
-
 def curved(*radii: float, formula: str = "roeckl") -> Line:
     """Arcs of 500 m, joined by straight track and transitions of 100 m."""
     positions, start, end = [0.0], [0.0], [0.0]
@@ -65,9 +60,8 @@ def curved(*radii: float, formula: str = "roeckl") -> Line:
         positions += [at, at + 100.0, at + 600.0, at + 700.0]
         start += [0.0, 1.0 / radius, 1.0 / radius, 0.0]
         end += [1.0 / radius, 1.0 / radius, 0.0, 0.0]
-    level = line_of(StepProfile([0.0], [0.0]), positions[-1] + 100.0)
     profile = CurvatureProfile(np.array(positions), np.array(start), np.array(end))
-    return replace(level, curvatures=profile, curve_resistance=formula)
+    return level_line(positions[-1] + 100.0, curvatures=profile, curve_resistance=formula)
 
 
 @pytest.mark.parametrize(
@@ -133,18 +127,17 @@ def test_spikes_of_a_survey_are_averaged_or_refused_with_the_reason():
     values = 0.004 * np.sin(edges / 4e3)
     for at in (600, 1_300, 2_000):
         values[at : at + 3], values[at + 3 : at + 6] = 0.244, -0.244
-    line = line_of(StepProfile(edges, values), 25_310.0, limit=8.0)
-    with pytest.raises(
-        InfeasibleError, match=r"km 6.0\d\d; .*244 per mille there, but 21 averaged .*strip"
-    ):
-        optimise(TrajectoryProblem.nominal(line, FREIGHT))
+    line = level_line(25_310.0, limit=8.0, gradients=StepProfile(edges, values))
+    said = r"km 6.0\d\d; .*244 per mille there, but 21 averaged .*strip"
+    refused(InfeasibleError, said, optimise, TrajectoryProblem.nominal(line, FREIGHT))
     strip = replace(FREIGHT, mass_model="homogeneous_strip", length=600.0)
     found = optimise(TrajectoryProblem.nominal(line, strip))
     assert found.certificate["certified"]
     assert "homogeneous strip" in found.model
 
 
-HILLS = line_of(StepProfile([0.0, 700.0, 3e3, 5e3], [-0.03, 0.0, -0.02, 0.03]), 6e3)
+RISES = steps((0.0, -0.03), (700.0, 0.0), (3e3, -0.02), (5e3, 0.03))
+HILLS = level_line(6e3, limit=25.0, gradients=RISES)
 NET = replace(FLIRT, max_acceleration=0.5, max_deceleration=0.5, acceleration_limits="net")
 
 
@@ -208,7 +201,7 @@ def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives():
     generator = np.random.default_rng(4)
     edges = np.concatenate(([0.0], np.sort(generator.uniform(0.0, 12e3, 40))))
     values = np.concatenate(([0.0], 0.006 * generator.standard_normal(40)))
-    line = line_of(StepProfile(edges, values), 12e3, limit=9.0)
+    line = level_line(12e3, limit=9.0, gradients=StepProfile(edges, values))
     train = replace(FREIGHT, mass_model="homogeneous_strip")
     found = optimise(TrajectoryProblem.nominal(line, train))
     assert found.certificate["gap"] < 5e-4
@@ -241,7 +234,7 @@ def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with():
     strip = replace(FLIRT, mass_model="homogeneous_strip")
     found = optimise(TrajectoryProblem.nominal(WIL, strip, end=6e3), OptimiserOptions(cells=60))
     found.check_run(WIL, strip)
-    with pytest.raises(InputError, match=r"mass_model 'homogeneous_strip', train .* 'mass_point'"):
-        following_scenarios(found, WIL, FLIRT)
-    with pytest.raises(InputError, match=r"curve_resistance 'proportional', line .* 'roeckl'"):
-        following_scenarios(found, replace(WIL, curve_resistance="roeckl"), strip)
+    said = r"mass_model 'homogeneous_strip', train .* 'mass_point'"
+    refused(InputError, said, following_scenarios, found, WIL, FLIRT)
+    bends, said = replace(WIL, curve_resistance="roeckl"), "'proportional', line .* 'roeckl'"
+    refused(InputError, said, following_scenarios, found, bends, strip)
