@@ -9,17 +9,16 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 from simulated_line import flirt, hilly_line, level_line, steps
+from trajectory_cases import slippery
 
 from analysis import Follower, OptimiserOptions, TrajectoryProblem, following_scenarios, optimise
 from analysis.comparison.groups import trip_cost
-from analysis.control import prediction as prediction, route as bounds
+from analysis.control import prediction, route as bounds
 from analysis.control.follow import MARGIN, Observer, Odometry, effort_reversals, following_line
 from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from trainlog import Configuration, InputError, LogError
 from trainlog.railway import Brake, EffortCurve, StepProfile, TrackConditionMap, Train, Trajectory
-from trainlog.railway.condition import ConditionLayer
-from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import Locator, drive, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import DEPARTURE, Observation
 from trainlog.simulation.sensors import Instruments, Reading, Sensors
@@ -56,23 +55,17 @@ def known(name: str = "flirt") -> tuple[bounds.TrainLimits, bounds.RouteTables]:
     return can, bounds.route_tables(run, trajectory, can)
 
 
-def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
+def map_of(rail: StepProfile) -> TrackConditionMap:
     """What a map that was learnt well says of a rail."""
-    line = hilly_line()
-    track = TrackConditionMap(line.name, line.length, 25.0, np.zeros(1), {})
-    n = track.bins
-    none = np.zeros(n)
-    known = np.log(rail(track.centres)), none + spread, none == 0.0
-    layer = ConditionLayer(*known, evidence=DailyEvidence.none(n, 1))
-    return replace(track, layers={"wet": layer})
+    ends = [*rail.positions[1:], np.inf]
+    return slippery(hilly_line(), *zip(rail.positions, ends, rail.values, strict=True))
 
 
-def slippery() -> StepProfile:
-    """A wet rail with three slippery places: at the start, on a climb, before the stop."""
-    return steps(
-        (0.0, 0.15), (150.0, 0.09), (400.0, 0.17), (5_500.0, 0.08), (5_700.0, 0.17),
-        (10_700.0, 0.1), (10_850.0, 0.15),
-    )  # fmt: skip
+WET = steps(
+    (0.0, 0.15), (150.0, 0.09), (400.0, 0.17), (5_500.0, 0.08), (5_700.0, 0.17),
+    (10_700.0, 0.1), (10_850.0, 0.15),
+)  # fmt: skip
+"""A rail with three slippery places: at the start, on a climb, before the stop."""
 
 
 def driven(name="flirt", rail=None, locates=None, chosen=HEAVY, **options):
@@ -164,7 +157,7 @@ def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure():
 
         return locate
 
-    found, scenario = driven(rail=slippery(), locates=locates, margin=MARGIN)
+    found, scenario = driven(rail=WET, locates=locates, margin=MARGIN)
     assert found["over"] <= 0.0
     assert found["protected_axles"].max() == 0.0
     # Comfort: efforts over inertia are within what the train's control allows.
@@ -398,7 +391,7 @@ def test_simulated_scenarios_are_the_trips_of_the_command():
 def test_what_cannot_be_followed_is_refused(changes, words):
     train, trajectory = plan()
     passing = replace(trajectory, speeds=trajectory.speeds + changes.get("speeds", 0.0))
-    known = replace(map_of(slippery()), line=changes.get("condition", "hilly"))
+    known = replace(map_of(WET), line=changes.get("condition", "hilly"))
     with pytest.raises(InputError, match=words):
         Follower(
             passing, changes.get("line", hilly_line()), changes.get("train", train),
