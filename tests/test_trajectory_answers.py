@@ -110,12 +110,7 @@ def test_phases_come_in_the_order_of_the_textbook(reference):
     phases = phases_of(reference, 0)
     changes = [Phase(p) for p in phases[np.flatnonzero(np.diff(phases, prepend=-1))]]
     main = [p for p in changes if p is not Phase.PARTIAL_BRAKING]
-    assert main == [
-        Phase.MAXIMUM_TRACTION,
-        Phase.CRUISING,
-        Phase.COASTING,
-        Phase.MAXIMUM_BRAKING,
-    ]
+    assert main == [Phase.MAXIMUM_TRACTION, Phase.CRUISING, Phase.COASTING, Phase.MAXIMUM_BRAKING]
 
 
 def test_more_configurations_never_cost_less():
@@ -379,10 +374,7 @@ def test_what_is_beyond_a_limit_by_more_than_its_tolerance_is_reported(excess, r
         ("exceeds the traction", of(max_acceleration=TRACTION / ONE.inertia / over)),
         ("exceeds the brake", of(max_deceleration=BRAKING / ONE.inertia / over)),
         ("exceeds the brake", of(max_dynamic_braking_effort=BRAKING / over, **no_friction)),
-        (
-            "exceeds the brake",
-            of(max_dynamic_braking_power=power / over, **no_friction),
-        ),
+        ("exceeds the brake", of(max_dynamic_braking_power=power / over, **no_friction)),
         ("exceeds the adhesion", slips(0.0, 500.0, grip[0])),
         ("exceeds the adhesion", slips(1_000.0, 2_000.0, grip[1])),
     ]

@@ -16,6 +16,7 @@ from trajectory_cases import (
     FREIGHT,
     VIRM6,
     drawn,
+    free_train,
     hilly_line,
     level_line,
     observed,
@@ -54,7 +55,7 @@ from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.rollout import run_together
 from trainlog.arrays import FloatArray
-from trainlog.railway import EffortCurve, RunningResistance, TimingPoint, Train, Trajectory
+from trainlog.railway import EffortCurve, RunningResistance, TimingPoint, Trajectory
 
 FINE = 1_200
 """Cells of plans that are to lie above the bounds of coarse ones."""
@@ -267,12 +268,8 @@ def test_the_excess_of_the_cells_adds_up_to_the_total(case):
 
 def test_the_least_speed_is_that_of_its_closed_form():
     """Slower by d on the way costs d² / 2v times what slowing down and speeding up each take."""
-    mass, pull, brake, top = 100e3, 0.5, 0.8, 20.0
-    train = Train(
-        name="plain", mass=mass, rotating_mass_factor=0.0,
-        resistance=RunningResistance(0.0, 0.0, 0.0), max_tractive_effort=pull * mass,
-        max_traction_power=1e9, max_pneumatic_braking_effort=brake * mass, max_speed=top,
-    )  # fmt: skip
+    pull, brake, top = 0.5, 0.8, 20.0
+    train = free_train(pull, 1e4, brake, max_speed=top)
     run = TrajectoryProblem(level_line(6_000.0, (0.0, 3.6 * top)), train, observed(train, 1.0))
     fastest, in_hand = fastest_run(run), 3.0
     floor = floor_of(run, fastest, (0,), float(fastest.times[0]) + in_hand)
@@ -286,12 +283,8 @@ def test_the_least_speed_is_that_of_its_closed_form():
 
 def test_the_highest_speed_is_that_of_its_closed_form():
     """Also where traction ends in braking for a limit, within a cell of any grid."""
-    mass, pull, brake, power = 100e3, 0.5, 0.8, 6.0
-    train = Train(
-        name="plain", mass=mass, rotating_mass_factor=0.0,
-        resistance=RunningResistance(0.0, 0.0, 0.0), max_tractive_effort=pull * mass,
-        max_traction_power=power * mass, max_pneumatic_braking_effort=brake * mass, max_speed=90.0,
-    )  # fmt: skip
+    pull, brake, power = 0.5, 0.8, 6.0
+    train = free_train(pull, power, brake, max_speed=90.0)
     limit, places = 10.0, np.linspace(0.0, 6_000.0, 90_001)[1:-1]
     for turn in np.random.default_rng(3).uniform(1_990.0, 2_010.0, 5).tolist():
         line = level_line(6_000.0, (0.0, 400.0), (turn, 3.6 * limit))
@@ -661,30 +654,6 @@ def test_on_each_stretch_the_better_costate_counts(case):
     assert value(dual, found) == pytest.approx(best)
     assert value(dual, found) > max(value(one, least[0]), value(two, least[1]))
     np.testing.assert_allclose(found, made.least(dual))
-
-
-def test_no_finer_run_is_faster_than_what_is_reached():
-    """The envelope on its own cells, thinned out, bounds those between; and not by much."""
-    run = TrajectoryProblem(hilly_line(), FLIRT, drawn(FLIRT, 2, seed=2))
-    fine = fastest_run(run)
-    kept = np.unique(
-        [
-            *range(0, fine.positions.size, 2),
-            *np.flatnonzero(np.isin(fine.positions, run.breakpoints)),
-        ]
-    )
-    coarse = replace(
-        fine, positions=fine.positions[kept], speeds=fine.speeds[:, kept],
-        elapsed=fine.elapsed[:, kept], pulling=fine.pulling[:, kept[:-1]],
-    )  # fmt: skip
-    found = reached(coarse, fine.positions)
-    assert np.all(found >= fine.speeds)
-    assert np.median(found - fine.speeds) < 0.02
-    any_run = replace(
-        coarse, positions=np.arange(5.0), speeds=np.array([[0.0, 3.0, 3.5, 2.0, 1.0]])
-    )
-    at_nodes = reached(any_run, any_run.positions)
-    np.testing.assert_allclose(at_nodes, any_run.speeds, rtol=3e-4, atol=2e-6)
 
 
 @pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0)])

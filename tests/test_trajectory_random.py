@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from trajectory_cases import FLIRT, KMH, drawn, hilly_line, level_line, observed, optimised, steps
+from simulated_line import steps
+from trajectory_cases import FLIRT, drawn, free_train, hilly_line, level_line, observed, optimised
 
 from analysis.trajectory import active_set
 from analysis.trajectory.convex import NoSolutionError
@@ -21,6 +22,7 @@ from analysis.trajectory.rollout import rollout
 from trainlog.errors import InfeasibleError
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
+from trainlog.units import KMH
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
 from benchmark_random import problem_of_kind, random_problem
@@ -120,12 +122,7 @@ def test_a_heavy_train_that_starts_on_a_climb_is_planned_close_to_its_bound():
 @pytest.mark.usefixtures("unrenewed")
 def test_a_time_just_above_the_least_is_no_refusal():
     """300 m with 3 W/kg, 0.1 per cent above the least time of its closed form."""
-    mass = 100e3
-    train = Train(
-        name="weak", mass=mass, rotating_mass_factor=0.0,
-        resistance=RunningResistance(0.0, 0.0, 0.0), max_tractive_effort=mass,
-        max_traction_power=3.0 * mass, max_pneumatic_braking_effort=mass, max_speed=100.0,
-    )  # fmt: skip
+    train = free_train(1.0, 3.0, 1.0)
     line = level_line(300.0, (0, 360))
     problem = TrajectoryProblem(line, train, [Configuration.of(train)])
     least = least_time(problem, problem.configurations[0])
@@ -147,26 +144,6 @@ def test_seven_hours_are_kept_to_the_millisecond():
     assert found.certificate["gap"] < 5e-3
 
 
-MASS = 100e3
-
-
-def train(effort: float, power: float, brake: float, brake_power: float) -> Train:
-    """Efforts and powers over its mass, nothing that resists."""
-    return Train(
-        name="free",
-        mass=MASS,
-        rotating_mass_factor=0.0,
-        resistance=RunningResistance(0.0, 0.0, 0.0),
-        max_tractive_effort=effort * MASS,
-        max_traction_power=power * MASS,
-        max_dynamic_braking_effort=brake * MASS,
-        max_dynamic_braking_power=brake_power * MASS,
-        max_speed=100.0,
-        max_acceleration=10.0,
-        max_deceleration=10.0,
-    )
-
-
 def way_and_time(effort: float, power: float, speed: float) -> tuple[float, float]:
     """From standstill to a speed: constant effort, then constant power."""
     first = min(speed, power / effort)
@@ -186,7 +163,9 @@ def test_least_time_of_power_and_brake_alone(length, effort, power, brake, brake
         lambda v: way_and_time(*pull, v)[0] + way_and_time(*stop, v)[0] - length, 0.1, 99.0
     )
     exact = way_and_time(*pull, peak)[1] + way_and_time(*stop, peak)[1]
-    own = train(effort, power, brake, brake_power)
+    own = free_train(effort, power, 0.0, max_acceleration=10.0, max_deceleration=10.0)
+    brakes = {"max_dynamic_braking_effort": brake, "max_dynamic_braking_power": brake_power}
+    own = replace(own, **{name: own.mass * each for name, each in brakes.items()})
     run = TrajectoryProblem(level_line(length, (0, 360)), own, [Configuration.of(own)])
     assert fastest_run(run).times[0] == pytest.approx(exact, rel=2e-5)
 

@@ -4,6 +4,7 @@ The VIRM6 and the level line restate facts of TTOBench v1.5 (BSD-2-Clause).
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from simulated_line import level_line as level, steps
@@ -38,6 +39,18 @@ FREIGHT = replace(
     length=500.0,
     axles=Axles(count=8, adhesive_mass=224_000.0),
 )
+
+
+def free_train(pull: float, power: float, brake: float, **changes: Any) -> Train:
+    """Nothing resists it; efforts [m/s²] and power [W/kg] over its mass of 100 t."""
+    mass = 100e3
+    train = Train(
+        name="free", mass=mass, rotating_mass_factor=0.0,
+        resistance=RunningResistance(0.0, 0.0, 0.0), max_tractive_effort=pull * mass,
+        max_traction_power=power * mass, max_pneumatic_braking_effort=brake * mass,
+        max_speed=100.0,
+    )  # fmt: skip
+    return replace(train, **changes)
 
 
 def optimised(line, train, configurations, *, cells=500, **question):
