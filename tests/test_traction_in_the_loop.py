@@ -17,8 +17,8 @@ from analysis.studies.zhao_2025 import runge_kutta
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import read_line, read_train
-from trainlog.railway import StepProfile, TrackConditionMap, Train
-from trainlog.railway.adhesion import AdhesionCharacteristic, creep_coefficients, polach_curve
+from trainlog.railway import StepProfile, TrackConditionMap
+from trainlog.railway.adhesion import creep_coefficients, polach_curve
 from trainlog.simulation import (
     DriveReading,
     DriveSensors,
@@ -29,6 +29,7 @@ from trainlog.simulation import (
     recorded,
     simulate,
 )
+from trainlog.simulation.plant import PlantState
 
 pytestmark = pytest.mark.usefixtures("remembered")
 
@@ -42,51 +43,38 @@ def known_map() -> TrackConditionMap:
     return read_map("sample_logs/CH_StGallen_Wil.map")
 
 
+def plant(maximum=0.3, train=TRAIN, mass=MASS, characteristic=None) -> Plant:
+    """On a rail of one maximum adhesion."""
+    rail = StepProfile(np.zeros(1), np.array([maximum]))
+    return Plant.of(LINE, train, mass=mass, maximum_adhesion=rail, characteristic=characteristic)
+
+
 @dataclass(frozen=True)
 class Driven:
     gained: float
-    creep: float
     unsolved: int
     slip: np.ndarray
 
 
 def driven(
-    control: str | None,
-    maximum: float,
-    *,
-    braking: bool = False,
-    characteristic: AdhesionCharacteristic | None = None,
-    train: Train = TRAIN,
-    seconds: float = 15.0,
-    layer: str | None = "wet",
-    mass: float = MASS,
-    start: float | None = None,
+    control, maximum, *, braking=False, start=12.0, seconds=15.0, layer="wet", **others
 ) -> Driven:
-    """All effort is demanded at 12 m/s on one rail; what the speed changes by."""
-    rail = StepProfile(np.zeros(1), np.array([maximum]))
-    unit = Plant.of(LINE, train, mass=mass, maximum_adhesion=rail, characteristic=characteristic)
-    if start is None:
-        start = 22.0 if braking else 12.0
-    state = unit.at(6_000.0, start)
-    demand = (0.0, 150e3) if braking else (200e3, 0.0)
+    """All effort is demanded on one rail; what the speed [m/s] at the start changes by."""
+    unit, unsolved = plant(maximum, **others), []
+    state, demand = unit.at(6_000.0, start), (0.0, 150e3) if braking else (200e3, 0.0)
     steps = round(seconds / unit.parameters.step)
     if control is None:
         rows = unit.advance(state, *demand, steps, 4)
-        unsolved = 0
     else:
-        made = (
-            CooperativeTraction(
-                train, LINE, condition=known_map() if layer else None, layer=layer or "", mass=mass
-            )
-            if control == "cooperative"
-            else ReadhesionControl(train)
-        )
+        train, mass = others.get("train", TRAIN), others.get("mass", MASS)
+        known = {"condition": known_map() if layer else None, "layer": layer or ""}
+        made = ReadhesionControl(train)
+        if control == "cooperative":
+            made = CooperativeTraction(train, LINE, mass=mass, **known)
         loop = TractionLoop(made, unit, seed=1)
-        rows = loop.advance(state, demand, steps, 4)
-        unsolved = len(loop.unsolved)
-    n = unit.axles
-    slip = rows[:, -2 * n : -n] - rows[:, [1]]
-    return Driven(abs(state.speed - start), state.works["slip"], unsolved, slip)
+        rows, unsolved = loop.advance(state, demand, steps, 4), loop.unsolved
+    slip = rows[:, -2 * unit.axles : -unit.axles] - rows[:, [1]]
+    return Driven(abs(state.speed - start), len(unsolved), slip)
 
 
 def test_on_a_dry_rail_all_controls_give_what_is_demanded():
@@ -122,8 +110,9 @@ def test_wheels_come_back_on_a_characteristic_that_no_control_knows(control):
 
 @pytest.mark.parametrize("control", ["cooperative", "readhesion"])
 def test_wheels_do_not_lock_in_braking(control):
-    found = driven(control, 0.09, braking=True, seconds=12.0)
-    own = driven(None, 0.09, braking=True, seconds=12.0)
+    found, own = (
+        driven(each, 0.09, braking=True, start=22.0, seconds=12.0) for each in (control, None)
+    )
     # The plant's own protection lets wheels slip at 3 m/s, where such a rail happens to peak.
     assert found.gained > (0.9 if control == "cooperative" else 0.8) * own.gained
     moving = found.slip[: len(found.slip) // 2]
@@ -245,23 +234,16 @@ class Shared:
         return total * self.weights / self.weights.sum()
 
 
-def plant(adhesion: float = 0.3) -> Plant:
-    rail = StepProfile(np.zeros(1), np.array([adhesion]))
-    return Plant.of(LINE, TRAIN, mass=130e3, maximum_adhesion=rail)
-
-
-def run(
-    control: Shared | None, demands: list[tuple[float, float, int]], adhesion: float = 0.3
-) -> tuple[np.ndarray, Plant, object]:
+def run(control, demands, adhesion=0.3) -> tuple[np.ndarray, Plant, PlantState]:
     unit = plant(adhesion)
     state = unit.at(500.0, 20.0)
     loop = None if control is None else TractionLoop(control, unit, EXACT)
-    blocks = []
-    for traction, braking, steps in demands:
-        if loop is None:
-            blocks.append(unit.advance(state, traction, braking, steps, 20))
-        else:
-            blocks.append(loop.advance(state, (traction, braking), steps, 20))
+    blocks = [
+        unit.advance(state, traction, braking, steps, 20)
+        if loop is None
+        else loop.advance(state, (traction, braking), steps, 20)
+        for traction, braking, steps in demands
+    ]
     return np.concatenate(blocks), unit, state
 
 
