@@ -422,11 +422,10 @@ def smoothed(plant: Run, noise: float) -> FloatArray:
     return smoothed_force(*measured, ROTATING_MASS, noise, FORCE_RATE).force / AXLE_LOAD
 
 
-class TestSlipDetector:
-    def test_two_samples_above_then_until_half(self):
-        slip = np.array([0.0, 1.6, 0.2, 1.6, 1.7, 1.2, 0.8, 0.74, 1.4])[:, None]
-        found = SlipDetector(1, 0.05).update(slip)[:, 0]
-        assert found.tolist() == [False] * 4 + [True, True, True, False, False]
+def test_slip_is_two_samples_above_then_until_half():
+    slip = np.array([0.0, 1.6, 0.2, 1.6, 1.7, 1.2, 0.8, 0.74, 1.4])[:, None]
+    found = SlipDetector(1, 0.05).update(slip)[:, 0]
+    assert found.tolist() == [False] * 4 + [True, True, True, False, False]
 
 
 class TestObserver:
@@ -484,24 +483,23 @@ class TestObserver:
         refused(InputError, "do not fit", update, np.arange(3.0), many[:2], many[:2])
 
 
-class TestTrainSpeed:
-    @pytest.mark.parametrize("satellites", [True, False])
-    def test_all_axles_may_slip_at_once(self, satellites):
-        plant = run(0.22, speed=2.0, climb=0.0, seconds=60.0)
-        slip = plant.true_wheel_speed - plant.speed[:, None]
-        assert np.min(slip, axis=1).max() > 3.0
-        reference = np.full(plant.time.size, np.nan)
-        if satellites:
-            noise = 0.1 * np.random.default_rng(0).standard_normal(reference[::4].size)
-            reference[::4] = plant.speed[::4] + noise
-        # What is given of brake and resistance is wrong by 8 per mille of the train's weight.
-        other = np.full(plant.time.size, -0.008 * 9.81 * plant.inertia)
-        gained = impulse(plant.time, plant.wheel_speed, plant.wheel_effort, other, ROTATING_MASS)
-        wheels, std = (plant.wheel_speed, smoothed(plant, 0.03)), np.full(plant.time.size, 0.1)
-        found = train_speed(plant.time, *wheels, 0.03, gained / plant.inertia, reference, std)
-        limit = 0.03 if satellites else 0.25
-        assert rms(found.speed - plant.speed) < limit
-        assert np.max(np.abs(found.speed - plant.speed)) < 3.0 * limit
+@pytest.mark.parametrize("satellites", [True, False])
+def test_train_speed_while_all_axles_slip_at_once(satellites):
+    plant = run(0.22, speed=2.0, climb=0.0, seconds=60.0)
+    slip = plant.true_wheel_speed - plant.speed[:, None]
+    assert np.min(slip, axis=1).max() > 3.0
+    reference = np.full(plant.time.size, np.nan)
+    if satellites:
+        noise = 0.1 * np.random.default_rng(0).standard_normal(reference[::4].size)
+        reference[::4] = plant.speed[::4] + noise
+    # What is given of brake and resistance is wrong by 8 per mille of the train's weight.
+    other = np.full(plant.time.size, -0.008 * 9.81 * plant.inertia)
+    gained = impulse(plant.time, plant.wheel_speed, plant.wheel_effort, other, ROTATING_MASS)
+    wheels, std = (plant.wheel_speed, smoothed(plant, 0.03)), np.full(plant.time.size, 0.1)
+    found = train_speed(plant.time, *wheels, 0.03, gained / plant.inertia, reference, std)
+    limit = 0.03 if satellites else 0.25
+    assert rms(found.speed - plant.speed) < limit
+    assert np.max(np.abs(found.speed - plant.speed)) < 3.0 * limit
 
 
 class TestOnset:

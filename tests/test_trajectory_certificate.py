@@ -69,9 +69,7 @@ CASES: dict[str, dict[str, Any]] = {
 @cache
 def planned(case: str, cells: int, tolerance: float = np.inf) -> Trajectory:
     """The intercity on the hilly line, always in the same time."""
-    return optimised(
-        hilly_line(), VIRM6, observed(VIRM6, 1.0), cells=cells, tolerance=tolerance, **CASES[case]
-    )
+    return optimised(train=VIRM6, cells=cells, tolerance=tolerance, **CASES[case])
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -103,12 +101,8 @@ def test_long_cells_of_partial_traction_cost_the_bound_little(objective):
         "expected": (2.0, 4, 0.01), "line": (0.3, 3, 5e-3), "wheel": (0.5, 3, 0.012),
     }[objective]  # fmt: skip
     question = {"objective": objective, "reserve": reserve, "tolerance": np.inf}
-    coarse, fine = (
-        optimised(
-            hilly_line(), FLIRT, drawn(FLIRT, count, seed=1, spread=0.3), cells=cells, **question
-        ).certificate
-        for cells in (40, FINE // 2)
-    )
+    question["configurations"] = drawn(FLIRT, count, seed=1, spread=0.3)
+    coarse, fine = (optimised(cells=cells, **question).certificate for cells in (40, FINE // 2))
     assert coarse["gap"] < gap
     assert coarse["lower_bound"] <= fine["energy"] * (1.0 + 1e-6)
 
@@ -121,7 +115,7 @@ def test_a_bound_above_the_plan_certifies_nothing(monkeypatch):
         return replace(found, value=1.1 * found.value)
 
     monkeypatch.setattr(optimiser, "continuous_bound", wrong)
-    found = optimised(hilly_line(), VIRM6, observed(VIRM6, 1.0), cells=61, reserve=0.1).certificate
+    found = optimised(train=VIRM6, cells=61, reserve=0.1).certificate
     assert found["lower_bound"] > found["energy"]
     assert not found["certified"]
     assert found["bound_holds_for"] == "no trajectories: this one takes less"
@@ -145,10 +139,8 @@ def solved(case: str) -> tuple[Any, ...]:
     answer = search(problem, guess, fastest.at(mesh), time)
     rows = list(answer.active)
     own = closer(run, fastest, tuple(rows))
-    fine = optimised(
-        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), cells=400, running_time=time,
-        tolerance=np.inf, **question,
-    ).certificate["energy"]  # fmt: skip
+    question |= {"running_time": time, "tolerance": np.inf}
+    fine = optimised(configurations=run.configurations, cells=400, **question).certificate["energy"]
     return answer, answer.problem.select(rows), own, time, fine / problem.reference
 
 
@@ -226,10 +218,7 @@ def test_with_much_time_in_hand_two_costates_are_close(train, reserve):
     linear += 0.0 if train is FLIRT else 4e-4 * train.mass
     train = replace(train, resistance=RunningResistance(constant, linear, square))
     found, finer = (
-        optimised(
-            hilly_line(), train, observed(train, 1.0), cells=cells, reserve=reserve
-        ).certificate
-        for cells in (300, FINE)
+        optimised(train=train, cells=cells, reserve=reserve).certificate for cells in (300, FINE)
     )
     assert found["certified"]
     assert found["gap"] < 1e-3

@@ -55,7 +55,7 @@ from trainlog.railway import (
 def test_all_the_power_is_used_inside_the_cells():
     """Traction that is constant in a cell would waste half of what the speed gains there."""
     train = Configuration.of(FLIRT)
-    found = optimised(hilly_line(), FLIRT, [train], reserve=0.05, cells=120, tolerance=np.inf)
+    found = optimised(configurations=[train], reserve=0.05, cells=120, tolerance=np.inf)
     middle = 0.5 * (found.positions[1:] + found.positions[:-1])
     speed = np.interp(middle, found.positions, found.speeds[0] ** 2) ** 0.5
     used = found.tractive_effort_at(middle) * speed / train.max_power
@@ -150,7 +150,7 @@ def test_limits_and_power_are_kept_and_few_configurations_decide():
 @pytest.mark.usefixtures("unrenewed")
 def test_same_question_same_answer(tmp_path):
     for name in ("a.json", "b.json"):
-        found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 3, seed=2), cells=100)
+        found = optimised(configurations=drawn(FLIRT, 3, seed=2), cells=100)
         write_trajectory(found, tmp_path / name)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
     again = read_trajectory(tmp_path / "a.json")
@@ -175,11 +175,9 @@ def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs():
 
 def test_expected_energy_is_least_for_the_weights_that_are_given():
     options = {"reserve": 0.1, "cells": 120, "tolerance": 1e-4}
-    configurations = observed(FLIRT, 0.9, 1.0, 1.1)
+    options["configurations"] = observed(FLIRT, 0.9, 1.0, 1.1)
     found = {
-        weights: optimised(
-            hilly_line(), FLIRT, configurations, objective="expected", weights=weights, **options
-        )
+        weights: optimised(objective="expected", weights=weights, **options)
         for weights in ((), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     }
     energies = {key: np.array(each.certificate["line_energy"]) for key, each in found.items()}
@@ -189,8 +187,7 @@ def test_expected_energy_is_least_for_the_weights_that_are_given():
         assert answer.certificate["energy"] == pytest.approx(least)
         assert all(share @ other >= least * (1.0 - 1e-6) for other in energies.values())
         assert answer.certificate["gap"] <= 2e-3
-        assert answer.certificate["audit"]["passed"]
-    worst = optimised(hilly_line(), FLIRT, configurations, objective="line", **options)
+    worst = optimised(objective="line", **options)
     assert worst.certificate["energy"] <= energies[()].max() * (1.0 + 1e-6)
 
 
@@ -243,26 +240,18 @@ def test_bad_input_is_refused(changes, words):
 
 def test_weights_of_many_are_kept_and_those_without_weight_have_no_say():
     """Ten configurations of which three count: the same as the expected energy of these."""
-    configurations = drawn(FLIRT, 10, seed=2)
     weights = np.zeros(10)
     weights[[3, 5, 8]] = 0.5, 0.3, 0.2
-    found = optimised(
-        hilly_line(), FLIRT, configurations, objective="expected", weights=weights.tolist(),
-        reserve=0.1, cells=80,
-    )  # fmt: skip
-    certificate = found.certificate
+    question = {"objective": "expected", "weights": weights.tolist(), "reserve": 0.1, "cells": 80}
+    certificate = optimised(configurations=drawn(FLIRT, 10, seed=2), **question).certificate
     assert certificate["energy"] == pytest.approx(weights @ certificate["line_energy"])
     assert certificate["certified"]
-    assert certificate["audit"]["passed"]
 
 
 def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak():
     """Whoever has time brakes early, without friction: no reason to optimise for all of them."""
-    configurations = drawn(VIRM6, 8, seed=1)
-    found = optimised(
-        hilly_line(), VIRM6, configurations, objective="line", reserve=0.07, cells=80
-    ).certificate
-    assert found["audit"]["passed"]
+    question = {"objective": "line", "reserve": 0.07, "cells": 80}
+    found = optimised(train=VIRM6, configurations=drawn(VIRM6, 8, seed=1), **question).certificate
     assert len(found["active"]) <= 6
     assert found["solver"]["iterations"] <= 40
     assert found["energy"] == max(found["line_energy"])
@@ -278,7 +267,6 @@ def test_few_decide_where_a_point_is_passed_no_earlier(objective, unrenewed):
     times = fastest_run(free).times_at([passed])[:, 0]
     points = (TimingPoint(passed, earliest=1.4 * times.max(), latest=1.4 * times.max() + 15.0),)
     found = optimise(replace(free, windows=points), OptimiserOptions(150)).certificate
-    assert found["audit"]["passed"]
     assert len(found["active"]) <= 4
 
 
@@ -303,7 +291,7 @@ PLACE = 6_000.0
 
 def run(*windows: TimingPoint, **options: object) -> Trajectory:
     question: dict[str, object] = {"running_time": 450.0, "cells": 100, **options}
-    return optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), windows=windows, **question)
+    return optimised(windows=windows, **question)
 
 
 def passing(found: Trajectory, place: float = PLACE) -> tuple[float, float]:
@@ -398,10 +386,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere():
     # Any other share costs more.
     for shift in (-6.0, 6.0):
         parts = [
-            optimised(
-                hilly_line(), FLIRT, observed(FLIRT, 1.0), start=start, end=end,
-                running_time=time, cells=150,
-            ).certificate["energy"]
+            optimised(start=start, end=end, running_time=time, cells=150).certificate["energy"]
             for start, end, time in (
                 (0.0, 5_000.0, plan.arrivals[0] + shift),
                 (5_000.0, 8_000.0, plan.arrivals[1] - plan.departures[1] - shift),
@@ -411,7 +396,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere():
 
 
 def test_a_section_that_feeds_back_more_than_it_takes_gets_its_reserve():
-    line = replace(level_line(6_000.0, (0.0, 90.0)), gradients=steps((0.0, 0.0), (3_500.0, -0.03)))
+    line = level_line(6_000.0, (0.0, 90.0), gradients=steps((0.0, 0.0), (3_500.0, -0.03)))
     journey = Journey("down", line.name, (stop(0.0, 0.0, 0.0), stop(3_000.0), stop(6_000.0)))
     options = {"reserve": 0.1, "cells": 60, "objective": "line"}
     plan = optimised_journey(line, FLIRT, observed(FLIRT, 1.0), journey, **options)
@@ -493,7 +478,7 @@ OPTIONS: dict[str, Any] = {"reserve": 0.1, "cells": 120, "tolerance": np.inf}
 
 @pytest.fixture(scope="module")
 def usual() -> Trajectory:
-    return optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    return optimised(configurations=observed(FLIRT, 1.0, 1.05), **OPTIONS)
 
 
 def same(found: Trajectory, usual: Trajectory) -> bool:
@@ -505,7 +490,7 @@ def same(found: Trajectory, usual: Trajectory) -> bool:
 
 def test_the_answer_of_a_solver_that_stops_early_is_solved_again(usual, monkeypatch):
     monkeypatch.setitem(convex._SETTINGS, "max_iter", 3)
-    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    found = optimised(configurations=observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert {word.split()[0] for word in found.certificate["solver"]["statuses"]} == {"CLARABEL"}
     assert same(found, usual)
 
@@ -547,7 +532,7 @@ def test_iterations_that_fail_begin_again_from_the_cone_relaxation(wrong, usual,
         return replace(minimise(*arguments, **options), converged=len(seen) > 1)
 
     monkeypatch.setattr(active_set, "minimise", fails_first)
-    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    found = optimised(configurations=observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert found.certificate["solver"]["statuses"][0].startswith("CLARABEL")
     assert same(found, usual)
 
@@ -566,7 +551,7 @@ def test_an_answer_that_was_tampered_with_is_not_returned(factor, words, monkeyp
     monkeypatch.setattr(active_set, "search", tampered)
     monkeypatch.setattr(optimiser, "_paced", lambda *_: None)
     with pytest.raises(TrainlogError, match=f"does not pass its audit: .* {words}"):
-        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
+        optimised(reserve=0.1, cells=40)
 
 
 @pytest.mark.usefixtures("unrenewed")
@@ -575,22 +560,20 @@ def test_a_grid_too_coarse_for_the_timetable_is_made_finer():
     least = optimised(line, FLIRT, train, reserve=0.0, cells=120).running_time
     found = optimised(line, FLIRT, train, running_time=least, cells=80)
     assert found.positions.size - 1 > 80
-    assert found.certificate["audit"]["passed"]
 
 
 @pytest.mark.usefixtures("unrenewed")
-def test_a_run_without_reserve_is_the_fastest_and_audited():
+def test_a_run_without_reserve_is_the_fastest():
     times = []
     for cells in (60, 120):
-        found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 2, seed=2), reserve=0.0, cells=cells)
-        assert found.certificate["audit"]["passed"]
+        found = optimised(configurations=drawn(FLIRT, 2, seed=2), reserve=0.0, cells=cells)
         times.append(found.running_time / max(found.certificate["least_time"]) - 1.0)
     # None is faster than alone under traction that follows the power; finer cells come closer.
     assert 0.0 < times[1] < times[0] < 5e-3
 
 
 def test_a_run_on_next_to_no_energy_is_certified_all_the_same():
-    down = replace(level_line(3_000.0, (0.0, 43.2)), gradients=steps((0.0, -0.0234)))
+    down = level_line(3_000.0, (0.0, 43.2), gradients=steps((0.0, -0.0234)))
     found = optimised(down, FLIRT, drawn(FLIRT, 2, seed=0), reserve=0.5, cells=80)
     certificate = found.certificate
     assert certificate["lower_bound"] <= certificate["energy"] < 1.0
@@ -602,7 +585,7 @@ def test_a_run_on_next_to_no_energy_is_certified_all_the_same():
 def test_cells_too_long_to_be_passed_within_their_limit_have_no_power():
     """At 5 km/h through a transition of 1.5 km in one cell: the train is faster inside."""
     bends = CurvatureProfile([0.0, 1_000.0, 2_500.0], [0.0, 0.0, 5e-3], [0.0, 5e-3, 5e-3])
-    line = replace(level_line(3_000.0, (0.0, 5.0)), curvatures=bends)
+    line = level_line(3_000.0, (0.0, 5.0), curvatures=bends)
     problem = TrajectoryProblem(line, FLIRT, observed(FLIRT, 1.0))
     cells = discretise(problem, np.array([0.0, 500.0, 1_000.0, 2_500.0, 2_750.0, 3_000.0]))
     assert np.flatnonzero(cells.ceiling < 0.0).tolist() == [2, 3]
@@ -694,9 +677,7 @@ def test_plans_stay_within_the_curve_and_pass_their_audit(train, line):
     configurations = drawn(TRAINS[train], 2, seed=3, spread=0.05)
     trajectory = optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=80)
     certificate = trajectory.certificate
-    assert certificate["audit"]["passed"]
-    assert certificate["audit"]["effort"] <= 1.0 + 1e-6
-    assert certificate["audit"]["braking"] <= 1.0 + 1e-6
+    assert max(certificate["audit"][name] for name in ("effort", "braking")) <= 1.0 + 1e-6
     # A plan leaves out what rises again, which the bound counts; the certificate states it.
     assert -1e-6 <= certificate["gap"] <= (5e-3 if train == "bumped" else GAP_TOLERANCE)
     excess = certificate["energy"] - certificate["lower_bound"]
@@ -754,7 +735,6 @@ def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives():
     configurations = [Configuration.of(known)]
     line = LINES["level"]
     blind = optimised(line, alone, configurations, reserve=0.05, cells=80)
-    assert blind.certificate["audit"]["passed"]
     run = TrajectoryProblem(line, known, configurations)
     refused = audit(
         run, blind.positions, blind.tractive_effort, 0.5 * blind.tractive_effort_fall,

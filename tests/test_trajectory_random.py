@@ -21,7 +21,7 @@ from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.rollout import rollout
 from trainlog.errors import InfeasibleError
 from trainlog.formats.ttobench import read_track, read_train
-from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
+from trainlog.railway import Configuration, RunningResistance, Trajectory
 from trainlog.units import KMH
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "trajectory"))
@@ -83,32 +83,21 @@ def test_one_brake_that_all_but_stops_a_train_is_refused_by_no_time_that_nobody_
 def test_no_linear_resistance_and_much_time():
     """Where a train all but stands on the way, no time of its is infinite times no resistance."""
     train = replace(FLIRT, resistance=RunningResistance(9_000.0, 0.0, 12.0))
-    line = replace(
-        level_line(20_000.0, (0.0, 80.0)),
-        gradients=steps((0.0, 0.0), (4_000.0, 0.04), (6_000.0, -0.02), (12_000.0, 0.03)),
-    )
+    rises = steps((0.0, 0.0), (4_000.0, 0.04), (6_000.0, -0.02), (12_000.0, 0.03))
+    line = level_line(20_000.0, (0.0, 80.0), gradients=rises)
     problem = TrajectoryProblem(line, train, observed(train, 1.0, 1.1), reserve=3.5)
     assert answered(problem).certificate["gap"] < 5e-3
 
 
-def weak_train() -> Train:
-    """A tenth of a watt a kilogram above what holds it at 1.6 m/s on 40 per mille."""
-    return replace(
-        FLIRT,
-        mass=170_000.0,
-        max_tractive_effort=170_000.0,
-        max_traction_power=120_000.0,
-        max_speed=75.0 / KMH,
-    )
-
-
 def test_a_weak_train_climbs_at_walking_pace():
-    """On cells as long as elsewhere it would stall on paper: it gains power as it slows down."""
-    line = replace(
-        level_line(4_000.0, (0.0, 75.0)),
-        gradients=steps((0.0, 0.0), (1_500.0, 0.04), (1_800.0, -0.01)),
-    )
-    train = weak_train()
+    """On cells as long as elsewhere it would stall on paper: it gains power as it slows down.
+
+    It has a tenth of a watt per kilogram above what holds it at 1.6 m/s on 40 per mille.
+    """
+    rises = steps((0.0, 0.0), (1_500.0, 0.04), (1_800.0, -0.01))
+    line = level_line(4_000.0, (0.0, 75.0), gradients=rises)
+    weak = {"mass": 170e3, "max_tractive_effort": 170e3, "max_traction_power": 120e3}
+    train = replace(FLIRT, max_speed=75.0 / KMH, **weak)
     answered(TrajectoryProblem(line, train, observed(train, 0.9, 1.1), reserve=1.0))
 
 
@@ -134,10 +123,9 @@ def test_a_time_just_above_the_least_is_no_refusal():
 
 def test_seven_hours_are_kept_to_the_millisecond():
     """The times of thousands of metres at walking pace add up; none is refused for the last one."""
-    line = replace(
-        level_line(60_000.0, (0.0, 30.0), (2_000.0, 8.0), (55_000.0, 30.0)),
-        gradients=steps((0.0, 0.004), (9_000.0, -0.006), (30_000.0, 0.005)),
-    )
+    rises = steps((0.0, 0.004), (9_000.0, -0.006), (30_000.0, 0.005))
+    limits = (0.0, 30.0), (2_000.0, 8.0), (55_000.0, 30.0)
+    line = level_line(60_000.0, *limits, gradients=rises)
     problem = TrajectoryProblem(line, FLIRT, observed(FLIRT, 1.0), reserve=0.0)
     found = answered(problem)
     assert found.running_time > 24_000.0

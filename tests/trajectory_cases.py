@@ -53,10 +53,11 @@ def free_train(pull: float, power: float, brake: float, **changes: Any) -> Train
     return replace(train, **changes)
 
 
-def optimised(line, train, configurations, *, cells=500, **question):
-    """The optimum of a problem that is given by its attributes."""
+def optimised(line=None, train=FLIRT, configurations=None, *, cells=500, **question):
+    """The optimum of a problem given by its attributes; of a FLIRT on the hilly line by default."""
+    configurations = observed(train, 1.0) if configurations is None else configurations
     options = {n: question.pop(n) for n in ("tolerance", "time_limit") if n in question}
-    problem = TrajectoryProblem(line, train, configurations, **question)
+    problem = TrajectoryProblem(line or hilly_line(), train, configurations, **question)
     return optimise(problem, OptimiserOptions(cells, **options))
 
 
@@ -66,9 +67,10 @@ def optimised_journey(line, train, configurations, journey, *, dwell=0.0, cells=
     return optimise_journey(problem, journey, OptimiserOptions(cells), dwell=dwell)
 
 
-def level_line(length: float = 48_531.0, *limits: tuple[float, float]) -> Line:
+def level_line(length: float = 48_531.0, *limits: tuple[float, float], **others: Any) -> Line:
     """TTOBench's reference: level, 140 km/h unless stated otherwise [m, km/h]."""
-    return level(length, speed_limits=steps(*((s, v / KMH) for s, v in limits or ((0.0, 140.0),))))
+    permitted = steps(*((s, v / KMH) for s, v in limits or ((0.0, 140.0),)))
+    return level(length, speed_limits=permitted, **others)
 
 
 def hilly_line() -> Line:
