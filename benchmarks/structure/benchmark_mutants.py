@@ -46,8 +46,7 @@ NEAREST = {
     "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
     "trainlog/formats/mapfile.py": "map_file merge map_service map_export",
     "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
-    "analysis/trajectory/bound.py": "trajectory_hamiltonian trajectory_certificate"
-    " trajectory_answers",
+    "analysis/trajectory/bound.py": "trajectory_certificate trajectory_answers",
     "analysis/trajectory/instructions.py": "trajectory_advice driver_advice advice_obeyed",
     "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest_recorders live",
 }
@@ -62,7 +61,7 @@ WIDER = {
     "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",
     "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
     "analysis/trajectory/bound.py": "trajectory_curves trajectory_limits",
-    "analysis/trajectory/instructions.py": "sfera optimise_command trajectory_journey",
+    "analysis/trajectory/instructions.py": "sfera optimise_command trajectory_limits",
     "trainlog/ingest/clock.py": "golden",
 }
 
