@@ -511,6 +511,7 @@ def test_groups_are_compared_by_their_mean_and_spread_and_pairs_of_one_configura
     assert [pair.driver.name for pair in groups.pairs] == ["a", "b"]
     saved = [pair.traction for pair in groups.pairs]
     assert saved == pytest.approx([20_000.0 * 12_000.0, 10_000.0 * 12_000.0], rel=1e-3)
+    assert "27.3% at the wheel rims (100.00 kWh of 366.67 kWh), 32.0% from" in groups.saved_words
     driver, own, saved = groups.tables()[0].words[-1][1:4]
     # 50 kN and 60 kN over 12 km are 167 and 200 kWh, 40 kN are 133 kWh.
     assert driver.startswith("183.33 kWh ± 23.57 kWh, 600 ± 0 s")
