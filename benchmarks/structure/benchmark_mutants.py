@@ -40,27 +40,26 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 NEAREST = {
-    "estimators/regression.py": "regression rls estimators resistance_windows passport",
-    "analysis/resistance/regression.py": "resistance_windows passport",
-    "estimators/condition_passes.py": "condition_passes condition_field traction_map",
-    "trainlog/catalogue/registration.py": "catalogue catalogue_versions identity",
-    "trainlog/formats/mapfile.py": "map_file merge map_service map_export",
-    "analysis/trajectory/audit.py": "trajectory_audit trajectory_certificate trajectory_answers",
+    "estimators/regression.py": "estimators resistance_windows recorded_topics",
+    "analysis/resistance/regression.py": "resistance_windows recorded_topics",
+    "estimators/condition_passes.py": "condition_passes traction_map",
+    "trainlog/catalogue/registration.py": "catalogue identity",
+    "trainlog/formats/mapfile.py": "traction_map map_service map_export",
+    "analysis/trajectory/audit.py": "trajectory_certificate trajectory_answers",
     "analysis/trajectory/bound.py": "trajectory_certificate trajectory_answers",
-    "analysis/trajectory/instructions.py": "trajectory_advice driver_advice advice_obeyed",
+    "analysis/trajectory/instructions.py": "driver_advice advice_obeyed",
     "trainlog/ingest/clock.py": "ingest_time ingest_trips ingest_repair ingest_recorders live",
 }
 """Modules, and the tests that a fault in them should fail, the quickest first."""
 
 WIDER = {
-    "estimators/regression.py": "coast_down study_rls_sliding_mode resistance_fit golden",
-    "analysis/resistance/regression.py": "coast_down resistance_fit resistance_together comparison"
-    " golden tunnels",
-    "estimators/condition_passes.py": "map_export map_difference golden",
+    "estimators/regression.py": "coast_down studies resistance_fit golden",
+    "analysis/resistance/regression.py": "coast_down resistance_fit comparison golden tunnels",
+    "estimators/condition_passes.py": "map_export golden",
     "trainlog/catalogue/registration.py": "fleet_update results catalogue_sql",
-    "trainlog/formats/mapfile.py": "network_maps traction_map samples golden",
-    "analysis/trajectory/audit.py": "trajectory_limits trajectory_curves",
-    "analysis/trajectory/bound.py": "trajectory_curves trajectory_limits",
+    "trainlog/formats/mapfile.py": "network_maps samples golden",
+    "analysis/trajectory/audit.py": "trajectory_limits",
+    "analysis/trajectory/bound.py": "trajectory_limits",
     "analysis/trajectory/instructions.py": "sfera optimise_command trajectory_limits",
     "trainlog/ingest/clock.py": "golden",
 }
