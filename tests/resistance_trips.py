@@ -67,7 +67,9 @@ def recording(
     time, speed, effort = driven(speed_of, mass, resistance, duration, TRAIN)
     nothing, shown = np.zeros(time.size), measured(speed, noise, seed)
     groups = (np.cumsum(speed) * 0.1 // 500.0).astype(np.int64)
-    none = dict.fromkeys(("braking", "slip_momentum", "tunnel", "track", "track_slope"), nothing)
+    none = dict.fromkeys(
+        ("braking", "between", "slip_momentum", "tunnel", "track", "track_slope"), nothing
+    )
     return Recording(
         time=time,
         speed=shown,

@@ -235,6 +235,18 @@ def test_columns_of_one_table_may_be_recorded_more_seldom_than_others(
     assert left == pytest.approx(60.0, abs=3.0)
 
 
+@pytest.mark.parametrize(("kind", "seed", "number"), [("kiss", 41, 6), ("flirt", 61, 0)])
+def test_efforts_recorded_every_second_beside_speeds_at_10_hz(kind, seed, number):
+    """When an effort changes between two samples is not known: no brake drags, no offset."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    trip = simulate(draw_scenarios(line, kinds()[kind], 8, seed=seed)[number])
+    seldom = trip.with_topic(trip["/train/controls"].iloc[::10])
+    fit, true = fit_trip(seldom), truth(trip)[0]
+    assert in_band(fit, true)
+    assert curve_error(fit, true) < 0.04
+    assert not fit.notes
+
+
 def test_slip_is_masked_where_no_axle_speeds_are_recorded():
     """Wheels of another adhesion than any estimator knows slip; the effort alone shows it."""
     wet = replace(draw_scenarios(LINE, FLIRT, 4, seed=2)[3], characteristic=polach_curve("wet"))

@@ -878,6 +878,7 @@ def coasting_recording(
         braking=nothing,
         rotating_momentum=nothing,
         slip_momentum=nothing,
+        between=nothing,
         tunnel=nothing,
         track=nothing,
         track_slope=track_slope(line, position, strip_length),

@@ -17,7 +17,13 @@ from analysis.resistance.curve import (
     DragCurve,
     curve_std,
 )
-from analysis.resistance.noise import Expected, WindowPoints, Windows, build_windows
+from analysis.resistance.noise import (
+    Expected,
+    WindowPoints,
+    Windows,
+    build_windows,
+    window_width,
+)
 from analysis.resistance.passport import (
     gain_words,
     passport,
@@ -31,6 +37,7 @@ from analysis.resistance.recording import (
     Timeline,
     TripRefusedError,
     check_recorded,
+    effort_times,
     prepare,
     scale_of,
     sound,
@@ -405,7 +412,8 @@ def fit_trip(
     prepared = prepare(view, corrected)
     origin = prepared.index[0]
     asked = _asked(speeds, line, train)
-    windows, timeline = build_windows(prepared), prepared.timeline
+    width = window_width(prepared.time, effort_times(corrected))
+    windows, timeline = build_windows(prepared, width), prepared.timeline
     _check_windows(name, windows, prepared)
     mass, mass_std = mass_prior(train)
     estimated = known.effort_delay.source == "estimated"

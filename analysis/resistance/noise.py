@@ -112,6 +112,8 @@ class Windows:
     effort_square : (n,) array [N² s²]
         Sum of the squared impulses of the samples: what noise of the recorded effort does; the
         momentum of wheels that slip counts `SLIP_NOISE` times.
+    between : (n,) array [N² s²]
+        Variance of the impulse by what the effort did between two of its samples.
     sections, edges : (n, k) sparse array
         Seconds in each piece of the gradient profile, and change of `y` by a metre of position
         error around each change of gradient.
@@ -127,6 +129,7 @@ class Windows:
     momentum: FloatArray
     effort_change: FloatArray
     effort_square: FloatArray
+    between: FloatArray
     sections: csr_array
     edges: csr_array
 
@@ -207,13 +210,13 @@ class WindowPoints:
     used: BoolArray
 
 
-def window_width(time: FloatArray) -> float:
-    """Length [s] of the windows of a recording with samples at these times [s], (n,).
+def window_width(*times: FloatArray) -> float:
+    """Length [s] of the windows of a recording with speeds and efforts at these times [s], (n,).
 
-    Several samples of the speed, or the errors of neighbouring ends are alike.
+    Several samples of each, or the errors of neighbouring windows are alike.
     """
-    step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
-    return max(WINDOW, SAMPLES * step)
+    steps = (float(np.median(np.diff(time))) for time in times if time.size > 1)
+    return max(WINDOW, SAMPLES * max(steps, default=0.0))
 
 
 def build_windows(recording: Recording, width: float | None = None) -> Windows:
@@ -248,8 +251,9 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
     change = at_end - _averaged(time, plain, start, width)
     integral = _averaged(time, integrals, end, width) - _averaged(time, integrals, start, width)
     steps = np.gradient(time) if time.size > 1 else np.zeros(time.size)
-    squares = cumulative_trapezoid((of.effort**2 * steps)[:, None], time, axis=0, initial=0.0)
-    square = (_at(time, squares, end) - _at(time, squares, start))[:, 0]
+    squares = np.column_stack([of.effort**2 * steps, of.between])
+    squares = cumulative_trapezoid(squares, time, axis=0, initial=0.0)
+    square, between = (_at(time, squares, end) - _at(time, squares, start)).T
     return Windows(
         start=start,
         end=end,
@@ -261,6 +265,7 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
         momentum=change[:, 1],
         effort_change=change[:, 2],
         effort_square=square + (SLIP_NOISE * change[:, 3]) ** 2,
+        between=between,
         sections=_by_group(recording, np.ones(time.size), recording.section, start, end),
         edges=_by_group(recording, recording.track_slope, recording.nearest_edge, start, end),
     )
@@ -394,8 +399,8 @@ class NoiseParts(NamedTuple):
     ----------
     joined : (n,) bool array
         Whether a window begins where the one before it ends.
-    effort : (n,) array [(m/s)²]
-        Variance by noise of the effort.
+    effort, between : (n,) array [(m/s)²]
+        Variance by noise of the effort, over its square, and between its samples.
     first_entry : (n + 1,) int array
         Where the entries of each window begin in the four arrays that follow.
     value : (e,) array
@@ -412,6 +417,7 @@ class NoiseParts(NamedTuple):
 
     joined: BoolArray
     effort: FloatArray
+    between: FloatArray
     first_entry: IntArray
     value: FloatArray
     position: BoolArray
@@ -450,6 +456,7 @@ class NoiseParts(NamedTuple):
         return NoiseParts(
             joined=joined,
             effort=windows.effort_square / mass**2,
+            between=windows.between / mass**2,
             first_entry=groups.indptr.astype(np.int64),
             value=groups.data.astype(np.float64),
             position=column >= windows.sections.shape[1],
@@ -581,7 +588,8 @@ def _whitened(
     """
     joined, first_entry, value = parts.joined, parts.first_entry, parts.value
     slot, fresh, slots = parts.slot, parts.fresh, parts.slots
-    own, speed = noise.effort**2 * parts.effort + FLOOR**2, noise.speed**2
+    own = noise.effort**2 * parts.effort + parts.between + FLOOR**2
+    speed = noise.speed**2
     variance = np.where(parts.position, noise.position**2, noise.gradient**2)
     out = np.empty_like(columns)
     number = columns.shape[1]

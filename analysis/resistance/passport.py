@@ -36,6 +36,7 @@ from analysis.resistance.recording import (
     UNCALIBRATED_SCALE_STD,
     SpeedScale,
     check_recorded,
+    effort_times,
     prepare,
     recorded_wheels,
     scale_of,
@@ -385,7 +386,7 @@ class _Motion:
         )
         time = seconds(view.trip["/train/state"])
         step = float(np.median(np.diff(time)))
-        self._width = window_width(time)
+        self._width = window_width(time, effort_times(view.trip))
         self._slipped = False
         self._sampling = SAMPLING * step
         white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan

@@ -232,6 +232,8 @@ class Recording:
         At the wheel rims: traction less braking less `tunnel`.
     braking : array [N]
         Dynamic braking effort, already taken off `effort`.
+    between : array [N² s]
+        Variance of the impulse, by time, of what the efforts did between two of their samples.
     rotating_momentum : array [kg m/s]
         Of the rotating parts, as masses at the wheel rims.
     slip_momentum : array [kg m/s]
@@ -255,6 +257,7 @@ class Recording:
     curve: FloatArray
     effort: FloatArray
     braking: FloatArray
+    between: FloatArray
     rotating_momentum: FloatArray
     slip_momentum: FloatArray
     tunnel: FloatArray
@@ -357,9 +360,32 @@ def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
         of,
         effort=traction - dynamic - np.nan_to_num(pneumatic) - of.tunnel,
         braking=dynamic,
+        between=_between(controls, there, of.time),
         masks=masks,
         usable=~widened(of.time, np.logical_or.reduce(list(masks.values()))),
     )
+
+
+def effort_times(trip: Trip) -> FloatArray:
+    """When the tractive effort was recorded [s]."""
+    return seconds(trip["/train/controls"].dropna(subset=["tractive_effort"]))
+
+
+def _between(controls: pd.DataFrame, there: FloatArray, time: FloatArray) -> FloatArray:
+    """`Recording.between` at some times [s]; `there` are those of the rows.
+
+    An effort that changes at an unknown instant between two samples bends at both of them; straight
+    lines between samples then err by the change times their distance over the root of 12.
+    """
+    found = np.zeros(time.size)
+    for name in ("tractive_effort", "dynamic_braking_effort"):
+        effort = controls[name].to_numpy(np.float64)
+        known = np.flatnonzero(np.isfinite(effort))
+        if known.size > 2:
+            at, bend = there[known], np.zeros(known.size)
+            bend[1:-1] = np.diff(effort[known], n=2) ** 2 * (at[2:] - at[:-2]) / 48.0
+            found += np.interp(time, at, bend)
+    return found
 
 
 def _course(view: TripView) -> Prepared:
@@ -394,6 +420,7 @@ def _course(view: TripView) -> Prepared:
         curve=basis(speed, 0.0 if wind is None else wind),
         effort=np.zeros(time.size),
         braking=np.zeros(time.size),
+        between=np.zeros(time.size),
         rotating_momentum=train.rotating_mass * speed + own,
         slip_momentum=np.where(followed & widened(time, slips), own, 0.0),
         tunnel=tunnel_coefficient(train, line.tunnel_cross_section(place)) * speed**2,

@@ -285,7 +285,7 @@ class WindowFit:
             if self.pulling is not None:
                 impulse = impulse - self.pulling[0] * part.pulled
             value = (impulse / mass - part.y) / part.duration
-            effort = self.noise.effort**2 * part.effort_square / mass**2
+            effort = (self.noise.effort**2 * part.effort_square + part.between) / mass**2
             std = np.sqrt(2.0 * self.noise.speed**2 + effort) / part.duration
             parts.append(np.stack([part.mean_speed, unit * value, unit * std]))
         speed, value, std = np.hstack(parts)
