@@ -24,7 +24,7 @@ from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.ingest import NO_TIME, Proposal, ingest, propose_profile
 from trainlog.ingest.tabular import read_delimited
-from trainlog.railway import Axles, RunningResistance, Train
+from trainlog.railway import Axles, LineReference, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
@@ -548,6 +548,27 @@ def test_a_distance_that_falls_ends_at_0_of_a_line_that_is_known(tmp_path):
         trip = ingest(path, proposal.profile)
         assert trip["/train/state"].position.iloc[0] == pytest.approx(start, abs=1.0)
         assert ("offset" in field(proposal, "/train/state.position")["alternative"]) is opened
+
+
+@pytest.mark.parametrize("falls", [True, False])
+def test_positions_are_the_operators_kilometres_where_those_of_the_line_fit(tmp_path, falls):
+    line = read_line(sample(DEFAULT_LINE))
+    ends = np.array([[90e3], [90e3 - line.length]])
+    line = replace(line, reference=LineReference("7", np.zeros(1), *ends))
+    km = (90e3 - 3e3 - RUN.s if falls else 90e3 - line.length + 3e3 + RUN.s) / 1e3
+    path = written(tmp_path, {"t [s]": RUN.t, "km": km, "v [m/s]": RUN.v})
+    trip = ingest(path, propose_profile(path, line=line).profile, line=line)
+    assert trip["/train/state"].position.iloc[0] == pytest.approx(3e3, abs=1.0)
+    # Falling kilometres of a line whose kilometres fall do not suggest the other direction.
+    assert "--reverse" not in trip.metadata["direction_evidence"]
+
+
+def test_kilometres_that_the_profile_turns_wrongly_are_refused_with_the_other_sign(tmp_path):
+    path = written(tmp_path, {"t [s]": RUN.t, "km": (90e3 - RUN.s) / 1e3, "v [m/s]": RUN.v})
+    profile = propose_profile(path).profile
+    turned = written(tmp_path, {"t [s]": RUN.t, "km": RUN.s / 1e3, "v [m/s]": RUN.v})
+    with pytest.raises(InputError, match="-1, or 1 where it is -1"):
+        ingest(turned, profile)
 
 
 @pytest.mark.parametrize("word", ["65535", "65535.000", "6553.50", "-32768.0", "327.670"])

@@ -581,8 +581,9 @@ def _trip(
     trip.metadata.update(estimate.metadata)
     if place is not None:
         falls = POSITION in profile.columns and profile.columns[POSITION].sign == -1
-        trip.metadata["direction_evidence"] = place.evidence + FALLS * (
-            falls and "assumed" in place.evidence
+        against = line is not None and line.kilometre(0.0) < line.kilometre(line.length)
+        trip.metadata["direction_evidence"] = place.evidence + FALLS * bool(
+            falls and against and "assumed" in place.evidence
         )
     doubtful = unlike_a_train(tables)
     if doubtful:

@@ -234,8 +234,9 @@ def _distance_ratio(
     if moved < -FAR:
         raise InputError(
             f"{POSITION} falls by {-moved:.0f} m while the train drives {driven:.0f} m",
-            remedy="position grows in the direction of travel: set sign = -1, and offset to"
-            " minus the line's length, for its column in the profile",
+            remedy="position grows in the direction of travel: turn the sign of its column in the"
+            " profile (-1, or 1 where it is -1), with minus the kilometre where this direction"
+            " begins as offset",
         )
     yield POSITION, moved / driven, f"{POSITION} moves {moved:.0f} m, {SPEED} gives {driven:.0f} m"
 

@@ -500,13 +500,25 @@ def _place_position(work: Work, name: str, answer: Answer, stated: str) -> None:
     offset = 0.0
     if falling:
         why += "; it falls, so the train runs against it: sign -1"
-        low, high = length * known.min(), length * known.max()
-        if work.line is not None and low > -FAR and high < work.line.length + FAR:
-            offset = -work.line.length / length
-            why += f", from the end of line '{work.line.name}'"
-        else:
-            offset = -float(np.ceil(known[0] * length / 1e3)) * 1e3 / length
-            other = said(other, f"offset = minus the line's length, not {offset:g}")
+    low, high = length * known.min(), length * known.max()
+    counted = (
+        ()
+        if work.line is None
+        else (np.array([0.0, work.line.length]), work.line.kilometre([0.0, work.line.length]))
+    )
+    begins = [
+        float(max(ends) if falling else min(ends))
+        for ends in counted
+        if min(ends) - FAR < low and high < max(ends) + FAR
+    ]
+    if begins:
+        offset = -begins[0] / length
+        why += f", from km {begins[0] / 1e3:.3f} of line '{work.line.name}'" * (begins[0] != 0.0)
+        if begins[-1] != begins[0]:
+            other = said(other, f"offset = {-begins[-1] / length:g}, by the operator's kilometres")
+    elif falling:
+        offset = -float(np.ceil(high / 1e3)) * 1e3 / length
+        other = said(other, f"offset = minus the line's length, not {offset:g}")
     work.place(
         POSITION, name, unit=answer.units["length"], sign=sign, offset=offset, why=why,
         check=", ".join(checks), alternative=other, unproven=unproven,
