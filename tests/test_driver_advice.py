@@ -333,6 +333,13 @@ def test_a_speed_is_held_only_where_the_plan_drives_or_brakes():
     ]
 
 
+def test_the_speed_that_is_held_is_not_below_the_one_planned_longest():
+    """A row less is not worth six seconds."""
+    plan = _with_phases("TPP" + "P" * 11 + "B", [0, 62.0, 63.0, *[65.0] * 12, 0])
+    held = [each for each in instructions(plan, level_line(4_500.0).speed_limits) if each.hold]
+    assert 3.6 * held[-1].target == pytest.approx(65.0)
+
+
 STEPS = {"T": (-9, 40), "P": (-2, 4), "C": (-9, 5), "H": (-8, 1), "B": (-40, -5)}
 """By how much the speed changes in a cell of each phase [km/h]."""
 
