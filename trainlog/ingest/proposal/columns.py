@@ -511,7 +511,7 @@ def _place_position(work: Work, name: str, answer: Answer, stated: str) -> None:
         for ends in counted
         if min(ends) - FAR < low and high < max(ends) + FAR
     ]
-    if begins:
+    if begins and work.line is not None:
         offset = -begins[0] / length
         why += f", from km {begins[0] / 1e3:.3f} of line '{work.line.name}'" * (begins[0] != 0.0)
         if begins[-1] != begins[0]:
