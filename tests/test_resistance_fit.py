@@ -238,7 +238,7 @@ def test_columns_of_one_table_may_be_recorded_more_seldom_than_others(
 @pytest.mark.parametrize(("kind", "seed", "number"), [("kiss", 41, 6), ("flirt", 61, 0)])
 def test_efforts_recorded_every_second_beside_speeds_at_10_hz(kind, seed, number):
     """When an effort changes between two samples is not known: no brake drags, no offset."""
-    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    line = read_line(sample("DE_Chemnitz_Cranzahl.line.json"))
     trip = simulate(draw_scenarios(line, kinds()[kind], 8, seed=seed)[number])
     seldom = trip.with_topic(trip["/train/controls"].iloc[::10])
     fit, true = fit_trip(seldom), truth(trip)[0]
