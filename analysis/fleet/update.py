@@ -373,7 +373,7 @@ def update_fleet(
     ...     again = update_fleet(catalogue, ["checks"], UpdateOptions(workers=0))
     ...     found = catalogue.results("checks")
     >>> first.trips, again.sentence, found["trip"].tolist()
-    (2, 'nothing new', ['trip-01', 'trip-03'])
+    (2, 'nothing new', ['trip-03', 'trip-01'])
     """
     began = time.perf_counter()
     with ExitStack() as stack:

@@ -169,7 +169,7 @@ class Trips(Database):
         ...     _ = catalogue.add("sample_logs")
         ...     found = catalogue.query("duration > '20 min'", start="2024-10-07")
         >>> found[["name", "weather", "km_to"]].values.tolist()
-        [['trip-03', 'wet', 29.55647]]
+        [['trip-03', 'wet', 29.55646]]
         """
         names = [*COLUMNS, "path"] if columns is None else list(columns)
         for name in names:
