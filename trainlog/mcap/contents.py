@@ -665,6 +665,8 @@ class _Scan:
                 self._check_longer(at, end)
                 record = parsed(KINDS[opcode], source.read, at, end)
             self._take(at, record)
+        else:
+            self._check_longer(at, end)
         return end
 
     def _check_longer(self, at: int, end: int) -> None:
