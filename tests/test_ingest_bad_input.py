@@ -127,7 +127,7 @@ LOG = sample("stopping.mcap").read_bytes()
         ("", units("km/h", "m"), "position moves .* m, /train/state.speed gives .* m; check the"),
         ("", units("m/s", "km"), "position: .* values are impossible|position moves"),
         ("", units("m/s", "mm"), "position moves"),
-        ("", units("m/s", "m", -1), "falls by .* set sign = -1"),
+        ("", units("m/s", "m", -1), "falls by .* turn the sign of its column"),
         ("3", {}, r"row \d+: /train/state.speed: \d+ of 200 values are impossible.*check the unit"),
     ],
 )
